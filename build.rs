@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Packs the relocations of the program as it is packaged: they would be a twentieth of it. The C library has to know that
 //! form, which glibc has done since 2.36, and GNU ld for x86-64 since 2.38.
 

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! What it costs to read an attribute, compared with the kernel's own sysfs in the same run, and whether what
 //! is read is right while it changes.
 //!

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! What each gauge costs on the bus: one full poll compared with the kernel's driver, one changed parameter,
 //! and an image that changes every block.
 //!

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! What the daemon costs the machine: one gauge whose whole tree has been read; 1, 64 and 512 gauges in one mount before
 //! and after everything in their trees is read; then many gauges compared with one: memory, processor time and wake-ups.
 //!

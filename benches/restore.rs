@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! How long a gauge with RAM shows nothing after a loss of power: its profile is written again, in simulated time, and
 //! beside that the same values as an ordinary write.
 //!

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! `gaugefs sim`: simulated gauges as an I2C bus that any program can use.
 //!
 //! The crate `i2c-server` answers the calls of programs, and the simulated gauges are its targets. The calls come through

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The command line: the parser, the dispatch and the exit codes. Each command has a file of its own.
 
 use std::ffi::OsString;

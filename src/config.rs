@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The options of a mount and of its gauges, from the command line or a configuration file. `options` defines each of them
 //! once.
 

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The life of a mount: open the gauges, poll each once, mount, say so, wait for the end, unmount.
 
 use std::collections::HashMap;

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The tree: names, modes, contents, reads and writes, without any FUSE.
 //!
 //! A [`Node`] identifies one file, folder or link for the whole life of the mount; its content is rendered

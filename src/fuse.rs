@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The mounted tree: an adapter between [`Fs`] and the crate `fuser`.
 //!
 //! - `adapter` handles the kernel's requests.

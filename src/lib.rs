@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! gaugefs mounts TI fuel gauges as a Linux power_supply tree.
 //!
 //! This library is the program's own: what is useful elsewhere is in the crates `gauge-bus`, `gauge-sim`,

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The `gaugefs` command.
 
 use std::process::ExitCode;

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The text of a [`Report`]: a trace that can be replayed, with everything about the gauge in the lines above it.
 
 use std::path::Path;

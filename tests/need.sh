@@ -1,3 +1,5 @@
+# SPDX-License-Identifier: MIT
+#
 # Sourced by the test scripts.
 #
 # need COMMAND PACKAGE...: makes sure that a command is there, from Debian's packages where this runs as

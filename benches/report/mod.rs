@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! What a bench ends with: its rows of the README's table, and its exit code.
 
 use std::process::ExitCode;

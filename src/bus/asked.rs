@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The memory of a caller that the kernel brings: what an ioctl points to is named in an answer, and comes with the request when
 //! that is repeated (FUSE_IOCTL_RETRY of `linux/fuse.h`).
 

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The memory of the process that makes a call on the bus.
 
 use std::io::{IoSlice, IoSliceMut};

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! `gaugefs sim --cuse`: the bus as a character device of its own, which CUSE carries.
 //!
 //! CUSE (`fs/fuse/cuse.c` of the kernel) makes a device whose calls are FUSE requests. The argument of an ioctl is not read

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! A FUSE file, or a device of CUSE, that is an I2C bus: the kernel's requests, and who answers them.
 //!
 //! The crate `fuser` passes on the number of an ioctl but not its argument, so requests are read and answered here. Each

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! A command with a bus of its own in `/dev`.
 //!
 //! The command gets a mount namespace, in which `/dev` is a copy with one more file, `i2c-N`; without root it gets a user

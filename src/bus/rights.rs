@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Root's rights, given up for good.
 
 use std::fs;

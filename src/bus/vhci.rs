@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! `gaugefs sim --device`: the bus as an adapter of the kernel, to which drivers bind.
 //!
 //! The kernel's `vhci_hcd` takes the other end of a socket for a USB device (USB/IP, `Documentation/usb/usbip_protocol.rst`),

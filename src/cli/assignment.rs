@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! `NAME=VALUE` on a command line: a parameter by its name or place, and a value as people write it.
 
 use std::ffi::OsString;

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! `gaugefs auth`: checks with a challenge whether a pack knows the authentication key.
 
 use std::path::PathBuf;

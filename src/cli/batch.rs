@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! One command for several gauges: each is done for itself, and the exit code is the worst.
 
 use std::path::PathBuf;

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! `gaugefs bringup`: makes a new board of several cells writable.
 
 use std::path::PathBuf;

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! `gaugefs calibrate`: calibrates a mounted gauge against a meter. The daemon does it, in one request.
 
 use std::path::PathBuf;

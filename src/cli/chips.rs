@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! `gaugefs chips`.
 
 use std::fmt::Write as _;

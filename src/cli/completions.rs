@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! `gaugefs completions`.
 
 use std::process::ExitCode;

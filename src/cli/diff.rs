@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! `gaugefs diff`.
 
 use std::path::{Path, PathBuf};

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! `gaugefs doctor`: checks this machine for problems and shows remedies.
 //!
 //! It only reads: files below one root folder, which a test fills as it likes, the output of systemctl,

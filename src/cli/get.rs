@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! `gaugefs get`.
 
 use std::ffi::OsString;

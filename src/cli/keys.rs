@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! `gaugefs keys change`: changes a key of a mounted gauge. Keys come from files that nobody else may read or
 //! from the terminal, never from the command line, and leave this process in one write(2) to `gauge/keys`.
 

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! `gaugefs learned`: what is kept of what a gauge with RAM has learned.
 
 use std::path::PathBuf;

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! `gaugefs lint`.
 
 use std::path::PathBuf;

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! `gaugefs list`: the gauges that are mounted on this machine.
 
 use std::path::Path;

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! `gaugefs man`: the manual pages that a package installs.
 //!
 //! The pages are written by hand in `docs/gaugefs.1.in` and `docs/gaugefs.toml.5.in`, except for the commands, options and

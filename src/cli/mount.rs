@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! `gaugefs mount`, and `gaugefs attach`, which systemd's units run after it.
 
 use std::path::PathBuf;

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Mounted gauges, as the commands need them beside [`gaugefs_client`]: a person is told which gauge was polled, and a
 //! file may be in its place.
 

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! `gaugefs names`: the names of a mounted gauge's parameters, for the completions of the shells.
 
 use std::path::PathBuf;

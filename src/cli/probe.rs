@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! `gaugefs probe`: scans a bus. [`ti_gauge::probe`] decides what may be sent to an unknown
 //! device.
 

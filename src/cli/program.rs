@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! `gaugefs program`: a station at which one pack after the other is connected.
 
 use std::path::PathBuf;

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! `gaugefs report`: one file about a gauge, for a bug report.
 
 use std::path::{Path, PathBuf};

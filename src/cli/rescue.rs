@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! `gaugefs rescue`: brings back a gauge that is left in ROM mode. [`ti_gauge::rom`] decides what is written.
 
 use std::io::IsTerminal;

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! `gaugefs settle`: shows an interrupted write, and carries out what somebody decides about it.
 
 use std::path::PathBuf;

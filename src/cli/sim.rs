@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! `gaugefs sim`, and the process that it starts for a command.
 
 use std::ffi::OsString;

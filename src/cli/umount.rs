@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! `gaugefs umount`.
 
 use std::path::PathBuf;

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! `gaugefs watch`.
 
 use std::path::PathBuf;

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! A configuration file: the tables `[mount]`, `[defaults]` and any number of `[[gauge]]` and `[[alert]]`; a station's
 //! file has `[station]` in place of `[mount]`, and no alerts.
 //!

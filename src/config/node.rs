@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! A gauge of the device tree: its bus, address and chip, from its device in sysfs.
 
 use std::fs;

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! What an option is, and the views of it: an argument of the command line, and a key of a configuration file.
 
 use std::fmt;

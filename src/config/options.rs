@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! All options of mounts, gauges, alerts and stations. An option is a field, and a row that says everything else about it;
 //! the command line, the keys of a file, gaugefs(1), gaugefs.toml(5) and the completions follow from the rows.
 

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The gauge that the options of a gauge name.
 
 use super::GaugeOptions;

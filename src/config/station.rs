@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The file of a station, which programs one pack after the other.
 
 use std::path::Path;

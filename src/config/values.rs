@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The values of options, checked alike on the command line and in a configuration file.
 
 use std::fmt;

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Watches the device nodes of adapters. An adapter that is unplugged is closed at once, since the kernel
 //! keeps it until the last descriptor is closed; an adapter that is plugged in again is tried at once.
 

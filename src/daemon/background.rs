@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Going to the background.
 //!
 //! The parent starts gaugefs again as a child, instead of forking, because a fork keeps only one thread. It

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The log, which goes to standard error, a file, or syslog.
 //!
 //! For syslog, every line is a datagram to `/dev/log` and no connection is kept, because syslog may restart

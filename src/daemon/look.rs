@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Looks at a path that may be in the mount of a daemon that does not answer.
 //!
 //! A call into a FUSE mount waits for its daemon, and if the daemon has already taken the request, not even

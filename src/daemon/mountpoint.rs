@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Mount points: what is mounted where, preparing one, what it covers, and unmounting, also if a daemon has
 //! died or does not answer.
 //!

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Checks whether the machine has what a mount needs. The mount reports the first check that fails, before it opens any
 //! gauge; `gaugefs mount --check` reports all of them. It also checks what each gauge needs, and /dev/fuse, with the
 //! functions that open them.

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! A report of a gauge that is not mounted: it is opened, as for a mount, for as long as the report takes.
 
 use std::path::Path;

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! A systemd service without the privilege to mount, and the two steps that its unit runs as root.
 //!
 //! The daemon of a unit has its own account, no capability and its own mount namespace, in which nobody else

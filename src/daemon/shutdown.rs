@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Ending a mount by SIGTERM or SIGINT, according to how far it has come.
 
 use std::path::PathBuf;

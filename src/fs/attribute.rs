@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The power_supply attributes, with the names, units and signs of the kernel's ABI (`sysfs-class-power`).
 //!
 //! One row of [`ATTRIBUTES`] is one attribute: its name, and how its text follows from a poll.

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The folder that the mount covers. If it is the kernel's own folder of power supplies, the tree shows those too,
 //! as the symbolic links that they are: the mount is at the same path, so their relative targets stay valid.
 //!

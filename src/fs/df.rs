@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! `df/`: data flash. The parameters by place and by name, the index of all, and `df/transaction`.
 
 use std::collections::BTreeSet;

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! `gauge/`: what the kernel's ABI has no name for. Nothing in here is kept in the kernel's cache.
 //!
 //! One row of [`FILES`] is one file. One row of [`GROUPS`] is a group of files whose names come from the

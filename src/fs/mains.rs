@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The Mains supply beside the gauges, which looks like those of the kernel's drivers. No gauge measures the
 //! mains: whether they supply power is concluded from the packs' `status`.
 

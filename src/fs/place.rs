@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The number of each node, from which the node follows: nothing has to be remembered of a node that has been shown.
 
 use super::{Attribute, DfItem, GaugeItem, Item, MainsItem, Node, SimItem, SupplyItem};

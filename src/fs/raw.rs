@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! `raw SUBCLASS/OFFSET HEX`: bytes that no manual documents.
 
 use ti_gauge::chip::Chip;

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The mount point: a folder for each gauge, the Mains supply, and the kernel's supplies underneath.
 
 use std::collections::BTreeSet;

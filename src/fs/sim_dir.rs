@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! `sim/`: the knobs of a simulated gauge, one file each.
 
 use nix::errno::Errno;

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The folder of a gauge: power_supply attributes, `uevent` and `subsystem`, and the folders `df`, `gauge` and
 //! `sim`.
 

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! `df/transaction`: lines that stage changes, and one commit that writes them all.
 //!
 //! Nothing is written to the gauge before the commit. A write(2) is staged whole or not at all. One that is refused

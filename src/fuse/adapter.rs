@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The handlers of the kernel's requests.
 //!
 //! No handler blocks, and none notifies the kernel: while the kernel waits for an answer it holds locks

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The table of nodeids: which file each number means, and which value it shows.
 //!
 //! One nodeid is one immutable value, so a reader never gets the size of one value with the bytes of

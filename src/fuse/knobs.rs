@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! A folder of knobs: a file each, whose reads and writes are not kept by the kernel.
 
 use std::ffi::OsStr;

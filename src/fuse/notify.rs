@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The thread that notifies the kernel that files have a new value.
 //!
 //! # Why the daemon can always end

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! A mount that is one file, whose requests the caller answers itself.
 //!
 //! The crate `fuser` mounts it and agrees with the kernel on the protocol. It does not answer the requests: of an ioctl it

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT
 // A gauge that the firmware has on the adapter in the slot: on a PC the words of the device tree stand in
 // ACPI (PRP0001), and the kernel makes of both the same client, of:N...Cti,bq34z100. S80 is QEMU's name for
 // the root port at 10.0, S00 for what is plugged into it.

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! `gaugefs sim`: simulated gauges as a bus of other programs, by a path and in the `/dev` of a command.
 
 use std::fs::{self, File};

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The command line: what it prints, its exit codes, and the life of a mount.
 //!
 //! The output is compared with the files in `golden/`. After an intended change, run the tests once with

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The crate `gaugefs-client` on mounted simulated gauges.
 
 use std::error::Error as _;

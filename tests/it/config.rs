@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Many gauges in one mount: what a configuration may contain, and that no gauge blocks another.
 
 use std::fs::{self, OpenOptions, Permissions};

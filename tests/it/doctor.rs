@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! `gaugefs doctor` on systems that are only folders, and once on this machine.
 
 use std::fs::{self, Permissions};

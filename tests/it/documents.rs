@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The documents as a whole: every link leads to a file and a heading, and the README's map has every page.
 
 use std::collections::BTreeSet;

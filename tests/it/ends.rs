@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Daemons that are ended at random moments of writes that take several write(2), while others read. A daemon
 //! must end, no reader or writer may hang, and what a writer is told must be true.
 //!

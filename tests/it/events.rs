@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! `gaugefs events`: what a program hears that listens to udev, in a network and a mount namespace of its own. It takes
 //! root.
 

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! A gauge with RAM behind a mount: its profile, and what it has learned.
 
 use std::fs;

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The structure of the code, read from its `use` lines and paths: within each folder of modules none uses one that uses
 //! it, and no test file uses another one. No crate depends on one above it.
 //!
@@ -301,4 +303,46 @@ fn a_comparison_of_words_is_found() {
     {
         assert_eq!(compared(text), [""; 0], "{text}");
     }
+}
+
+/// Every file below a folder, but for what a build makes and what git keeps.
+fn files(folder: &Path, found: &mut Vec<std::path::PathBuf>) {
+    for entry in fs::read_dir(folder).expect("a folder of the checkout") {
+        let path = entry.expect("an entry").path();
+        if path.is_symlink() || path.ends_with("target") || path.ends_with(".git") {
+            continue;
+        } else if path.is_dir() {
+            files(&path, found);
+        } else {
+            found.push(path);
+        }
+    }
+}
+
+/// Whether a file is a program or a part of one, by its name and its first lines. What data there is, `REUSE.toml` covers.
+fn is_source(path: &Path, text: &[u8]) -> bool {
+    const SOURCE: [&str; 7] = ["asl", "awk", "conf", "rs", "rules", "service", "sh"];
+    let extension = path.extension().and_then(|extension| extension.to_str());
+    extension.is_some_and(|extension| SOURCE.contains(&extension)) || text.starts_with(b"#!")
+}
+
+#[test]
+fn every_source_file_says_its_license() {
+    const LINES: [&str; 2] = ["// SPDX-License-Identifier: MIT", "# SPDX-License-Identifier: MIT"];
+    let mut all = Vec::new();
+    files(Path::new(env!("CARGO_MANIFEST_DIR")), &mut all);
+    let (mut sources, mut without) = (0, Vec::new());
+    for path in all {
+        let text = fs::read(&path).expect("a file of the checkout");
+        if !is_source(&path, &text) {
+            continue;
+        }
+        sources += 1;
+        let head = String::from_utf8_lossy(&text[..text.len().min(200)]).into_owned();
+        if !head.lines().take(2).any(|line| LINES.contains(&line)) {
+            without.push(path);
+        }
+    }
+    assert!(sources > 400, "{sources}");
+    assert!(without.is_empty(), "these need a line such as {:?}: {without:?}", LINES[0]);
 }

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Input for every parameter of every chip: the limits of its range are accepted; values beyond them, and text
 //! that is not a value of its type, are refused.
 

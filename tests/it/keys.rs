@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! `gaugefs keys change`: key files with sections, input on the terminal, and the places where keys must not
 //! appear.
 

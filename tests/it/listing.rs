@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! `gaugefs list`, and `gaugefs probe` without a bus.
 
 use std::fs;

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! One test binary for everything that needs more than one module.
 
 #![allow(clippy::disallowed_methods, reason = "tests read what they have made")]

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The manual pages and the completions, checked by the programs that read them.
 
 use std::collections::BTreeSet;

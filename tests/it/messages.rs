@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! What is printed when something is wrong: what happened, to what, and what to do. Each line of `golden/messages` is
 //! what a user sees; those of a misused command line are in `golden/misuse`.
 

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Random system calls by several users on a mounted gauge, against a model of docs/SEMANTICS.md.
 //!
 //! The model knows for each call which errnos the document and the file's mode allow, and whether the call may succeed

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! A real FUSE mount, used with the file operations of a shell.
 
 use std::fs::{self, OpenOptions};

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! An ordinary user, without root: what works, and what a mount says where something is missing.
 //!
 //! The user and `/dev/fuse` with the mode that udev gives it are in a mount namespace of their own, so nothing of the

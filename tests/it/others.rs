@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Daemons that do not answer, and files and locks of other users, do not hold up gaugefs.
 
 use std::fs;

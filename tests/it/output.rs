@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! What the program prints, and the files that it writes and reads, on a host that fails or is hostile.
 
 use std::fs::{self, File, Permissions};

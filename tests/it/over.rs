@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! A mount over the kernel's own supplies: over a folder with links like theirs, and over the real one where the
 //! machine allows it.
 

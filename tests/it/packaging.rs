@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! `docs/PACKAGING.md`: its commands and scripts are run as they are written there.
 
 use std::fs::{self, Permissions};

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Holds docs/PRODUCTION.md to what gaugefs does: every command of its worked example is run as it is printed, in its
 //! order, and prints what the document shows. The hidden comments of the document turn the knobs of the simulated gauge.
 

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! `gaugefs program`: a station with simulated packs that are kept in files. The tests of its rules and faults are in
 //! `crates/gauge-station/src/station/tests.rs`.
 

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The numbers of the README, and what produces each:
 //!
 //! | numbers | produced by |

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Readers never see what is refused to a writer, not for a moment.
 //!
 //! The kernel copies what is written to its page cache before gaugefs gets it. These tests write in a loop what is

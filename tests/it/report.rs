@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! `gaugefs report`: one file about a gauge that can be given away, and replayed.
 
 use std::fs::{self, Permissions};

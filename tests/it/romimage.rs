@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Images for ROM mode of a bq34z100-G1 and -R2: written to a gauge as parameters, and never in that mode.
 
 use std::fmt::Write as _;

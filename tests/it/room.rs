@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! What tests share: the folders that they work in, the program as a command, mounts of their own. A test file uses this
 //! room, and no other test file.
 

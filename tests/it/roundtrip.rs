@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! What is exported from one gauge, imported into another and exported from that one is the same file: for every part with
 //! data flash, in every format that is written, with values at the ends of their ranges.
 

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Holds docs/SEMANTICS.md and docs/ATTRIBUTES.md to what a mount does: every file of the tree has a row there and every
 //! row a file, attributes have the value that their row describes, and each errno of the table occurs when the table says.
 

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The steps of systemd's units: a daemon that mounts nothing, and `gaugefs attach`, which mounts for it.
 //! `gaugefs detach` is tested in tests/boot, because it removes every dead mount, also those of other tests.
 

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! `gaugefs get` and `set`, and what export, diff and import do with names, dates and several gauges.
 
 use std::fs;

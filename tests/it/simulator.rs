@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Holds docs/SIMULATOR.md to the simulated gauges: each knob and each fault has a row there with the same words, its
 //! example works, and a refusal says what would be accepted.
 

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! A pack that is exchanged for another while it is mounted.
 
 use std::sync::Arc;

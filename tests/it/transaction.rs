@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! `df/transaction`, used through the tree as the mount uses it, on a simulated clock.
 
 use std::sync::{Arc, mpsc};

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Reads one register of a device on a Linux I2C bus and prints its bytes.
 //!
 //! ```text

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! A [`Bus`] that gives up waiting for a transfer after a limited time.
 //!
 //! A transfer is a system call, and the driver of an adapter may hang in it for good; no signal ends such a call. So

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The time that the code above a bus measures and waits for: a [`Clock`] to read and to sleep on.
 //!
 //! The daemon uses [`RealClock`]. Tests use [`SimClock`], where a sleep takes no real time and the simulated

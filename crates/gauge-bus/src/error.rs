@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The error of opening a bus or reading a recording.
 
 use std::{fmt, io};

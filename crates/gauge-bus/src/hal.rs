@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Adapters to and from `embedded-hal`: any blocking [`I2c`] as a [`Bus`], and any [`Bus`] as an [`I2c`].
 //!
 //! With the first, code that uses a [`Bus`] runs on the I2C of a microcontroller or of any other

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! One START...STOP transfer to one I2C target, on real adapters, recordings and other buses.
 //!
 //! A [`Bus`] addresses one target with a 7-bit address. It is implemented by a real adapter ([`linux`]), a

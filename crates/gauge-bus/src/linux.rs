@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! A target behind `/dev/i2c-N`, or behind a FUSE file or a device of CUSE that answers like one, as `gaugefs sim` serves it.
 //!
 //! Transfers use I2C_RDWR, so that a pointer write and the read after it are one transfer with a repeated

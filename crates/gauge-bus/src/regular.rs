@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Files of the host: those that gaugefs keeps (its log, traces, journals, backups, locks), those that it is told to
 //! write, and those that it is told to read.
 //!

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! A [`Bus`] that answers from a file that [`super::trace`] wrote: a recorded gauge that can be read.
 //!
 //! The answer of a gauge at a register depends on what was written before: the subcommand for Control(), the

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! A [`Bus`] that records every transfer in a file similar to a FlashStream.
 //!
 //! Commands are `W:` and `R:` lines; times and answers are in comments. Transfers that carry keys or security

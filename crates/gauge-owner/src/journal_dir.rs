@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The folder of the journals and backups.
 
 use std::path::{Path, PathBuf};

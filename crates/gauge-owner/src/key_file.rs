@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Where keys come from: a file that nobody else may read, or a systemd credential.
 
 use std::fs::{File, Metadata};

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! One thread for each Texas Instruments fuel gauge. It owns the gauge: it identifies it, polls its registers, carries out
 //! requests one after the other, and pays what a failed access has left, such as a seal or an interrupted write. Nothing
 //! else touches the gauge's bus.

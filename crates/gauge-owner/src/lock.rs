@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! A lock for each gauge, so that a second gaugefs is refused, with the process of the first.
 //!
 //! The lock is a file that only its owner can open, in `/run/gaugefs` or in a folder of the user's own. It is

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Opening gauges and starting their owners: one that has to answer, or many at the same time, of which some may not.
 
 use std::path::{Path, PathBuf};

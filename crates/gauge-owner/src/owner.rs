@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The thread that owns a gauge.
 //!
 //! It reads the registers that are due, publishes each poll as a whole new [`Snapshot`], and carries out

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! A gauge, and how it is run: what its options come to.
 
 use std::io::ErrorKind;

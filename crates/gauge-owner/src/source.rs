@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Where a gauge is, simulated, in a recording or on a bus, and how it is opened there.
 
 use std::fmt;

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Drives a simulated gauge through embedded-hal's `I2c`, as a driver for a microcontroller would.
 //!
 //! ```text

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Reads the voltage of a simulated gauge, byte by byte as the manual has it.
 //!
 //! ```text

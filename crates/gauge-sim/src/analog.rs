@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The errors of the board and the specimen: offsets and gains, which a calibration finds, and noise, which it does
 //! not. Unless a knob sets one, there are no errors: the calibration in flash fits the board.
 

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The pack itself: charge, open-circuit voltage, resistance and temperature. A [`Model`](super::model::Model) is the
 //! gauge's view of it.
 

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Block access: a gauge whose data flash is reached unsealed through class, block, window and checksum
 //! (SLUSBZ5D 7.3.3). It covers everything that a host can do over the bus to the parts with flash, and to
 //! those with RAM (SLUUAC9A), which differ in when the checksum counts. Differences between parts are in

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The shell of a simulated gauge, which is the same for every part: power, flash and its state file,
 //! timing, the battery's clock, and the knobs that all gauges have. Everything else is the part's scheme.
 //!

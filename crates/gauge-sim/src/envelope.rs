@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Unfriendly behaviour that a real gauge may have. Each behaviour is a knob, off at first; a seed draws one
 //! gauge from the whole envelope, within the ranges that manuals, drivers and owners report.
 

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The errors of the simulator: requests that it refuses, and failures of its files on the host.
 
 use std::{fmt, io};

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Faults: what goes wrong with the nth transfer from now, or with the next commit inside the gauge.
 
 use std::fmt;

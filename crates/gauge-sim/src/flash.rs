@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Data flash of a simulated gauge, or the RAM that some parts have instead: bytes by area and block, how
 //! often each block was programmed, and the file that keeps both across processes.
 //!

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The flat data flash of the parts with ManufacturerAccessControl(), which is read and written by address
 //! (SLUUBH1C 12.1.3).
 

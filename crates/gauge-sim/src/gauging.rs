@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The model of the parts with block access: measurements, coulomb counting, states and flags, and the
 //! registers that show them. As in the parts, thresholds are read from data flash at a reset. Where they
 //! are stored, and which register shows what, differs between parts and is described by [`Map`].

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The knobs of a simulated gauge: their names, and how their texts are read.
 
 use std::time::Duration;

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The learning state of Impedance Track since the last reset. The conditions under which it learns Qmax at rest and Ra
 //! in a discharge are those of SLUA450, of chapter 12 of SLUUBW5A, and, for the current of a
 //! discharge, of TI's answer to owners whose Update Status stays at 05 (E2E 1263623).

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Simulated Texas Instruments fuel gauges: each is a [`gauge_bus::Bus`] with a believable part, its data flash and a
 //! battery behind it.
 //!

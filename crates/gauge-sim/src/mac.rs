@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! ManufacturerAccessControl: a flash gauge whose subcommands and flat data flash are reached through one
 //! word, a buffer, a sum and a length (SLUUBH1C 12.1.3, SLUA790 section 3). It covers what a host can do to
 //! such a part over the bus. The model of each part's pack is in its own file. Where data memory is RAM, it is

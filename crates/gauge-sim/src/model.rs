@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The measuring half of a gauge: its view of the pack. The parts with block access share `gauging`;
 //! those with ManufacturerAccessControl() have a model each, in their own files.
 

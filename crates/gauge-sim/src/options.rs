@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! How a simulated gauge is made.
 
 use std::fmt;

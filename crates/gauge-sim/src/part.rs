@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The description of a part: everything in which one simulated gauge differs from another.
 
 use super::flash::{Flash, Image};

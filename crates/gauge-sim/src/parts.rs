@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The parts that are simulated, a file each.
 
 // A part's file names them as `super::part` and so on.

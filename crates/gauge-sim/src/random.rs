@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Random numbers that repeat with their seed.
 
 use std::ops::RangeInclusive;

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! A gauge of which only the standard commands are known: registers that can be read, and what identifies the part.
 //! It takes no other writes, so whatever a host sends to it beyond that is refused where a test sees it.
 

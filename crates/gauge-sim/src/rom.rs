@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Instruction flash, and the boot loader that answers in ROM mode.
 //!
 //! No manual describes it. Commands, sums and the mark that makes firmware valid are those of whole files for

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Scenarios: what happens to a gauge, and when, written as TOML.
 //!
 //! A scenario turns the knobs of a gauge at times of the battery, so that it is the same at any `speed`, or when so many

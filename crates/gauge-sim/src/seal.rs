@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The three security levels, and the keys of two consecutive words that lead from one to the next.
 
 use std::time::Duration;

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Every time that differs between parts or specimens, or that a knob sets.
 
 use std::time::Duration;

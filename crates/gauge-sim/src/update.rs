@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! CONFIG UPDATE (SLUUAC9A 2.4.3): the mode in which a gauge without flash takes new data memory. It begins
 //! some time after the subcommand, ends some time after the way out, and ends by itself if forgotten.
 

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The watchdog of a gauge that is polled too fast. The manuals' words are that a host must not issue any standard
 //! command more than twice a second, or the gauge could reset (SLUSBH1C 9.5.4.3, SLUS914A 7.3). Control() and block
 //! access are not limited.

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The 32-byte window at 0x40 to 0x5F, its checksum, and the registers that select what it shows. It is
 //! separate from flash: after a write the host reads this buffer back, whether anything was stored or not.
 

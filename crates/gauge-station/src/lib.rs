@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! A production line for battery packs with Texas Instruments fuel gauges. A station waits for a pack, identifies it, writes
 //! an image, serial number, date and lot, calibrates it, changes its keys, seals it, reads all of it back, and records
 //! that it has passed, or why it has failed. Then it waits for the next one.

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The options of a station, which programs one pack after the other: the table `[station]` of its file.
 
 use std::path::PathBuf;

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! A station as a whole.
 
 use std::path::{Path, PathBuf};

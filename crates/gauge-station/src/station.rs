@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! A station that programs one pack after the other.
 //!
 //! `pack` is the way of one pack, `target` what it is asked to have, `record` the file that says what became of each,

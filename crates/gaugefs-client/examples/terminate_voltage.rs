@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Shows a mounted gauge and writes its Cell Terminate Voltage:
 //! `cargo run -p gaugefs-client --example terminate_voltage /run/gauges/BAT0 3100mV`.
 

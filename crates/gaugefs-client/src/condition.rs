@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Conditions on the files of a gauge's folder, such as `capacity<20 && status==Discharging`.
 //!
 //! A condition is parsed strictly, and names are those that the tree can have: one that is misspelt would never come

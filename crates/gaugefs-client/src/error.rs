@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Why a mounted gauge did not do what was asked of it.
 
 use std::path::Path;

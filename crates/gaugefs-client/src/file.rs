@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! One file of a mounted gauge's folder, and why it did not do what was asked of it.
 //!
 //! An error of opening it is the caller's own, and is told as such: the daemon has not heard of it. What the daemon has

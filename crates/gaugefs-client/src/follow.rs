@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Some files of a gauge, read after each poll.
 //!
 //! If a daemon hangs, a read of its files blocks, perhaps for ever. So a thread of their own reads them, and whoever waits

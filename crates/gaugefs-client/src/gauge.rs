@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The folder of a mounted gauge.
 
 use std::fmt;

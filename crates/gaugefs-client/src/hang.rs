@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Daemons that hang: a call into their mount may never return, so it is made by a thread of its own.
 
 use std::sync::mpsc;

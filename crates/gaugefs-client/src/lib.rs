@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! TI fuel gauges that gaugefs has mounted, for programs that read and write them: values with their units, changes poll
 //! by poll, data-flash parameters by their names, and what to do after an interrupted write.
 //!

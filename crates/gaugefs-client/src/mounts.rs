@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! What is mounted where, without a call to any mounted file system: `/proc/self/mountinfo` says it.
 
 use std::ffi::OsString;

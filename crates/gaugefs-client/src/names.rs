@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The files of a gauge's folder that have a value: their names, and the units of their numbers.
 
 use ti_gauge::chip::{Bit, Chip, Tier, snake_case};

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Parameters by their names, with values as people write them.
 
 use nix::errno::Errno;

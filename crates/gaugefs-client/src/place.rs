@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Where gauges are mounted, as far as an error says it.
 
 use std::io::{self, ErrorKind};

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! One sample of a mounted gauge: the contents of its files, all from one poll.
 //!
 //! It reads only files that cause no transfer, so no data flash.

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The power supplies of a mount, the Mains supply included, look by look.
 //!
 //! If a daemon hangs, a read of its files blocks, perhaps for ever. So a thread of its own reads them, and whoever waits

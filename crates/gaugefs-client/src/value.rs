@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! What a file of a gauge says, with its unit.
 
 use std::fmt;

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Samples mounted gauges repeatedly, in one thread per mount.
 //!
 //! If a daemon hangs, a read of its files blocks, perhaps for ever. So only these threads read them; their

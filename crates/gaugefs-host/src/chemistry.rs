@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Whether a gauge has the chemistry of an image.
 
 use crate::error::{Cause, Error, Result};

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The errno that a file operation answers with: one match, so that SEMANTICS.md can be held against it.
 
 use std::io::ErrorKind;

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Errors of the program: the core's, with an errno, and those of the host.
 
 use std::path::Path;

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The folders in which gaugefs keeps files of its own: for locks, and for journals and backups.
 //!
 //! None of them is in a folder that other users share, such as `/tmp`: whoever makes it first there keeps

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Files that a person names on a command line, of which `-` is standard input.
 
 use std::io;

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! What the commands of gaugefs have in common: an [error](error::Error) with the errno that a file operation answers
 //! with, the checked way to [standard output and standard error](output), the [files](input) that a person names, and the
 //! [folders] of gaugefs's own.

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The only way to standard output and to standard error.
 //!
 //! Every write to standard output is checked: what was to be printed and could not be written is a failure of the

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Signals that a thread waits for.
 
 use nix::sys::signal::{SigSet, Signal};

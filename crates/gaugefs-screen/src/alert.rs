@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! `gaugefs watch`: runs programs when conditions come true.
 //!
 //! It is a program of its own, apart from the daemon, which starts no programs and has no privilege. All it has of a

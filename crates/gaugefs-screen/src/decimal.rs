@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Numbers as they are shown.
 
 /// An integer in units of 10^-`places` as an exact decimal with at least `least` places.

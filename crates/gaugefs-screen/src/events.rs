@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! `gaugefs events`: tells programs that listen to udev what changes in a mount, as nobody else does: to the kernel a FUSE
 //! mount is no device.
 //!

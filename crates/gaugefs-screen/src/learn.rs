@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! `gaugefs learn`: what a learning cycle waits for.
 
 use std::path::PathBuf;

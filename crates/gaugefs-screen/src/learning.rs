@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! A learning cycle, watched through the files of a mount.
 
 use jiff::Timestamp;

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The commands of gaugefs that show, record and watch mounted gauges: `top`, `learn`, `log`, `plot`, `wait`,
 //! `metrics` and `events`, with their options, and what `watch` does. The program `gaugefs` has them if its feature `screen` is on.
 //!

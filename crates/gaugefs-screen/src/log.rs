@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! `gaugefs log`: records a gauge's history as CSV, one row per poll.
 
 use std::fs::File;

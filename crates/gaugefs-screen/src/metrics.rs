@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! `gaugefs metrics`: what Prometheus's node_exporter does not read of mounted gauges.
 
 use std::collections::HashMap;

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! `gaugefs plot`: draws a history that `gaugefs log` has recorded.
 
 use std::path::{Path, PathBuf};

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Reduces a line to the points that a picture can show.
 
 /// A time and a value.

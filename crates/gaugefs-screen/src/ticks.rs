@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Round numbers and round times for axes.
 
 use jiff::Timestamp;

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! `gaugefs top`: a live screen of all mounted gauges, or the same as JSON lines.
 //!
 //! It reads only files that cause no transfer. It reads data flash when a key asks for it, and once a minute

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! `gaugefs wait`: waits until a condition is true.
 
 use std::path::PathBuf;

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The bus: the targets on it, one transfer at a time, and the time that it takes.
 
 use std::collections::BTreeMap;

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! One open file of the device.
 
 use rustix::io::Errno;

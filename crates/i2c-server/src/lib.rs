@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The interface of `/dev/i2c-N`, as the kernel's `i2c-dev` has it, served from user space.
 //!
 //! A program that opens `/dev/i2c-N` speaks to the kernel with ioctl(2), read(2) and write(2). This crate answers these

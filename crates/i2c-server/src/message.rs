@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The messages of a transfer, and the memory that they come from and go to.
 
 use rustix::io::Errno;

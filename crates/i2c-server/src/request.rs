@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The argument of an ioctl: read from the caller's memory, checked and decoded. Nothing here reaches a bus.
 
 use rustix::io::Errno;

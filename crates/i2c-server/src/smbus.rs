@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! SMBus transactions, as the kernel emulates them with I2C messages (`i2c_smbus_xfer_emulated`).
 
 use rustix::io::Errno;

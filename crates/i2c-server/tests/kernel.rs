@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The interface as the kernel has it: limits, layouts, error numbers, and what a transaction sends on the wire.
 
 use std::sync::{Arc, Mutex};

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Writes one data-flash parameter, without FUSE: on a simulated gauge, or on a real one.
 //!
 //! ```text

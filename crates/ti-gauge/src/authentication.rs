@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! SHA-1 authentication (SLUSBZ5D 7.3.15): a challenge goes to the gauge, the digest comes back.
 //!
 //! The gauge computes SHA1(K || SHA1(K || M)) from its key K, which never leaves it, and the challenge M.

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Calibration of a gauge: many readings, their spread, the new values through a transaction, and the error that
 //! remains. A calibration that makes the error larger is put back by the transaction itself, before its journal is
 //! removed.

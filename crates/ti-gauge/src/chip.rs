@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! A chip is a table: the types of its rows, and the list of all chips.
 //!
 //! Rows keep the manual's columns and order, so that a reviewer checks them with the manual open

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Bytes to values and back, and the checksum of a block. Pure: no bus, no text.
 
 use crate::value::{Type, Value};

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Data flash transactions: the only way to read or write data flash.
 //!
 //! A write is one transaction: check wear, identity and state of the gauge (`preflight`), unseal and

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Dates as TI packs them into a word: `Day+Mo*32+(Yr-1980)*512`.
 
 /// The unit of a parameter that holds a date, as the manuals print it.

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Facts that hold for a time only: while the pack is the one, until data flash is written. A [`Fact`] is kept with the
 //! [`Epoch`] in which it was learned and cannot be read in another one. To forget is to begin the next epoch.
 //!

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! What went wrong, at which step, to which register or parameter, and what to do.
 //!
 //! Every failure is one [`Error`]: one line that a technician can act on, a [`Cause`] that a program can match on, to

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! A gauge on a bus, driven by its chip's table: registers, Control() subcommands, seal states.
 //!
 //! All transfers go through one method, which counts them. Only this module retries, and only idempotent

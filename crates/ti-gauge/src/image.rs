@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Images: a gauge's configuration as a file, in three formats, and how two of them differ.
 //!
 //! Nothing here accesses a gauge. Keys are never part of an image: they are not read, shown or written, even if a

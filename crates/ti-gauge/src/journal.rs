@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The journal: records on disk what a write is about to do, before it does it.
 //!
 //! A host that loses power during a write leaves the gauge unsealed or data flash half written. The journal

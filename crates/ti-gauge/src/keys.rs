@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Key words, which appear nowhere: not in a log, a trace, an error or a process list.
 //!
 //! Errors about a key file name the file and the line, never its content: a line that is not understood

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! How far a learning cycle is, what it waits for, and whether something has spoiled it, from readings over time.
 //!
 //! The rules of Impedance Track are those of SLUA450 (the same for all its parts), of chapter 12 of SLUUBW5A, and of

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Texas Instruments fuel gauges: what each part's manual says, as tables, and what can safely be done with a gauge
 //! on an I2C bus.
 //!

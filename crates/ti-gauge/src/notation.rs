@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! How the value of a parameter is written: as the text of its `df` file, and with a unit or as a date. Pure: no bus, no
 //! file.
 

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Finding out which gauge answers at an address, without disturbing other devices.
 //!
 //! An EEPROM may have a gauge's address, and to it Control(DEVICE_TYPE) is a write. So the registers are read

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! A chip's registers as bytes: which reads fetch them, and what the bytes mean.
 //!
 //! TI calls a register a standard command. All are at addresses below 0x80, least significant byte first.

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! ROM mode: a gauge whose firmware is not whole answers to its boot loader only, at [`ROM_ADDRESS`], and is brought
 //! back by the whole of a firmware file, a FlashStream for that address (`.bq.fs`, `.bqfs`).
 //!

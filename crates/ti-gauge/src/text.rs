@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Text: numbers and bytes as they are written, and what is safe to show. Pure: no bus, no file.
 
 /// A number without a sign, as in the name of a file: in decimal, or in hexadecimal after `0x`.

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Units: which ones a number may be written with, and the exact conversion into that of a parameter. How a value is
 //! written is [`crate::notation`]'s.
 //!

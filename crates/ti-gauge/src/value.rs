@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Data-flash types and values.
 
 use std::fmt;

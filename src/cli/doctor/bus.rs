@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! I2C adapters: whether there are any, who may use them, what they support, and which drivers use a gauge.
 
 use std::fs;

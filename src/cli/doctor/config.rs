@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The configurations and key files in `/etc/gaugefs`.
 
 use std::fs;

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The kernel, FUSE, and the program that mounts for users other than root.
 
 use std::fs::{self, File};

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The system to check: a root folder, and the user who runs doctor.
 
 use std::fs::{self, Metadata};

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Mounts, alive or dead, and who holds which gauge.
 
 use std::fs;

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! A gauge that is left in ROM mode, on a bus that the user has named.
 
 use std::path::Path;

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The udev rule, the unit, and the state of its instances.
 
 use std::process::Command;

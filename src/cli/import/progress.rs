@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! A progress bar on the terminal, while an import programs blocks.
 
 use std::sync::mpsc::{self, RecvTimeoutError, Sender};

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The section "Attributes by part" of docs/ATTRIBUTES.md: that it lists what the tables of the parts have, and that
 //! simulated gauges show what its conversions yield.
 //!

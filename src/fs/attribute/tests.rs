@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! What the attributes of simulated gauges show.
 
 use std::collections::BTreeSet;

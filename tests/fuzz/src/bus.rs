@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! A bus that answers what the input says: everything that reads a gauge or writes to it, in `ti_gauge`.
 //!
 //! The first byte chooses the chip and the second the access. Then each byte decides about one transfer or more, of a

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! What only commands read: configurations, recorded histories and the values of options. The commands are those of
 //! `gaugefs::cli`, and none of them mounts or opens a bus.
 

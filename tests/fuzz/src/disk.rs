@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! A disk in memory, for journals.
 
 use std::collections::BTreeMap;

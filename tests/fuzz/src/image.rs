@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Images in three formats: `ti_gauge::image`.
 
 use std::collections::BTreeMap;

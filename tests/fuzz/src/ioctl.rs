@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! ioctls of a program on a bus: their arguments, decoded and carried out.
 //!
 //! The first byte says how wide the caller is, the next four are the number of the ioctl and the next eight its argument.

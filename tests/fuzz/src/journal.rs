@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Journals, settled on a simulated gauge: `ti_gauge::journal` and `ti_gauge::dataflash`.
 
 use std::sync::Arc;

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Key files and key changes: `ti_gauge::keys`.
 
 use ti_gauge::error::Error;

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! One target for each thing that gaugefs parses. A target takes any bytes as input, and panics if the code under test
 //! panics or breaks a promise: what is accepted is written and read again as the same, what is refused changes nothing,
 //! and no number becomes another one.

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The target that `GAUGEFS_FUZZ` names, under libFuzzer. `tests/fuzz/run` builds and runs it.
 #![no_main]
 

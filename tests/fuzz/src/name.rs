@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The name of a parameter, as on the command line and in `df/transaction`: `ti_gauge::chip`.
 
 use ti_gauge::chip::{CHIPS, Chip, Row, Unnamed};

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Recordings, and the bus that answers from one: `gauge_bus::replay`.
 
 use std::sync::Arc;

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! An input as a list of decisions.
 
 /// What is left of the input. After its end every decision is 0.

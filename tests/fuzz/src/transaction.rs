@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! What is written to `df/transaction`: `gaugefs::fs`.
 
 use std::sync::mpsc;

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The text of a `df` file, `ti_gauge::text`, and values with units and dates, `ti_gauge::unit`.
 
 use std::sync::LazyLock;

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The kept inputs of each target, and a seeded slice of changed ones.
 //!
 //! `GAUGEFS_SEED` sets the seed, and `GAUGEFS_FUZZ_CASES` how many changed inputs each target gets. A failure prints

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! A megabyte of input for each target, to see what takes time out of proportion:
 //! `cargo test -p gaugefs-fuzz --test large -- --ignored --nocapture` prints the times. Only what is out of all
 //! proportion fails, because the machine may be busy.

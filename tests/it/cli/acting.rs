@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! `gaugefs wait`, `watch` and `metrics` on mounted gauges.
 
 use std::fs::{self, File, Permissions};

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! `gaugefs calibrate` and `gaugefs bringup` on a mounted gauge.
 
 use std::fs;

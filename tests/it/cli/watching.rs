@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! `gaugefs top`, `log` and `plot` on mounted gauges, and on a terminal.
 
 use std::fs::{self, File};

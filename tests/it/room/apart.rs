@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Tests in a mount namespace of their own.
 
 use nix::mount::{MntFlags, MsFlags, mount, umount2};

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! gaugefs as a command: what it prints, and mounts that it serves.
 
 use std::fs;

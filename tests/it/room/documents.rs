@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The documents that tests are held against.
 
 use std::fs;

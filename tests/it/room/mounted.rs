@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! A simulated gauge that the test's own process mounts.
 
 use std::ffi::c_void;

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The folders that tests work in. A folder is named after the process that made it, so that the next test can remove
 //! what a killed one has left: its mounts, its daemons and the folder.
 

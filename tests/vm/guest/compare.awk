@@ -1,3 +1,5 @@
+# SPDX-License-Identifier: MIT
+#
 # Holds the kernel's readings against those of gaugefs. Files: differences, gaugefs, kernel; variables:
 # driver, and `used`, a file that collects the differences that showed.
 

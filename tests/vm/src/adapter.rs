@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The virtio-i2c device as a vhost-user back end (VIRTIO 1.2, section 5.14): takes requests from
 //! the guest's queue, hands them to the [`Wire`], and gives back status and bytes.
 

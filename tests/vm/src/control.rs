@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The control line: commands that change the gauge or ask about the bus while the guest runs.
 //!
 //! One command a line; the answer is any number of lines, then `ok` or `error: why`.

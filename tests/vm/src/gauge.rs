@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The gauge behind the adapter: the simulator, on a clock that can be moved ahead.
 
 use std::sync::Arc;

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! `gaugefs-vm-bus`: a simulated gauge behind the I2C adapter of a virtual machine.
 //!
 //! QEMU's `vhost-user-i2c-pci` connects to the bus socket; the guest then has a real adapter,

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Pulls the adapter out of the running machine and puts it back, over QEMU's monitor protocol.
 
 use std::io::{BufRead as _, BufReader, Write as _};

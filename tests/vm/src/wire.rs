@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The wire between the guest's adapter and the gauge: turns the messages of one I2C request into
 //! transfers, and counts them.
 

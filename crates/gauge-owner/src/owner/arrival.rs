@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! A gauge that arrives, or comes back: which part it is, and what is done before its values are shown.
 
 use std::ptr;

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! What was attempted when something failed: it decides which failure `gauge/last_error` shows, and which success
 //! clears it.
 

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The configuration of a gauge, saved as an image before gaugefs writes to it for the first time.
 
 use std::fs;

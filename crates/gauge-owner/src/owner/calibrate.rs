@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Calibration in the owner's thread, which does not poll meanwhile.
 
 use super::operation::Asked;

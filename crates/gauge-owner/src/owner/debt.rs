@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! What a failed access has left to do: a seal, or a write that is neither done nor undone. It is tried again until
 //! the gauge answers, whether anybody asks for it or not.
 

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! A gauge without a thread of its own: whoever holds it asks, and has the answer when the request has been carried
 //! out. It is polled only when that is asked for.
 

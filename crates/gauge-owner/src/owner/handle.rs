@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! A gauge as everything but its owner sees it: what the owner has published, and the queue of requests.
 
 use std::collections::{BTreeMap, BTreeSet};

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! What a gauge with RAM has learned, kept beside the journals: its power is lost, and what took weeks to learn is not.
 //!
 //! It belongs to the pack. No gauge with RAM can tell its pack from another one after a loss of power, so that only what

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Data memory that is RAM: a gauge whose power is gone for a moment has TI's defaults, and predicts nonsense. Its profile
 //! is written again before anything that depends on it is shown.
 

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! For how long what is known of a gauge holds.
 
 /// While it answers, and nobody may have exchanged it.

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! What an operation is, how it is asked for, and how it is answered. The operations themselves are the rows of
 //! [`super::operations`].
 

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! What a gauge's owner can be asked to do: a row is an operation, with its name, how its text is read, what it needs and
 //! what it calls. A file of `gauge/`, a step of a station and a request of the file system are views of these rows.
 

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Reading the registers that are due, and when.
 
 use std::sync::Arc;

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! A report of a gauge for a bug report: its identity, its registers, and a recording without keys and serial numbers.
 
 use std::sync::Arc;

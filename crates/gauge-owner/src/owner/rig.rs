@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! For tests: the owner of a simulated bq34z100-G1 on a simulated clock, driven by the test's own thread.
 
 use std::ops::{Deref, DerefMut};

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! How the arguments of operations are written. An error repeats no word that is unknown: it may be half of a key.
 
 use std::time::Duration;

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The BQ27220: its data memory as one-time programmable memory fills it, its subcommands, and the model of a CEDV
 //! gauge.
 //!

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The BQ27426: the BQ27427 with a sense resistor outside, and its data memory as ROM has it.
 //!
 //! Commands and data memory are the BQ27427's, which every shipped image of this part fits. Its ROM has not been

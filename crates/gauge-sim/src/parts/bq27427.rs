@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The BQ27427 with its data memory as ROM has it.
 //!
 //! The block State is from a trace of a part, with its checksum. Everything else is from SLUUCD5 and from the

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The bq27441-G1A with its data memory as ROM has it, and the bq27421-G1, which a host cannot distinguish
 //! from it but by DM_CODE.
 //!

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The bq27520-G3, as far as it is known.
 //!
 //! The data-flash table of this generation is not published. Bytes are from the bq27500-V130 (SLUS914A table

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The bq27621-G1, which has no sense resistor, with its data memory as ROM has it.
 //!
 //! Commands are those of Chromium's driver, places in data memory those of TI's sample image, and its values

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The bq34110: its data flash in bytes, its subcommands, and the model of a CEDV gauge.
 //!
 //! It was written without SLUUBF7, the part's manual. Bytes are those that owners have read from parts (E2E

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The bq34z100-G1 as it leaves the factory: its answers, its registers and its data flash in bytes.
 //!
 //! The flash is from SLUSBZ5D table 7-11, and private bytes are 0. The device name is in lower case, as parts

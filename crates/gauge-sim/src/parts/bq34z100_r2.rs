@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The bq34z100-R2 with the settings of a new bq34z100-G1: its answers, its registers and its data flash in bytes.
 //!
 //! The flash is from SLUSBZ5D table 7-11, with subclass 48 as in the image of a pack with firmware 2.02, in which the

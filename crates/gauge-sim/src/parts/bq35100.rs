@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The bq35100: its data flash in bytes, its subcommands, and the model of a gauge for primary cells.
 //!
 //! Defaults are from SLUUBH1C chapters 7 and 8, SLUA790 and SLUAAL7. The other bytes are from similar gauges

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The gauges of the kernel's driver of which only the standard commands are known, each with the map that the driver
 //! of Linux 6.12 has for it, behind one battery for all.
 

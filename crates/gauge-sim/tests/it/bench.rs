@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! A simulated gauge on a bench: transcripts are played on its bus.
 
 use std::sync::Arc;

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The simulated bq34z100-G1 and bq34z100-R2, compared byte by byte with the manuals. These tests use no other code of
 //! gaugefs, so they fail only if the simulator is wrong.
 

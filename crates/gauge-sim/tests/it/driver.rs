@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The independently published driver crate `bq27441` on the simulated bq27441-G1, through embedded-hal's
 //! `I2c`.
 

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Unfriendly behaviour of real gauges: each alone, set by its knob, beside a gauge without it.
 
 use std::collections::BTreeSet;

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The simulated bq27220, bq34110 and bq35100, compared byte by byte with the manuals and with traffic that owners have
 //! published.
 

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The simulated gauges, compared byte by byte with the manuals, without the engine and the tables.
 
 #![allow(clippy::disallowed_methods, reason = "tests read what they have made")]

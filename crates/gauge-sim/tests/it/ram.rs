@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The simulated bq27441-G1, bq27421-G1, bq27426, bq27427, bq27621-G1 and bq27520-G3, compared byte by byte with the manuals.
 
 use std::time::Duration;

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! A gauge of which only the standard commands are known.
 
 use std::sync::Arc;

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! One pack: from the first look at it to the line of the record.
 //!
 //! Everything is asked of the gauge's owner, as a mount does it, so checks, journal, backup and the way back are those

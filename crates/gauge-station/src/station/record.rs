@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The record of a station: a file with a line of JSON when a pack is begun, and one with the outcome.
 //!
 //! The first is on disk before the pack is changed, so a pack that is neither finished nor on record does not exist:

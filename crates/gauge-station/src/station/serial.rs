@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Serial numbers: from a counter, a list, or whoever types or scans them. None is given twice: what was given is in
 //! the record.
 

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Where packs are connected: a bus on which they are exchanged, or simulated packs one after the other.
 
 use std::path::Path;

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! What a pack is asked to have, and whether it has that, bit by bit.
 
 use std::sync::Arc;

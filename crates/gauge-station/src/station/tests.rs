@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Stations with simulated packs.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The messages that systemd-udevd sends to programs that listen with libudev: a header, then the properties of the device,
 //! each ended by a NUL.
 //!

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The columns of a history: which there are, and what each holds.
 
 use ti_gauge::chip::{Chip, Tier, snake_case};

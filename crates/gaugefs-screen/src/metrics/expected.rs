@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The mounts that ought to be there: those of `--expect`, or else those that the files in `/etc/gaugefs` name.
 
 use std::fs;

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The metrics of gauges as text. One row of [`METRICS`] is one metric.
 //!
 //! Names and units follow Prometheus's rules: base units, `_total` for counters, `_info` for labels. A gauge that does

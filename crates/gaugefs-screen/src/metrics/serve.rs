@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! One page over HTTP, at `/metrics`.
 //!
 //! It answers GET and closes the connection: what Prometheus asks for is no more than that. What a client sends is

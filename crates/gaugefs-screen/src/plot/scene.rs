@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The layout: a title, a strip with the status of each gauge, and panels one below the other, with one time axis.
 
 use super::super::thin::thin;

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! A scene as SVG.
 
 use std::fmt::Write;

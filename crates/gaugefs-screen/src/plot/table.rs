@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Reads the CSV into lines to draw.
 
 use jiff::Timestamp;

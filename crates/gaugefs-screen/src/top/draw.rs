@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Draws the screen, at any size; 40 columns and 10 lines are enough.
 
 use ratatui::Frame;

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The history of a gauge's quantities, for a chart.
 
 use std::collections::VecDeque;

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The state of `top` and the effect of its keys. It reads no file and draws nothing.
 
 use std::collections::VecDeque;

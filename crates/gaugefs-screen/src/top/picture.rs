@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The screen as SVG, cell by cell. A test draws docs/top.svg with it; `GAUGEFS_GOLDEN=write` makes the
 //! picture anew.
 

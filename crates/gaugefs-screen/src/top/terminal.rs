@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Sets the terminal up, draws to it, and restores it however `top` ends.
 
 #![expect(clippy::disallowed_methods, reason = "ratatui draws on standard output, and reports what fails")]

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Screens drawn from folders of plain files, compared with the files in `tests/it/golden/top`.
 
 use std::fs;

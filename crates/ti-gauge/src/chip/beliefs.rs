@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! What the tables and the simulator have in common although no document, image or part has confirmed it: a test against
 //! the simulator cannot show that it is wrong. `docs/BELIEFS.md` is this list.
 

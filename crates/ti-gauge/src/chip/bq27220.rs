@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! BQ27220: CEDV gauge for one Li-ion cell; data memory is RAM, filled from one-time programmable memory when
 //! power comes.
 //!

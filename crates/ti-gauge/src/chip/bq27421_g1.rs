@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! bq27421-G1: the bq27441-G1 with a sense resistor of its own, 7 mΩ.
 //!
 //! Device type, firmware, standard commands and subcommands are the bq27441-G1's (SLUUAC9A 4.1.2), and

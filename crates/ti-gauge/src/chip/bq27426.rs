@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! BQ27426: the BQ27427 with a sense resistor outside, for one Li-ion cell; data memory is RAM.
 //!
 //! Its own reference, SLUUBB0, has not been read. Sources are images of TI's tools in a phone maker's sources

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! BQ27427: Impedance Track gauge with a sense resistor of its own, for one Li-ion cell; data memory is
 //! RAM.
 //!

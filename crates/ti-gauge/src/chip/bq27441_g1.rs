@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! bq27441-G1: Impedance Track gauge on the system side, for one Li-ion cell; data memory is RAM.
 //!
 //! Table and section numbers are those of the technical reference, SLUUAC9A. Data memory is its Tables

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! bq27520-G3: Impedance Track gauge on the system side, for one Li-ion cell.
 //!
 //! No data-flash table of this generation could be read. Rows that independent drivers for it agree on,

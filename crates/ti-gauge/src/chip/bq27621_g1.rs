@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! bq27621-G1: gauge without a sense resistor, for one Li-ion cell; data memory is RAM.
 //!
 //! Its reference, SLUUAD4C, has not been read itself. Commands, subcommands, flags and the State block are as

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! bq34110: CEDV gauge for packs that are rarely discharged, of any chemistry, with a test of the
 //! pack's end of service.
 //!

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! bq34z100-G1: Impedance Track gauge for packs of one to many cells in series, 3 V to 65 V.
 //!
 //! Table, section and figure numbers are those of the datasheet, SLUSBZ5D. Data flash is its Table

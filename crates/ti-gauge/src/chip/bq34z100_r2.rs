@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! bq34z100-R2: the bq34z100-G1 with scales that it reports itself, for packs of more than 65 V, 32 A and 29 Ah.
 //!
 //! Section numbers are those of the technical reference manual, SLUUCO5A, of which the sections on commands, scales and

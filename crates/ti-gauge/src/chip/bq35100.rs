@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! bq35100: gauge for primary lithium cells, which counts their charge, or tells their state of health
 //! (Li-MnO2) or end of service (Li-SOCl2).
 //!

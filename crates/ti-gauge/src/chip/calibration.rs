@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! How a part is calibrated, as data.
 
 /// The subcommands, bits and parameters of calibration.

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The answers that identify a part, and the known parts that have no table.
 
 use super::{Chip, bq27441_g1, bq27520_g3, kernel};

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The gauges of the kernel's driver `bq27xxx` that have no table: their standard commands, and nothing else.
 //!
 //! Read from drivers/power/supply/bq27xxx_battery.c of Linux 6.12: which register is where, what the flags mean, and

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! TI's names as file names, and parameters by these names.
 
 use super::{Chip, FLAT, Parameter, Row};

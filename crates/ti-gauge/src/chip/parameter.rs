@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Data flash as the manual lists it: subclasses and their parameters.
 
 use super::{Bit, Role};

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! What is checked before a write, as data.
 
 /// What is checked before a write, besides identity, gate and seal.

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Which part gave these answers.
 
 use super::{Answers, CHIPS, Chip, Identity, SIBLINGS, Sibling};

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! A recording without what belongs to one pack or to its maker: serial numbers, dates, lots, texts and keys.
 //!
 //! A block of data flash with such a parameter is left out as a whole, so that its checksum gives nothing away

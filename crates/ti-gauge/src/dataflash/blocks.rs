@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Changes as blocks: which windows of data flash they touch, and what those hold before and after.
 
 use super::Change;

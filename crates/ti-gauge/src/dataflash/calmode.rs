@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Calibration mode, in which a gauge ignores its flash-voltage gate. CAL_ENABLE toggles, so it is sent only after a
 //! look, and never repeated blindly.
 

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! What is about to be written. A [`Change`] is made here only, from a value that was checked: whoever has one cannot
 //! have a value out of the manual's range, a row that nobody has confirmed, a key, or bytes of somebody else's parameter.
 

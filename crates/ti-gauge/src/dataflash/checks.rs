@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Checks that need the unsealed gauge: whether the table's addresses are this firmware's, whether the
 //! voltage lets the gauge program flash and will let it, and whether the values are safe.
 

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Rows that a loss of power has erased. Erased flash reads 0xff, which most parameters cannot hold.
 
 use super::window::Window;

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The guard of every session: what would have to be settled is on record before anything is sent to the gauge, whatever
 //! happens then the session is closed, and what it leaves is kept.
 

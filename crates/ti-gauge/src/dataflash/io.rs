@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Reads data flash, programs one block and verifies it.
 
 use std::time::Duration;

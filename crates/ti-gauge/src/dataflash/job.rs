@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The work that a write, an undo, the settling of an interrupted write and a change of keys have in common: blocks with
 //! an old and a new content, which are brought to one of the two. [`converge`] is the only loop that does so.
 

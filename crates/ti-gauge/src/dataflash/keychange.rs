@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Key changes: the only write to the Security subclass.
 //!
 //! A gauge whose key is lost cannot be recovered, so every step is verified. The old key is proven by using

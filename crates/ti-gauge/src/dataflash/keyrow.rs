@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The row of data flash that holds the keys, read without a trace of it anywhere.
 
 use zeroize::Zeroizing;

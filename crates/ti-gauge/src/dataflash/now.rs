@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! For how long what is known of a gauge holds. Whatever happens to the gauge begins the next epoch of what it may have
 //! changed, and with that all facts of that kind are forgotten.
 

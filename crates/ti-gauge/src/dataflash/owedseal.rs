@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! A seal that is owed beside a write that is neither done nor undone. That write may wait for a person for days, and may
 //! be of another pack: the seal has a record of its own and is tried again by itself.
 

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! What is known of the pack: the blocks that were read of it, and the values that distinguish it from others.
 //!
 //! From the factory all packs have the same serial number, so type, firmware and serial number alike do not make

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! A write as its journal has it, and what a gauge holds of it.
 
 use super::io::COMMITTED;

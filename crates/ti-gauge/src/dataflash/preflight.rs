@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Checks before a write unseals the gauge: whether it is still the gauge whose values were read, whether
 //! another master is using it, and whether the write would interrupt a calibration or a learning cycle.
 //!

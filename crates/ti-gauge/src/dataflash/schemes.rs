@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The access schemes: how blocks are read from a gauge and written to it.
 
 use std::time::Duration;

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! A session with an unsealed gauge, which always restores the seal state when it ends.
 
 use std::time::Duration;

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Settles interrupted writes: those cut short by a power loss of the host, or by a gauge that did not answer in
 //! time. The entry, which is also in the journal, holds the seal state and the blocks from before the write, and
 //! what distinguishes the pack.

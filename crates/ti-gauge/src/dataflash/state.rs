@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! What a gauge says of itself, as far as it decides whether data flash may be touched.
 
 use crate::chip::{Chip, Role, Word};

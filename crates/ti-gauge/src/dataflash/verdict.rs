@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! What has become of an interrupted write.
 
 use super::session::reads_wrong;

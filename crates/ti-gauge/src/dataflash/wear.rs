@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Limits how often data flash is programmed. Its cells last for 20,000 cycles (SLUSBZ5D 6.12), and the gauge
 //! itself does not stop a runaway script from using them up.
 

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The pieces in which data flash is read and written: what a window shows, and what a write changes in it.
 
 use std::ops::Range;

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! How long a gauge takes until it shows what it was told: what was committed, SEALED after a RESET, and that it measures
 //! an offset.
 //!

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Whether it is still the same gauge that answers.
 //!
 //! A pack can be exchanged while it does not answer: within one transfer that fails, in a pause, or while the host is

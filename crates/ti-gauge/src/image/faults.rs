@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! What is wrong with a file: not only its first mistake, so that a person need not correct one to see the next.
 
 use super::{Image, at_line};

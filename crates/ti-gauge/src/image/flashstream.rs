@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! An image as FlashStream: what a host sends to a gauge, transfer by transfer.
 //!
 //! A file is never replayed. It is interpreted as the gauge would interpret it, which yields the parameters that

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! An image as bqStudio's gg.csv: header lines that begin with `*`, the last of which names the columns, then
 //! one line for each parameter.
 

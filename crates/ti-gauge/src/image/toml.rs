@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! An image as TOML: a table for each class and a key for each parameter, named as in `df/by-name`.
 
 use std::borrow::Cow;

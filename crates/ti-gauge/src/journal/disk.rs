@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The calls of a file system that a journal needs, one method each, so that tests can lose what was not synced.
 
 use std::fmt::Debug;

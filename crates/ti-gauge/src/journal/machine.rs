@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The machine that a journal was written on. Several may keep their journals in one folder.
 
 use std::path::Path;

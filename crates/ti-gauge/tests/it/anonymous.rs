@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Recordings that may be given away.
 
 use std::time::Duration;

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Calibration and bring-up: what they find on boards with errors, what they refuse, and one fault at each transfer.
 
 use std::time::Duration;

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! What a change may be: whoever uses the library cannot make another one.
 
 use ti_gauge::chip::{CHIPS, Kind, Range};

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The tables and the simulated gauges were written from the manuals independently, and have the same defaults.
 
 use std::time::Duration;

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Faults of gauge, bus and host, on gauges that are drawn from the whole envelope of what real ones do. Each run has
 //! its own gauge, its own access, one fault at one transfer, and then, half of the time, a second one while what the
 //! first has left is settled. The seed is printed with every failure; `GAUGEFS_SEED` runs that one alone, and

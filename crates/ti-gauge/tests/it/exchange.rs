@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Who is there: a pack is exchanged for another one at any transfer of a write, of its way back, of a read and of
 //! settling, or the host is asleep then. No byte of the other pack changes, and its owner can open it as before. The
 //! first one, when it is back, is settled from its journal.

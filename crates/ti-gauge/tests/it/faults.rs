@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! One fault at each transfer of a write in turn. Afterwards the parameter holds the old or the new value, no
 //! other byte has changed, the seal state is as found or the error reports that it is not, and success is never
 //! reported falsely. An unknown outcome is settled with the journal when the gauge works again.

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Files with whole firmware, as TI's tools write them.
 
 use std::fmt::Write as _;

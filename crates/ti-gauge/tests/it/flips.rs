@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! One wrong bit in each reading of each operation in turn. I2C has no error detection, so a reading that permits,
 //! discards or proves something counts only when a second one agrees: whatever bit is wrong, no success is false,
 //! nothing is called unknown that is known, no journal is thrown away, no mode is left on, and no pack stays open with

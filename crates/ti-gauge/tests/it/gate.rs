@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The flash-voltage gate: writes after which the gauge would store nothing any more, and packs that have to be
 //! configured although their voltage is low.
 

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Subcommands of the parts that answer in MACData(), on a minimal simulated bus.
 
 use std::sync::Arc;

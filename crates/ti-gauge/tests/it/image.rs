@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Images of TI's tools on simulated gauges, bit for bit.
 
 use std::collections::BTreeMap;

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The host loses power before or after each transfer of a write, and starts again. Data flash then holds the
 //! old values or the new ones, no other byte has changed, the gauge is in the seal state in which it was found,
 //! and nothing is left to settle.

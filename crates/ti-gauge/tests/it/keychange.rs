@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Changing keys: which keys a gauge accepts afterwards, what is refused before the gauge is touched, and one
 //! fault at each transfer in turn.
 

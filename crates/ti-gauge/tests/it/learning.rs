@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! A learning cycle of a simulated gauge, watched as `gaugefs learn` watches it: a poll every 30 s.
 
 use std::time::Duration;

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The tables and the engine against simulated gauges.
 
 #![allow(clippy::disallowed_methods, reason = "tests read what they have made")]

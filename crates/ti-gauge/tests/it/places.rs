@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Journals of several packs, places and hosts in one folder: each stays until its own pack has been settled.
 
 use std::fs;

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The host loses power at each transfer of a write and at each call of the journal's file system, and its disk
 //! keeps only what was synced. Of everything else any part may be there.
 

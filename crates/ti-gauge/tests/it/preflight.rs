@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Checks before a write: each refusal has its cause and its remedy, and changes nothing on the gauge.
 
 use std::time::Duration;

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Finding a gauge on a bus: which transfers each device gets, and which devices are never written.
 
 use std::collections::HashMap;

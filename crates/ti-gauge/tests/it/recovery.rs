@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! What becomes of a write or a read that fails half way: its journal, the pack it belongs to, the seal, the old
 //! values, and the time that it takes.
 

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! A gauge that is left in ROM mode is brought back by the whole of a firmware file, whatever interrupts that, and by
 //! nothing less.
 

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The configuration of a gauge with RAM, written again after a loss of power.
 
 use std::time::Duration;

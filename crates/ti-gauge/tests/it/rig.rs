@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! A simulated gauge on a simulated clock, and the engine on its bus.
 
 use std::sync::Arc;

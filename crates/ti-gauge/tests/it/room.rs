@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! What tests of the engine share, beside the rig. A test file uses this room, and no other test file.
 
 mod bus;

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Rules of the engine that only one transfer, one byte or one moment shows.
 
 use std::time::Duration;

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Rules about keys, the seal, modes and disturbed transfers that only one transfer or one moment shows.
 
 use std::sync::{Arc, Mutex};

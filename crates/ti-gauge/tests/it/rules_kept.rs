@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Rules about what is kept, and what is forgotten, after a write that failed or was interrupted.
 
 use std::fs;

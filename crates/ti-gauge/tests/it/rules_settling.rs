@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Rules of settling and of the journal that only one byte, one moment or one other pack shows.
 
 use std::fs;

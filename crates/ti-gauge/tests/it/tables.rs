@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The tables of all chips: complete, free of overlaps, and as in the manuals.
 
 use std::collections::{BTreeMap, BTreeSet, HashSet};

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Write transactions on simulated gauges: the bytes on the wire, the number of transfers, and the refusals.
 
 use std::time::Duration;

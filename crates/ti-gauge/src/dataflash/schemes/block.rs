@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Unsealed block access (SLUSBZ5D 7.3.3.1): BlockDataControl, DataFlashClass, DataFlashBlock, a window
 //! of 32 bytes, and a checksum that commits them.
 

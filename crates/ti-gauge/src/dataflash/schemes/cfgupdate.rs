@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! CONFIG UPDATE (SLUUAC9A 3.1, SLUUBD4A 6.1): the access of the flash parts, between a subcommand that begins the
 //! mode and one that ends it. Data memory is RAM. The gauge does not gauge in this mode, so every exit ends it.
 

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! ManufacturerAccessControl (SLUUBH1C 12.1.3, SLUA790 section 3): a flat address, up to 32 bytes of data,
 //! MACDataSum and MACDataLen. The gauge echoes the address, and the echo is checked.
 

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Whether the gauge that answers is still the pack of the session. Nothing is programmed, reset or sealed otherwise.
 //!
 //! While the presence of the gauge is unbroken it is the same one. After a break its marks are compared: a calibration

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Programs one block and verifies it.
 
 use super::Session;

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! An image for ROM mode, `.df.fs` or `.bq.fs`, as the parameters in it.
 //!
 //! TI's tools export one for parts such as the bq34z100-G1. Its commands erase flash and write it row by row, past the

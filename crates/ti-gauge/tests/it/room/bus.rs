@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! A bus on which a test does something at a transfer.
 
 use std::time::Duration;

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! A host whose disk keeps only what was synced when it loses power.
 
 use std::collections::BTreeMap;

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! A host that loses power, and the folder with its journals.
 
 use std::fs;

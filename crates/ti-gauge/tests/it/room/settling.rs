@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! A host that starts again on a gauge that an earlier one has left.
 
 use std::fs;
