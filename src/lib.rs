@@ -4,6 +4,17 @@
 //!
 //! This library is the program's own: what is useful elsewhere is in the crates `gauge-bus`, `gauge-sim`,
 //! `ti-gauge`, `gauge-owner`, `gauge-station` and `gaugefs-client`. `docs/ARCHITECTURE.md` has the picture.
+//!
+//! ```
+//! // The program, called as a function: 0 if it succeeded.
+//! let code = gaugefs::cli::run(["gaugefs".into(), "chips".into(), "bq34z100-g1".into()]);
+//! assert_eq!(code, std::process::ExitCode::SUCCESS);
+//! ```
+//!
+//! # Features
+//!
+//! `screen`, on by default: the commands `top`, `learn`, `log`, `plot`, `wait`, `watch`, `metrics` and `events`, by the
+//! crate `gaugefs-screen`.
 
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 #![cfg_attr(test, allow(clippy::disallowed_methods, reason = "tests read what they have made"))]

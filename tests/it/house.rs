@@ -346,3 +346,39 @@ fn every_source_file_says_its_license() {
     assert!(sources > 400, "{sources}");
     assert!(without.is_empty(), "these need a line such as {:?}: {without:?}", LINES[0]);
 }
+
+/// What a reader of crates.io and of docs.rs looks for.
+#[test]
+fn every_crate_is_ready_to_be_published() {
+    let mut texts = BTreeMap::new();
+    for folder in crates() {
+        let read = |name: &str| fs::read_to_string(folder.join(name)).expect(name);
+        let manifest: toml::Table = read("Cargo.toml").parse().expect("TOML");
+        let package = manifest["package"].as_table().expect("a package");
+        let name = package["name"].as_str().expect("a name");
+        for key in ["description", "license", "repository", "rust-version"] {
+            assert!(package.contains_key(key), "{name} has no {key}");
+        }
+        let count = |key: &str| package[key].as_array().map_or(0, Vec::len);
+        assert!((1..=5).contains(&count("keywords")) && (1..=5).contains(&count("categories")), "{name}");
+        let targets = package["metadata"]["docs"]["rs"]["targets"].as_array();
+        assert_eq!(targets.map(Vec::len), Some(1), "{name} says nothing to docs.rs");
+        assert!(read("LICENSE").contains("Permission is hereby granted"), "{name}");
+        let readme = read("README.md");
+        assert!(readme.starts_with(&format!("# {name}\n")), "{name}");
+        let library = read("src/lib.rs");
+        let front: String = library.lines().filter(|line| line.starts_with("//!")).collect();
+        assert!(front.contains("```"), "{name} has no example on its front page");
+        for feature in manifest.get("features").and_then(toml::Value::as_table).into_iter().flatten() {
+            let named = feature.0 == "default" || front.contains(&format!("`{}`", feature.0));
+            assert!(named, "{name} does not say what its feature {} is", feature.0);
+        }
+        // What is published together refers to each other by version; what only tests need may be anything.
+        for (other, value) in manifest["dependencies"].as_table().expect("dependencies") {
+            let path = value.get("path").is_some();
+            assert!(!path || value.get("version").is_some(), "{name} needs a version of {other}");
+        }
+        texts.insert(name.to_string(), readme);
+    }
+    assert_eq!(texts.len(), fs::read_dir("crates").expect("the crates").count() + 1);
+}

@@ -29,6 +29,10 @@
 //! assert_eq!(word, [0x08, 0x08]);
 //! # Ok::<(), BusError>(())
 //! ```
+//!
+//! # Features
+//!
+//! `linux`, on by default: adapters behind `/dev/i2c-N`, by the crates `i2cdev` and `nix`.
 
 #![cfg_attr(test, allow(clippy::disallowed_methods, reason = "tests read what they have made"))]
 

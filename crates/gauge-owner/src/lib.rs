@@ -40,6 +40,10 @@
 //!
 //! What belongs to an owner is here as well: the [`lock`] of a gauge, its [`key_file`], and the [folder of its
 //! journals](journal_dir).
+//!
+//! # Features
+//!
+//! `rig`, for tests: the owner of a simulated gauge on a simulated clock, which the test's own thread drives.
 
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 #![cfg_attr(test, allow(clippy::disallowed_methods, reason = "tests read what they have made"))]

@@ -5,6 +5,19 @@
 //! [folders] of gaugefs's own.
 //!
 //! It is not meant for other programs: `gaugefs-client` is.
+//!
+//! ```
+//! use std::time::Duration;
+//!
+//! use gaugefs_host::error::Error;
+//! use gaugefs_host::seconds;
+//!
+//! assert_eq!(seconds("2min", (1.0, 600.0)), Ok(Duration::from_secs(120)));
+//!
+//! let missing = std::fs::read("/does/not/exist").expect_err("it is missing");
+//! let error = Error::io("the key file", "read", &missing);
+//! assert_eq!(error.errno() as i32, 2, "{error}");
+//! ```
 
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 

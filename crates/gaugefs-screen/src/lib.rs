@@ -4,6 +4,20 @@
 //! `metrics` and `events`, with their options, and what `watch` does. The program `gaugefs` has them if its feature `screen` is on.
 //!
 //! All that they have of a gauge is `gaugefs-client`.
+//!
+//! ```
+//! use clap::Parser;
+//! use gaugefs_screen::Command;
+//!
+//! #[derive(Parser)]
+//! struct Program {
+//!     #[command(subcommand)]
+//!     command: Command,
+//! }
+//!
+//! let program = Program::parse_from(["gauges", "wait", "/run/gauges/BAT0", "capacity<20"]);
+//! assert!(matches!(program.command, Command::Wait(_)));
+//! ```
 
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 #![cfg_attr(test, allow(clippy::disallowed_methods, reason = "tests read what they have made"))]
