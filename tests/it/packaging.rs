@@ -169,3 +169,48 @@ fn the_kernels_options_are_found_where_it_shows_them() {
     let output = Command::new("sh").args(["-c", first]).output().expect("a shell");
     assert!(String::from_utf8_lossy(&output.stdout).contains("CONFIG_FUSE_FS="), "{output:?}");
 }
+
+/// What `udev/licenses` makes of the crates that are linked in, with these arguments; `None` if there is no Python.
+fn licenses(arguments: &[&str]) -> Option<Output> {
+    let mut command = Command::new("python3");
+    match command.arg(root().join("udev/licenses")).args(arguments).current_dir(root()).output() {
+        Ok(output) => Some(output),
+        Err(_) => {
+            eprintln!("SKIPPED: python3 is missing");
+            None
+        }
+    }
+}
+
+#[test]
+fn every_crate_that_is_linked_in_has_a_license_of_the_list() {
+    let Some(output) = licenses(&["x86_64-unknown-linux-gnu"]) else { return };
+    succeeds(&output);
+    let text = String::from_utf8_lossy(&output.stdout);
+    for words in [
+        "Format: https://www.debian.org/doc/packaging-manuals/copyright-format/1.0/\n",
+        "\nFiles: *\nCopyright: 2026 the gaugefs authors\nLicense: MIT\n",
+        "\nLicense: MIT\n Permission is hereby granted",
+    ] {
+        assert!(text.contains(words), "{words}");
+    }
+    // What the manifest names is there, what runs at build time is not, and nobody's crate is without a holder.
+    assert!(text.contains("\nFiles: fuser-") && !text.contains("\nFiles: syn-"), "{text}");
+    assert!(!text.contains("\nFiles: musl/"));
+    for stanza in text.split("\n\n").filter(|stanza| stanza.starts_with("Files: ")) {
+        let holder = stanza.split_once("\nCopyright: ").expect("a holder").1;
+        assert!(holder.starts_with(|first: char| first.is_alphanumeric()), "{stanza}");
+    }
+    let Some(output) = licenses(&["x86_64-unknown-linux-musl"]) else { return };
+    assert!(String::from_utf8_lossy(&output.stdout).contains("\nFiles: musl/*\n"));
+}
+
+#[test]
+fn a_crate_whose_license_is_not_on_the_list_is_named() {
+    let Some(output) = licenses(&["--allow", "Apache-2.0", "x86_64-unknown-linux-gnu"]) else { return };
+    assert_eq!(output.status.code(), Some(1));
+    assert_eq!(output.stdout, b"");
+    let text = String::from_utf8_lossy(&output.stderr);
+    assert!(text.contains(": none of its licenses is on the list: MIT\n"), "{text}");
+    assert!(!text.contains(" libc 0."), "it may be had under Apache-2.0: {text}");
+}
