@@ -103,7 +103,7 @@ pub(crate) fn adapter(gauges: Vec<Gauge>, hertz: Option<u32>) -> Result<Adapter>
             twice.name,
             (0x08..0x78).rev().find(|free| !taken.contains(free)).unwrap_or(GAUGE_ADDRESS)
         );
-        return Err(Error::new(&twice.name, Cause::Invalid(why)));
+        return Err(Error::new(&twice.name, Cause::Invalid, why));
     }
     let mut adapter = Adapter::new();
     if let Some(hertz) = hertz {
@@ -173,10 +173,7 @@ impl Place {
         }
         let all = mounts::all().map_err(|error| failed(&error))?;
         if mounts::topmost(all, &path).is_some() {
-            return Err(Error::new(
-                subject,
-                Cause::Busy("something is mounted there; choose another path".into()),
-            ));
+            return Err(Error::new(subject, Cause::Busy, "something is mounted there; choose another path"));
         }
         let made = match is_folder {
             true => fs::create_dir(&path),

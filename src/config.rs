@@ -91,7 +91,7 @@ impl Setup {
             absolute(bus, Path::new(""))?;
         }
         let name = path.display().to_string();
-        let refuse = |why: &str| Err(Error::new(&name, Cause::Invalid(why.into())));
+        let refuse = |why: &'static str| Err(Error::new(&name, Cause::Invalid, why));
         let (mut mount, gauges) = file::read(path, bus.as_deref())?;
         over(&mut mount);
         mount.check_log()?;
@@ -124,11 +124,11 @@ pub(crate) fn alerts(path: &Path) -> Result<(Option<PathBuf>, Vec<AlertOptions>)
     let name = path.display().to_string();
     if path == Path::new("-") {
         let why = "programs are run from it, so it must be a file that nobody else may change";
-        return Err(Error::new("standard input", Cause::Invalid(why.into())));
+        return Err(Error::new("standard input", Cause::Invalid, why));
     }
     let status = std::fs::metadata(path).map_err(|error| Error::io(&name, "cannot read it", &error))?;
     let me = nix::unistd::geteuid().as_raw();
-    let refuse = |why: String| Err(Error::new(&name, Cause::NotPermitted(why)));
+    let refuse = |why: String| Err(Error::new(&name, Cause::NotPermitted, why));
     if ![me, 0].contains(&status.uid()) {
         let why =
             format!("belongs to user {}; a file with programs to run must be yours or root's", status.uid());
@@ -152,7 +152,7 @@ pub(crate) fn standard_input(path: PathBuf) -> PathBuf {
 /// Refuses `-` for a file that is written or read again and again while a mount lasts.
 fn check_kept(path: Option<&PathBuf>, option: &str, why: &str) -> Result<()> {
     match path.is_some_and(|path| path == Path::new("-")) {
-        true => Err(Error::new(option, Cause::Invalid(format!("{why}; name a file")))),
+        true => Err(Error::new(option, Cause::Invalid, format!("{why}; name a file"))),
         false => Ok(()),
     }
 }

@@ -181,7 +181,7 @@ fn mains_name(mount: &MountOptions, gauges: &[String], taken: &[String]) -> Resu
     };
     if gauges.contains(&name) {
         let why = "a gauge and the Mains supply cannot share a name; choose another --name or --ac";
-        return Err(Error::new(name, Cause::Invalid(why.into())));
+        return Err(Error::new(name, Cause::Invalid, why));
     }
     Ok(Some(name))
 }

@@ -490,7 +490,7 @@ impl Fs {
             return self.ask(node, |node| node.write(data, done));
         }
         let why = "too long for a value, so it may not be whole; write the value alone, without padding";
-        let error = Error::new(self.file_name(node).unwrap_or_default(), Cause::Invalid(why.into()));
+        let error = Error::new(self.file_name(node).unwrap_or_default(), Cause::Invalid, why);
         match node {
             Node::Of(gauge, _) => {
                 self.supplies[usize::from(gauge)].handle.refuse(Attempt::Other, error, done)

@@ -43,7 +43,7 @@ impl Cuse {
     /// Opens `/dev/cuse` for a device of that name, and gives up root's rights (see [`rights::give_up`]).
     pub(crate) fn open(name: &str, state: Option<&Path>) -> Result<Self> {
         let subject = format!("--cuse {name}");
-        let refuse = |why: &str| Error::new(&subject, Cause::Invalid(why.into()));
+        let refuse = |why: &'static str| Error::new(&subject, Cause::Invalid, why);
         let is_plain = |byte: u8| byte.is_ascii_alphanumeric() || b"-_.".contains(&byte);
         if name.is_empty()
             || name.len() > LONGEST_NAME

@@ -29,7 +29,7 @@ fn successor(state: Option<&Path>) -> Result<(Uid, Gid)> {
             .map_err(|error| Error::io(folder.display().to_string(), "cannot be used for --state", &error))?;
         if status.uid() == 0 {
             let why = "its folder is root's, whose rights are given up; choose a folder of the user that is to own the file";
-            return Err(Error::new(format!("--state {}", state.display()), Cause::Invalid(why.into())));
+            return Err(Error::new(format!("--state {}", state.display()), Cause::Invalid, why));
         }
         return Ok((Uid::from_raw(status.uid()), Gid::from_raw(status.gid())));
     }

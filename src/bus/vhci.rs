@@ -60,7 +60,7 @@ impl Vhci {
         if !geteuid().is_root() {
             let why = "only root may plug an adapter into the kernel; run this with sudo, which is given up afterwards, or use \
                        a PATH, which needs no root";
-            return Err(Error::new("--device", Cause::NotPermitted(why.into())));
+            return Err(Error::new("--device", Cause::NotPermitted, why));
         }
         // What is there already is left alone; what cannot be loaded is missing below.
         let _ = Command::new("modprobe").arg("-a").args(MODULES).stderr(Stdio::null()).status();
@@ -71,7 +71,7 @@ impl Vhci {
         })?;
         let Some(port) = free_port(&status) else {
             let why = "all ports of vhci_hcd are taken; detach one (usbip detach), or end another `gaugefs sim --device`";
-            return Err(Error::new("--device", Cause::Busy(why.into())));
+            return Err(Error::new("--device", Cause::Busy, why));
         };
         let (socket, theirs) = UnixStream::pair().map_err(|error| failed("cannot make a socket", &error))?;
         // The number of the device on its bus, which is anybody's choice.

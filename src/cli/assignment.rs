@@ -54,8 +54,7 @@ pub(super) fn split(words: Vec<OsString>) -> Result<(Vec<PathBuf>, Vec<String>)>
         return Err(Error::host(rest[0].to_string_lossy(), Errno::ENOENT, why));
     }
     let text = |word: OsString| {
-        word.into_string()
-            .map_err(|word| Error::new(word.to_string_lossy(), Cause::Invalid("not text".into())))
+        word.into_string().map_err(|word| Error::new(word.to_string_lossy(), Cause::Invalid, "not text"))
     };
     Ok((gauges.into_iter().map(PathBuf::from).collect(), rest.into_iter().map(text).collect::<Result<_>>()?))
 }

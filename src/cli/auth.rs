@@ -59,7 +59,7 @@ impl Auth {
         let key = keys.authentication.as_ref().and_then(|key| key.bytes().try_into().ok());
         let Some(key) = key else {
             let why = "has no line `authentication = 32 hexadecimal digits`";
-            return Err(Error::new(self.key_file.display().to_string(), Cause::Invalid(why.into())));
+            return Err(Error::new(self.key_file.display().to_string(), Cause::Invalid, why));
         };
         let asked = order(gauge)?;
         mounted::poll(gauge)?;
@@ -69,8 +69,8 @@ impl Auth {
                 .map_err(|error| Error::host("random numbers", Errno::EIO, error.to_string()))?;
             let text = exchange(gauge, &to_hex(&challenge))?;
             let digest = from_hex(text.as_bytes()).map_err(|_| {
-                let why = "the answer is not a digest".into();
-                Error::new(gauge.folder().display().to_string(), Cause::Protocol(why))
+                let why = "the answer is not a digest";
+                Error::new(gauge.folder().display().to_string(), Cause::Protocol, why)
             })?;
             match fits(key, &challenge, &digest, asked) {
                 Some(order) if order == asked => {
@@ -96,7 +96,7 @@ fn order(gauge: &Gauge) -> Result<Order> {
     let word = gauge.text(FILE).map_err(|error| error.doing("cannot read its byte order"))?;
     Order::by_name(word.trim()).ok_or_else(|| {
         let name = gauge.folder().join(FILE).display().to_string();
-        Error::new(name, Cause::Protocol("is not a byte order".into()))
+        Error::new(name, Cause::Protocol, "is not a byte order")
     })
 }
 

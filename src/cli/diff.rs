@@ -68,7 +68,7 @@ impl Diff {
     fn compare(mut self) -> Result<ExitCode> {
         if [&self.a, &self.b].iter().all(|side| side.as_os_str() == "-") {
             let why = "it has one file only; give a folder or a file for the other side";
-            return Err(Error::new("standard input", Cause::Invalid(why.into())));
+            return Err(Error::new("standard input", Cause::Invalid, why));
         }
         for side in [&mut self.a, &mut self.b] {
             if side.is_dir() {

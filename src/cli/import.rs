@@ -164,7 +164,7 @@ impl Import {
     fn file(&self, chip: &'static Chip, source: &Source, exclude: &[Group], set: &Wanted) -> Result<Image> {
         let named = self.chip.as_deref().and_then(Chip::by_name);
         let file = source.image(named.or(Some(chip)), self.data_flash)?;
-        let refuse = |why: String| Err(Error::new(&source.name, Cause::Invalid(why)));
+        let refuse = |why: String| Err(Error::new(&source.name, Cause::Invalid, why));
         if named.is_none() && !file.names_chip {
             return refuse("it does not say which gauge it is for; name it with --chip".into());
         }

@@ -134,7 +134,7 @@ impl Change {
 fn of_file(file: &Path, name: Name, gauge: &str) -> Result<Secret> {
     key_file::from_file(file, gauge)?.secret(name).ok_or_else(|| {
         let why = format!("has no line `{} = ...` for {gauge}", name.line());
-        Error::new(file.display().to_string(), Cause::Invalid(why))
+        Error::new(file.display().to_string(), Cause::Invalid, why)
     })
 }
 
@@ -166,7 +166,7 @@ impl Terminal {
     fn ask(&mut self, name: Name, which: &str) -> Result<Secret> {
         let subject = format!("{which} {} key", name.as_str());
         let failed = |error: std::io::Error| Error::io(&subject, "cannot ask for it", &error);
-        let refuse = |why: &str| Error::new(&subject, Cause::Invalid(why.into()));
+        let refuse = |why: &'static str| Error::new(&subject, Cause::Invalid, why);
         write!(self.file, "{which} {} key: ", name.as_str()).map_err(failed)?;
         let mut line = Zeroizing::new([0; LINE]);
         // The terminal gives one line at a time.
@@ -185,7 +185,7 @@ impl Terminal {
             return Ok(first);
         }
         let why = "two different keys were typed; nothing was changed";
-        Err(Error::new(format!("new {} key", name.as_str()), Cause::Invalid(why.into())))
+        Err(Error::new(format!("new {} key", name.as_str()), Cause::Invalid, why))
     }
 }
 

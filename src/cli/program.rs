@@ -71,7 +71,7 @@ impl Program {
         let is_input = |file: &PathBuf| file.as_os_str() == "-";
         if is_input(&self.station) || is_input(&self.image) && !self.check {
             let why = "it has the serial numbers that are scanned; name files for --image and --station";
-            return Err(Error::new("standard input", Cause::Invalid(why.into())));
+            return Err(Error::new("standard input", Cause::Invalid, why));
         }
         let setup = config::station(&self.station, |gauges| daemon::names(gauges, &[]))?;
         let plan = Plan::read(&self.image, setup)?;

@@ -77,7 +77,7 @@ impl Rescue {
         let name = input::name(&self.file);
         if self.file.as_os_str() == "-" && !self.yes {
             let why = "it has the file, so the question cannot be answered there; pass --yes";
-            return Err(Error::new(name, Cause::Invalid(why.into())));
+            return Err(Error::new(name, Cause::Invalid, why));
         }
         let bytes = input::read_file(&self.file, image::LONGEST)
             .map_err(|error| Error::io(&name, "cannot be read", &error))?;
@@ -173,7 +173,7 @@ fn check_state(
                 let why = format!(
                     "a device answers at 0x{GAUGE_ADDRESS:02x}, so no gauge there is in ROM mode; nothing was erased"
                 );
-                return Err(Error::new("", Cause::Busy(why)));
+                return Err(Error::new("", Cause::Busy, why));
             }
             Err(error) if error.may_be_no_ack() => clock.sleep(STEP),
             Err(error) => return Err(error.into()),
@@ -195,7 +195,7 @@ fn wait_for(gauge: &mut dyn Bus, clock: &dyn Clock) -> Result<(), ti_gauge::erro
                 "all rows are written and their sums are right, but the gauge does not answer at 0x{GAUGE_ADDRESS:02x}; \
                  switch its power off and on"
             );
-            return Err(ti_gauge::error::Error::new("", Cause::NoAnswer(why)));
+            return Err(ti_gauge::error::Error::new("", Cause::NoAnswer, why));
         }
         clock.sleep(STEP);
     }

@@ -60,14 +60,11 @@ impl Set {
 fn parsed(words: &[String]) -> Result<Vec<Assignment>> {
     let parse = |word: &String| {
         let name = word.split('=').next().unwrap_or_default();
-        word.parse().map_err(|why: String| Error::new(name, Cause::Invalid(why)))
+        word.parse().map_err(|why: String| Error::new(name, Cause::Invalid, why))
     };
     let assignments: Vec<Assignment> = words.iter().map(parse).collect::<Result<_>>()?;
     if assignments.is_empty() {
-        return Err(Error::new(
-            "",
-            Cause::Invalid("nothing to set; write NAME=VALUE after the gauges".into()),
-        ));
+        return Err(Error::new("", Cause::Invalid, "nothing to set; write NAME=VALUE after the gauges"));
     }
     Ok(assignments)
 }

@@ -127,28 +127,28 @@ impl Sim {
         let chips = words.iter().map(|word| chip(&word.to_string_lossy())).collect::<Result<Vec<_>>>()?;
         if chips.is_empty() && self.replay.is_none() {
             let why = "no gauge; name a CHIP, as `gaugefs chips` lists them, or a recording with --replay";
-            return Err(Error::new("sim", Cause::Invalid(why.into())));
+            return Err(Error::new("sim", Cause::Invalid, why));
         }
         let is_device = self.device || self.cuse.is_some();
         if path.is_some() && is_device {
             let why = "the bus is offered as a device; leave out the PATH";
-            return Err(Error::new("sim", Cause::Invalid(why.into())));
+            return Err(Error::new("sim", Cause::Invalid, why));
         }
         if path.is_none() && self.command.is_empty() && !is_device {
             let why = "nowhere to offer the bus; add a PATH, such as ./bus, or -- and a command, or --device";
-            return Err(Error::new("sim", Cause::Invalid(why.into())));
+            return Err(Error::new("sim", Cause::Invalid, why));
         }
         if self.scenario.is_some() && chips.is_empty() {
             let why = "a recording shows what has happened, and nothing else; name a CHIP to simulate";
-            return Err(Error::new("--scenario", Cause::Invalid(why.into())));
+            return Err(Error::new("--scenario", Cause::Invalid, why));
         }
         if self.state.as_deref().is_some_and(is_standard_output) {
             let why = "the gauge's flash is read from it and written to it; name a file";
-            return Err(Error::new("--state", Cause::Invalid(why.into())));
+            return Err(Error::new("--state", Cause::Invalid, why));
         }
         if self.state.is_some() && chips.len() != 1 {
             let why = "it keeps the flash of one gauge; name one CHIP";
-            return Err(Error::new("--state", Cause::Invalid(why.into())));
+            return Err(Error::new("--state", Cause::Invalid, why));
         }
         Ok((chips, path))
     }
@@ -176,7 +176,7 @@ impl Sim {
 /// `CHIP` or `CHIP@ADDRESS`.
 fn chip(word: &str) -> Result<Simulated> {
     let (name, at) = word.split_once('@').map_or((word, None), |(name, at)| (name, Some(at)));
-    let refuse = |why: String| Error::new(word, Cause::Invalid(why));
+    let refuse = |why: String| Error::new(word, Cause::Invalid, why);
     let known = Chip::by_name(&name.to_ascii_lowercase()).filter(|chip| gauge_sim::Sim::knows(chip.name));
     let chip = known.ok_or_else(|| {
         refuse(

@@ -56,7 +56,7 @@ impl Watch {
                 let (mountpoint, alerts) = config::alerts(&file)?;
                 let place = self.gauge.or(mountpoint).ok_or_else(|| {
                     let why = "no mount point; give one on the command line, or set mountpoint below [mount]";
-                    Error::new(file.display().to_string(), Cause::Invalid(why.into()))
+                    Error::new(file.display().to_string(), Cause::Invalid, why)
                 })?;
                 (place, alerts)
             }

@@ -68,7 +68,7 @@ pub(super) fn alerts(path: &Path) -> Result<(Option<PathBuf>, Vec<AlertOptions>)
     let file = File::<MountOptions>::parse(path, &text)?;
     let mut read = file.read()?;
     if read.alerts.is_empty() {
-        return Err(Error::new(file.name, Cause::Invalid("no alert; add one below a line [[alert]]".into())));
+        return Err(Error::new(file.name, Cause::Invalid, "no alert; add one below a line [[alert]]"));
     }
     make_absolute(&mut read.head, folder(path))?;
     Ok((read.head.mountpoint, read.alerts))
@@ -200,7 +200,7 @@ impl<'a, H: Head> File<'a, H> {
         let why = why.lines().collect::<Vec<_>>().join(", ");
         let key = if key.is_empty() { "\"\"".into() } else { key.escape_debug().to_string() };
         let subject = format!("{}: line {}: {key}", self.name, self.line(at));
-        Error::new(subject, Cause::Invalid(why))
+        Error::new(subject, Cause::Invalid, why)
     }
 
     fn line(&self, at: usize) -> usize {
@@ -276,7 +276,7 @@ impl<'a, H: Head> File<'a, H> {
     ) -> Result<Vec<GaugeOptions>> {
         if gauges.is_empty() {
             let why = "no gauge; add one below a line [[gauge]]";
-            return Err(Error::new(&self.name, Cause::Invalid(why.into())));
+            return Err(Error::new(&self.name, Cause::Invalid, why));
         }
         let mut taken: HashMap<Mark, usize> = HashMap::new();
         for (written, gauge) in self.gauges.iter().zip(&mut gauges) {

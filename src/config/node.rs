@@ -32,7 +32,7 @@ impl Node {
         let adapter = name(device.parent()).filter(|name| name.starts_with("i2c-"));
         let (Some(adapter), Some(name)) = (adapter, name(Some(&device))) else {
             let why = "not an I2C device; give a bus, or a device such as /sys/bus/i2c/devices/1-0055";
-            return Err(Error::new(subject, Cause::Invalid(why.into())));
+            return Err(Error::new(subject, Cause::Invalid, why));
         };
         let modalias = regular::read_text(&device.join("modalias"), regular::SYSTEM).unwrap_or_default();
         Ok(Some(Self {

@@ -26,7 +26,7 @@ pub(crate) fn station(path: &Path, named: impl FnOnce(&[GaugeOptions]) -> Vec<St
     make_absolute(&mut read.head, file::folder(&path))?;
     read.head.check().map_err(|(key, why)| match file.place(key) {
         Some(at) => file.refuse(at, key, &why),
-        None => Error::new(format!("{}: {key}", file.name), Cause::Invalid(why)),
+        None => Error::new(format!("{}: {key}", file.name), Cause::Invalid, why),
     })?;
     let gauges = file.complete(read.gauges, &path, None)?;
     let gauges = named(&gauges).into_iter().zip(gauges.iter().map(GaugeOptions::setup)).collect();

@@ -80,17 +80,17 @@ fn usable(path: &Path, mounted: &Mounted) -> Result<()> {
     match mounted {
         Mounted::Alive => {
             let why = format!("a gaugefs is mounted there; end it with: gaugefs umount {subject}");
-            return Err(Error::new(subject, Cause::Busy(why)));
+            return Err(Error::new(subject, Cause::Busy, why));
         }
         Mounted::Hung => {
             let why = format!(
                 "a gaugefs is mounted there whose process does not answer; remove it with: gaugefs umount {subject}"
             );
-            return Err(Error::new(subject, Cause::Busy(why)));
+            return Err(Error::new(subject, Cause::Busy, why));
         }
         Mounted::Other(what) => {
             let why = format!("{what} is mounted there; choose another folder");
-            return Err(Error::new(subject, Cause::Busy(why)));
+            return Err(Error::new(subject, Cause::Busy, why));
         }
         Mounted::Nothing | Mounted::Dead => {}
     }
@@ -155,8 +155,10 @@ fn forbidden(path: &Path, what: &str, errno: Errno) -> Error {
     let error = Error::io(path.display().to_string(), what, &errno.into());
     match errno {
         Errno::EACCES | Errno::EROFS if !geteuid().is_root() => {
-            let why =
-                format!("{}; choose a folder of yours, such as ~/gauges, or run it with sudo", error.cause());
+            let why = format!(
+                "{}; choose a folder of yours, such as ~/gauges, or run it with sudo",
+                error.reason()
+            );
             Error::host(path.display().to_string(), errno, why)
         }
         _ => error,
@@ -263,7 +265,7 @@ pub fn unmount(path: &Path) -> Result<Unmounted> {
             .map_or_else(|| owner.to_string(), |user| user.name);
         let why =
             format!("mounted by user {name}, who may unmount it, as root may: sudo gaugefs umount {subject}");
-        return Err(Error::new(subject, Cause::NotPermitted(why)));
+        return Err(Error::new(subject, Cause::NotPermitted, why));
     }
     match mounted {
         Mounted::Alive => {
@@ -278,7 +280,7 @@ pub fn unmount(path: &Path) -> Result<Unmounted> {
                 let until = if here { "after `cd`, from outside of it" } else { "when it is free" };
                 let lazily = if geteuid().is_root() { "umount -l" } else { "fusermount3 -uz" };
                 let why = format!("in use{who}; try again {until}, or detach it with: {lazily} {subject}");
-                Error::new(&subject, Cause::Busy(why))
+                Error::new(&subject, Cause::Busy, why)
             })?;
         }
         Mounted::Dead | Mounted::Hung => force(&path)?,
@@ -397,7 +399,7 @@ pub fn detach(path: &Path, lazily: bool) -> Result<()> {
         Some((false, said)) if said.to_lowercase().contains("busy") => Err(failed(path, Errno::EBUSY)),
         Some((false, said)) => {
             let why = format!("only root and the user who mounted it may unmount it ({})", said.trim());
-            Err(Error::new(subject, Cause::NotPermitted(why)))
+            Err(Error::new(subject, Cause::NotPermitted, why))
         }
         None => {
             let limit = FUSERMOUNT.as_secs();

@@ -69,7 +69,7 @@ fn distinct(setup: &Setup) -> Result<()> {
     match setup.mount.log.iter().chain(of_gauges).find(|file| !seen.insert(*file)) {
         Some(twice) => {
             let why = "it is to be written for two purposes; give each of log, trace and sim-state a file of its own";
-            Err(Error::new(twice.display().to_string(), Cause::Invalid(why.into())))
+            Err(Error::new(twice.display().to_string(), Cause::Invalid, why))
         }
         None => Ok(()),
     }
@@ -87,7 +87,7 @@ pub(super) fn device() -> Result<()> {
         _ => "load the kernel's module as root: modprobe fuse",
     };
     let error = Error::io(DEVICE, "cannot open it", &error);
-    Err(Error::host(DEVICE, error.errno(), format!("{}; {remedy}", error.cause())))
+    Err(Error::host(DEVICE, error.errno(), format!("{}; {remedy}", error.reason())))
 }
 
 fn can_mount() -> Result<()> {
@@ -104,8 +104,7 @@ fn can_mount() -> Result<()> {
 fn group(options: &MountOptions) -> Result<()> {
     let Some(gid) = options.group.map(Gid::from_raw) else { return Ok(()) };
     let name = Group::from_gid(gid).ok().flatten().map_or_else(|| gid.to_string(), |group| group.name);
-    let refuse =
-        |cause: fn(String) -> Cause, why: String| Err(Error::new(format!("group {name}"), cause(why)));
+    let refuse = |cause, why: String| Err(Error::new(format!("group {name}"), cause, why));
     if options.private {
         let why =
             "--private denies every other user access, also those of the group; leave out one of the two";
@@ -144,7 +143,7 @@ fn needs_of(name: &str, gauge: &GaugeSetup, mountpoint: &Path) -> Vec<Error> {
             if let Some(path) = gauge.key_file.as_ref().filter(|_| none) {
                 let why =
                     format!("it has no key for {name}: neither above its sections nor in a section [{name}]");
-                found.push(Error::new(path.display().to_string(), Cause::Invalid(why)));
+                found.push(Error::new(path.display().to_string(), Cause::Invalid, why));
             }
         }
     }

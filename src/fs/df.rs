@@ -165,8 +165,8 @@ impl Operations for Of<'_, DfItem> {
         let handle = &self.supply.handle;
         match self.item {
             DfItem::Parameter(at, _) | DfItem::Raw(at) if supply.subclass(at).kind == Kind::Security => {
-                let why = Cause::NotPermitted("keys are never read".into());
-                done(Err(Error::new(supply.subclass(at).name, why)));
+                let why = "keys are never read";
+                done(Err(Error::new(supply.subclass(at).name, Cause::NotPermitted, why)));
             }
             DfItem::Parameter(at, row) => handle.ask(
                 &op::READ,

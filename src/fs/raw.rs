@@ -18,7 +18,7 @@ pub(super) fn change(chip: &'static Chip, line: &str) -> Result<Change> {
     let bytes = text::unhex(digits.as_bytes()).filter(|bytes| (1..=WINDOW).contains(&bytes.len()));
     let ((Some((subclass, offset)), Some(bytes)), None) = ((numbers, bytes), words.next()) else {
         let why = "write raw SUBCLASS/OFFSET HEX, 1 to 32 bytes of two digits each";
-        return Err(Error::new("", Cause::Invalid(why.into())));
+        return Err(Error::new("", Cause::Invalid, why));
     };
     Ok(Change::raw(chip, Place { subclass, offset }, bytes)?)
 }

@@ -308,7 +308,7 @@ fn take(
         _ if matches!(dropped, Some(Dropped::Left)) => {
             let why = "the gauge has been away or is another one since `begin`, so the staged lines were dropped and \
                        nothing was written; check its values and write `begin` again";
-            return Err(Error::new("", Cause::Gone(why.into())));
+            return Err(Error::new("", Cause::Gone, why));
         }
         _ if !next.is_open => return Err(none("no transaction is open; write `begin` first")),
         "abort" => next.restart(false),
@@ -388,11 +388,11 @@ fn change(rules: &Rules<'_>, line: &str) -> Result<Change> {
 /// The answer to whatever a transaction that is open keeps out.
 pub(super) fn busy() -> Error {
     let why = "a transaction is open; `commit` or `abort` ends it";
-    Error::new("", Cause::Busy(why.into()))
+    Error::new("", Cause::Busy, why)
 }
 
 fn invalid(why: &str) -> Error {
-    Error::new("", Cause::Invalid(why.to_string()))
+    Error::new("", Cause::Invalid, why.to_string())
 }
 
 /// The error about a place or a name that is no parameter's, with the one that was probably meant. It does not repeat

@@ -108,7 +108,7 @@ impl Announcer {
     pub(super) fn pass_on(&self, request: impl FnOnce(Option<Error>)) {
         let ending = lock(&self.ending);
         let why = "gaugefs is ending, so nothing was sent; mount again and try again";
-        request(ending.then(|| Error::new("", Cause::NotNow(why.into()))));
+        request(ending.then(|| Error::new("", Cause::NotNow, why)));
     }
 
     /// Gives the answers that are waiting. When it returns, no notification is under way, and none will follow.

@@ -4,10 +4,12 @@
 
 use std::{fmt, io};
 
+use rustix::io::Errno;
+
 /// A `Result` whose error is [`Error`].
 pub type Result<T, E = Error> = std::result::Result<T, E>;
 
-/// The kind of a failure; callers that need an errno or an exit code match on it.
+/// The kind of a failure.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ErrorKind {
     /// A file with invalid contents.
@@ -24,6 +26,40 @@ pub enum ErrorKind {
     Forbidden,
     /// Any other error of the operating system.
     Io(io::ErrorKind),
+}
+
+impl ErrorKind {
+    /// The errno of an operation that fails with it.
+    pub fn errno(self) -> i32 {
+        let errno = match self {
+            Self::Invalid => Errno::INVAL,
+            Self::NotFound => Errno::NOENT,
+            Self::NotABus => Errno::NOTTY,
+            Self::SmbusOnly => Errno::OPNOTSUPP,
+            Self::Busy => Errno::BUSY,
+            Self::Forbidden => Errno::ACCESS,
+            Self::Io(kind) => return errno_of(kind),
+        };
+        errno.raw_os_error()
+    }
+}
+
+/// The errno of a kind of error. What has no kind of its own is an input/output error.
+pub fn errno_of(kind: io::ErrorKind) -> i32 {
+    let errno = match kind {
+        io::ErrorKind::NotFound => Errno::NOENT,
+        io::ErrorKind::PermissionDenied => Errno::ACCESS,
+        io::ErrorKind::StorageFull => Errno::NOSPC,
+        io::ErrorKind::QuotaExceeded => Errno::DQUOT,
+        io::ErrorKind::ReadOnlyFilesystem => Errno::ROFS,
+        io::ErrorKind::NotADirectory => Errno::NOTDIR,
+        io::ErrorKind::IsADirectory => Errno::ISDIR,
+        io::ErrorKind::ResourceBusy => Errno::BUSY,
+        io::ErrorKind::TimedOut => Errno::TIMEDOUT,
+        io::ErrorKind::Interrupted => Errno::INTR,
+        _ => Errno::IO,
+    };
+    errno.raw_os_error()
 }
 
 /// One failure: its subject, its kind, and one line that says what happened and what to do.

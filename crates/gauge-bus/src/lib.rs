@@ -36,6 +36,7 @@
 
 #![cfg_attr(test, allow(clippy::disallowed_methods, reason = "tests read what they have made"))]
 
+use std::borrow::Cow;
 use std::time::Duration;
 use std::{fmt, io};
 
@@ -99,17 +100,50 @@ const DISTURBED: [Errno; 7] = [
 ];
 
 impl BusError {
+    /// Its text, the errno of an operation that fails with it, and whether the same transfer may succeed when it is sent again.
+    fn row(self) -> (Cow<'static, str>, i32, bool) {
+        let (text, errno, is_transient) = match self {
+            BusError::NoAck => ("not acknowledged; is the gauge powered and connected?", Errno::NXIO, true),
+            BusError::ArbitrationLost => {
+                ("arbitration lost repeatedly; another controller uses the bus", Errno::AGAIN, true)
+            }
+            BusError::Timeout => (
+                "the bus timed out; a line is held low or the clock stretched too long",
+                Errno::TIMEDOUT,
+                true,
+            ),
+            BusError::Short => ("the adapter moved only part of the transfer", Errno::PROTO, true),
+            BusError::Gone => ("the adapter is gone", Errno::NODEV, false),
+            BusError::Busy => {
+                ("a kernel driver is bound to the address; unbind it first", Errno::BUSY, false)
+            }
+            BusError::ReadOnly => ("a recording takes no writes", Errno::ROFS, false),
+            BusError::NotRecorded => ("the recording has no answer to this", Errno::NODATA, false),
+            BusError::Hung(adapter) => {
+                let text = format!(
+                    "/dev/i2c-{adapter} hangs: a transfer has not returned, and nothing is sent on this adapter until \
+                     it does; reset or reconnect the adapter"
+                );
+                return (text.into(), Errno::TIMEDOUT.raw_os_error(), false);
+            }
+            BusError::Other(number) => {
+                let text =
+                    format!("the adapter answered: {}", error::reason(&io::Error::from_raw_os_error(number)));
+                let is_transient = DISTURBED.iter().any(|errno| errno.raw_os_error() == number);
+                return (text.into(), number, is_transient);
+            }
+        };
+        (text.into(), errno.raw_os_error(), is_transient)
+    }
+
+    /// The errno of an operation that fails with it.
+    pub fn errno(self) -> i32 {
+        self.row().1
+    }
+
     /// Whether the same transfer may succeed when it is sent again.
     pub fn is_transient(self) -> bool {
-        match self {
-            BusError::NoAck | BusError::ArbitrationLost | BusError::Timeout | BusError::Short => true,
-            BusError::Other(number) => DISTURBED.iter().any(|errno| errno.raw_os_error() == number),
-            BusError::Gone
-            | BusError::Busy
-            | BusError::ReadOnly
-            | BusError::NotRecorded
-            | BusError::Hung(_) => false,
-        }
+        self.row().2
     }
 
     /// Whether the target may have refused the transfer by not acknowledging it. Adapters that cannot report
@@ -131,35 +165,14 @@ impl BusError {
             BusError::ReadOnly,
             BusError::NotRecorded,
         ];
-        let found = known.into_iter().find(|error| error.to_string() == text);
+        let found = known.into_iter().find(|error| error.row().0 == text);
         found.unwrap_or(BusError::Other(Errno::IO.raw_os_error()))
     }
 }
 
 impl fmt::Display for BusError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            BusError::NoAck => f.write_str("not acknowledged; is the gauge powered and connected?"),
-            BusError::ArbitrationLost => {
-                f.write_str("arbitration lost repeatedly; another controller uses the bus")
-            }
-            BusError::Timeout => {
-                f.write_str("the bus timed out; a line is held low or the clock stretched too long")
-            }
-            BusError::Short => f.write_str("the adapter moved only part of the transfer"),
-            BusError::Gone => f.write_str("the adapter is gone"),
-            BusError::Busy => f.write_str("a kernel driver is bound to the address; unbind it first"),
-            BusError::ReadOnly => f.write_str("a recording takes no writes"),
-            BusError::NotRecorded => f.write_str("the recording has no answer to this"),
-            BusError::Hung(adapter) => write!(
-                f,
-                "/dev/i2c-{adapter} hangs: a transfer has not returned, and nothing is sent on this adapter until it \
-                 does; reset or reconnect the adapter"
-            ),
-            BusError::Other(number) => {
-                write!(f, "the adapter answered: {}", error::reason(&io::Error::from_raw_os_error(*number)))
-            }
-        }
+        f.write_str(&self.row().0)
     }
 }
 

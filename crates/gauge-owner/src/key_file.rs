@@ -42,7 +42,7 @@ pub fn check(path: &Path) -> Result<()> {
 /// Refuses a key file that belongs to another user, or that others may read.
 fn private(status: &Metadata, name: &str) -> Result<()> {
     let me = nix::unistd::geteuid().as_raw();
-    let refuse = |why: String| Err(Error::new(name, Cause::NotPermitted(why)));
+    let refuse = |why: String| Err(Error::new(name, Cause::NotPermitted, why));
     if status.uid() != me && status.uid() != 0 {
         return refuse(format!("the key file belongs to user {}; it must be yours or root's", status.uid()));
     }
@@ -76,7 +76,7 @@ pub fn check_name(path: Option<&Path>) -> Result<()> {
     match path {
         Some(path) if path == Path::new("-") => {
             let why = "keys are not read from it; name a file that nobody else may read";
-            Err(Error::new("standard input", Cause::Invalid(why.into())))
+            Err(Error::new("standard input", Cause::Invalid, why))
         }
         _ => Ok(()),
     }
@@ -104,7 +104,7 @@ fn read(file: File, name: &str) -> Result<Zeroizing<Vec<u8>>> {
         .read_to_end(&mut text)
         .map_err(|error| Error::io(name, "cannot read the key file", &error))?;
     if text.len() > LONGEST {
-        return Err(Error::new(name, Cause::Invalid("too long for a key file".into())));
+        return Err(Error::new(name, Cause::Invalid, "too long for a key file"));
     }
     Ok(text)
 }

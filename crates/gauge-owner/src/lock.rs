@@ -111,7 +111,7 @@ impl Lock {
                     Some(holder) => format!("in use by {holder}"),
                     None => "in use by another process, which /proc/locks does not show".into(),
                 };
-                return Err(Error::new(subject, Cause::Busy(why)));
+                return Err(Error::new(subject, Cause::Busy, why));
             }
             clock.sleep(STEP);
         }
@@ -304,8 +304,8 @@ fn folder() -> Result<PathBuf> {
     DirBuilder::new().recursive(true).mode(mode).create(&folder).map_err(failed)?;
     let status = fs::symlink_metadata(&folder).map_err(failed)?;
     if !status.is_dir() || status.uid() != me.as_raw() || status.mode() & 0o022 != 0 {
-        let why = "other users could write to it; remove it".into();
-        return Err(Error::new(folder.display().to_string(), Cause::NotPermitted(why)));
+        let why = "other users could write to it; remove it";
+        return Err(Error::new(folder.display().to_string(), Cause::NotPermitted, why));
     }
     Ok(folder)
 }

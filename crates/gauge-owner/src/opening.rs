@@ -132,7 +132,7 @@ impl Opening {
         }
         if ready.is_empty() {
             let why = format!("no gauge can be mounted: {}", reasons.join("; "));
-            return Err(Error::new("", Cause::Gone(why)));
+            return Err(Error::new("", Cause::Gone, why));
         }
         Ok((ready, lines))
     }
@@ -194,5 +194,5 @@ fn adapter(node: &Path) -> String {
 }
 
 fn slow() -> Error {
-    Error::new("", Cause::TimedOut(format!("no answer within {} s", PATIENCE.as_secs())))
+    Error::new("", Cause::TimedOut, format!("no answer within {} s", PATIENCE.as_secs()))
 }

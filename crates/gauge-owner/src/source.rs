@@ -207,12 +207,12 @@ fn is_ending(mountpoint: &Path) -> bool {
 pub fn of_sim(gauge_sim::Error { subject, kind, text }: gauge_sim::Error) -> Error {
     use gauge_sim::Kind;
     let cause = match kind {
-        Kind::Invalid => Cause::Invalid(text),
-        Kind::OutOfRange => Cause::OutOfRange(text),
-        Kind::NotPermitted => Cause::NotPermitted(text),
-        Kind::Io(kind) => Cause::Io(kind, text),
+        Kind::Invalid => Cause::Invalid,
+        Kind::OutOfRange => Cause::OutOfRange,
+        Kind::NotPermitted => Cause::NotPermitted,
+        Kind::Io(kind) => Cause::Io(kind),
     };
-    Error::new(subject, cause)
+    Error::new(subject, cause, text)
 }
 
 /// A simulated gauge that answers.
@@ -322,7 +322,7 @@ impl Opened {
 /// The gauge of a recording, which has to contain all registers that a mount polls.
 pub fn recorded(path: &Path) -> Result<(&'static Chip, Replay)> {
     let name = path.display().to_string();
-    let refuse = |why: String| Error::new(&name, Cause::Invalid(why));
+    let refuse = |why: String| Error::new(&name, Cause::Invalid, why);
     let recording = Recording::open(path)?;
     let chip = Chip::by_name(&recording.chip).ok_or_else(|| {
         refuse(format!("unknown chip `{}`; `gaugefs chips` lists the known ones", recording.chip))

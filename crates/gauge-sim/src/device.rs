@@ -481,7 +481,7 @@ impl Gauge {
 
     /// Puts bytes into flash as [`set_flash`](Self::set_flash) does, and has the gauge begin with them: `AREA OFFSET HEX`.
     pub(super) fn put_flash(&mut self, text: &str, now: Duration) -> Result<()> {
-        let bad = |why: &str| Error::new(FLASH, Kind::Invalid, why);
+        let bad = |why: &'static str| Error::new(FLASH, Kind::Invalid, why);
         let words: Vec<&str> = text.split_whitespace().collect();
         let [area, offset, hex] = words[..] else {
             return Err(bad("not what to store; write an area, an offset and bytes, such as \"48 4 0007\""));

@@ -150,7 +150,7 @@ impl Plan {
         let image_sum = text::hex(&Sha256::digest(&source.bytes));
         let chip = setup.gauges.iter().find_map(|(_, gauge)| gauge.source.chip());
         let mut image = source.image(chip, setup.options.data_flash)?;
-        let refuse = |why: String| Err(Error::new(&name, Cause::Invalid(why)));
+        let refuse = |why: String| Err(Error::new(&name, Cause::Invalid, why));
         image.exclude(&setup.options.groups().map_err(of_key)?);
         if let Some(left) = image.left_out.first() {
             return refuse(format!("{}; exclude its group in the station's file, or remove it", left.text));
@@ -170,7 +170,7 @@ impl Plan {
 
     /// The work of the station on packs that get an image.
     fn of(mut image: Image, image_name: String, image_sum: String, setup: Setup) -> Result<Self> {
-        let invalid = |subject: &str, why: String| Error::new(subject, Cause::Invalid(why));
+        let invalid = |subject: &str, why: String| Error::new(subject, Cause::Invalid, why);
         let chip = image.chip;
         if chip.access.scheme.is_ram() {
             let why = format!(
@@ -284,7 +284,7 @@ impl Plan {
                      serial number is given twice, or move the images away",
                     images.display()
                 );
-                Err(Error::new(self.setup.record.display().to_string(), Cause::Gone(why)))
+                Err(Error::new(self.setup.record.display().to_string(), Cause::Gone, why))
             }
         }
     }
@@ -314,13 +314,13 @@ impl Plan {
 
 /// An error about a key of the station's file.
 fn of_key((key, why): (&str, String)) -> Error {
-    Error::new(key, Cause::Invalid(why))
+    Error::new(key, Cause::Invalid, why)
 }
 
 fn own_row(chip: &'static Chip, key: &str, parameter: &str) -> Result<Row> {
     serial::called(chip, parameter).ok_or_else(|| {
         let why = format!("a {} has no parameter {parameter}", chip.model);
-        Error::new(key, Cause::Invalid(why))
+        Error::new(key, Cause::Invalid, why)
     })
 }
 

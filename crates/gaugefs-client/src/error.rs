@@ -133,7 +133,7 @@ impl Error {
             Why::Unopened { hint, error, .. } => desc(error) + hint,
             Why::Told { text, .. } | Why::Host { text, .. } => text.clone(),
             Why::Failed(error) => desc(error),
-            Why::Refused(error) => error.cause().to_string(),
+            Why::Refused(error) => error.reason().to_string(),
         }
     }
 

@@ -219,7 +219,7 @@ impl Gauge {
         let model = self.text("model_name").map_err(|error| error.doing("its part is unknown"))?;
         Ok(CHIPS.iter().copied().find(|chip| chip.model == model.trim()).ok_or_else(|| {
             let why = format!("no gauge that gaugefs knows: {}", model.trim());
-            self.within(ti_gauge::error::Error::new("model_name", Cause::Gone(why)))
+            self.within(ti_gauge::error::Error::new("model_name", Cause::Gone, why))
         })?)
     }
 
@@ -280,8 +280,8 @@ impl Gauge {
             let name = chip.name_of(row);
             let (subclass, parameter) = row;
             if subclass.kind == Kind::Security {
-                let why = Cause::NotPermitted("keys are never read".into());
-                return Err(ti_gauge::error::Error::new(name, why).into());
+                let why = "keys are never read";
+                return Err(ti_gauge::error::Error::new(name, Cause::NotPermitted, why).into());
             }
             let read = self.text(&format!("df/by-name/{name}"));
             let text = read.map_err(|error| error.doing(format!("{name} cannot be read")))?;
@@ -315,7 +315,7 @@ impl Gauge {
         let answer = text.split_once(' ').filter(|(asked, _)| word(asked) == Some(code));
         Ok(answer.and_then(|(_, answer)| word(answer.trim())).ok_or_else(|| {
             let why = "holds the answer to another subcommand: somebody else has written it; try again";
-            ti_gauge::error::Error::new(self.folder.join(file).display().to_string(), Cause::Busy(why.into()))
+            ti_gauge::error::Error::new(self.folder.join(file).display().to_string(), Cause::Busy, why)
         })?)
     }
 
@@ -380,7 +380,7 @@ pub fn folder_name(gauge: &Path) -> String {
 }
 
 fn invalid(subject: String, why: String) -> ti_gauge::error::Error {
-    ti_gauge::error::Error::new(subject, Cause::Invalid(why))
+    ti_gauge::error::Error::new(subject, Cause::Invalid, why)
 }
 
 /// An error about a line of `df/index`.
@@ -416,7 +416,7 @@ fn read(chip: &'static Chip, firmware: Option<u16>, index: &str) -> ti_gauge::er
     }
     if image.entries.is_empty() {
         let why = "its data flash cannot be read: it is sealed and no key works; mount with --key-file";
-        return Err(ti_gauge::error::Error::new("", Cause::NotPermitted(why.into())));
+        return Err(ti_gauge::error::Error::new("", Cause::NotPermitted, why));
     }
     Ok(image)
 }

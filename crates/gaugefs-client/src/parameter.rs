@@ -41,7 +41,7 @@ pub fn row(chip: &'static Chip, name: &str) -> Result<Row> {
     chip.find(name).map_err(|unnamed| match (unnamed, chip.nearest(name)) {
         (Unnamed::Several(names), _) => {
             let why = format!("several parameters have that name; write one of {}", names.join(", "));
-            ti_gauge::error::Error::new(name, Cause::Invalid(why)).into()
+            ti_gauge::error::Error::new(name, Cause::Invalid, why).into()
         }
         (Unnamed::Unknown, nearest) => {
             let what = match nearest {
@@ -68,16 +68,16 @@ impl Wanted {
     pub fn set(&mut self, name: &str, value: &str) -> Result<()> {
         let (subclass, parameter) = row(self.0.chip, name)?;
         let name = self.0.chip.name_of((subclass, parameter));
-        let refuse = |cause| Err(ti_gauge::error::Error::new(&name, cause).into());
+        let refuse = |cause, why: &'static str| Err(ti_gauge::error::Error::new(&name, cause, why).into());
         if subclass.kind == Kind::Security {
-            return refuse(Cause::NotPermitted("keys are changed with `gaugefs keys change`".into()));
+            return refuse(Cause::NotPermitted, "keys are changed with `gaugefs keys change`");
         }
         let place = Place::of((subclass, parameter)).into();
         let value = notation::parse_with_unit(parameter, value);
         let value = value.map_err(|error| error.about(&name).at_place(place))?;
         let entry = Entry { subclass, parameter, value, line: 0 };
         if self.0.entries.iter().any(|other| other.is(&entry)) {
-            return refuse(Cause::Invalid("it is given twice; remove one of the two".into()));
+            return refuse(Cause::Invalid, "it is given twice; remove one of the two");
         }
         self.0.entries.push(entry);
         Ok(())

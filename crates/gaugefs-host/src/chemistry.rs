@@ -25,7 +25,7 @@ pub fn check(
             "{why}. An import does not write the chemistry: program it with TI's tools, or {told} if \
              the image was made from a gauge with that CHEM_ID"
         );
-        Err(Error::new(name, Cause::Invalid(why)))
+        Err(Error::new(name, Cause::Invalid, why))
     };
     let Some(sum) = chip.subcommands.iter().find(|row| row.name == "STATIC_CHEM_DF_CHKSUM") else {
         return refuse(format!("whether it has the image's chemistry is unknown ({chem_id})"));

@@ -2,17 +2,18 @@
 
 //! Errors of the program: the core's, with an errno, and those of the host.
 
+use std::borrow::Cow;
 use std::path::Path;
 use std::{fmt, io};
 
 use nix::errno::Errno;
-use serde::Serialize;
+use serde::ser::{Serialize, Serializer};
+use serde_json::Value;
 use ti_gauge::dataflash::Place;
-pub use ti_gauge::error::{Cause, Facts, Step};
+use ti_gauge::error::Fact;
+pub use ti_gauge::error::{Cause, Reason, Step};
 use ti_gauge::image::Faults;
 use ti_gauge::text;
-
-use crate::errno;
 
 /// A `Result` whose error is [`Error`].
 pub type Result<T, E = Error> = std::result::Result<T, E>;
@@ -26,28 +27,24 @@ pub fn shown(path: &Path) -> String {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Error {
     inner: ti_gauge::error::Error,
-    /// The errno, where it does not follow from the cause.
-    errno: Option<Errno>,
     /// What else is wrong with the same file.
     others: Vec<ti_gauge::error::Error>,
 }
 
 impl Error {
     /// An error about `subject`: a register, a parameter, a file or a bus.
-    pub fn new(subject: impl Into<String>, cause: Cause) -> Self {
-        ti_gauge::error::Error::new(subject, cause).into()
+    pub fn new(subject: impl Into<String>, cause: Cause, text: impl Into<Cow<'static, str>>) -> Self {
+        ti_gauge::error::Error::new(subject, cause, text).into()
     }
 
     /// An error of the host: a file, a folder, a mount; with the remedy.
     pub fn host(subject: impl Into<String>, errno: Errno, text: impl Into<String>) -> Self {
-        let kind = io::Error::from(errno).kind();
-        Self { errno: Some(errno), ..Self::new(subject, Cause::Io(kind, text.into())) }
+        ti_gauge::error::Error::host(subject, errno.into(), text).into()
     }
 
     /// What the host said when it was asked to do `what`.
     pub fn io(subject: impl Into<String>, what: &str, error: &io::Error) -> Self {
-        let errno = error.raw_os_error().map(Errno::from_raw);
-        Self { errno, ..ti_gauge::error::Error::io(subject, what, error).into() }
+        ti_gauge::error::Error::io(subject, what, error).into()
     }
 
     /// Notes whether it is about what is owed, unless that is known already.
@@ -72,7 +69,7 @@ impl Error {
     #[must_use]
     pub fn within(self, subject: &str) -> Self {
         let others = self.others.into_iter().map(|other| other.within(subject)).collect();
-        Self { inner: self.inner.within(subject), errno: self.errno, others }
+        Self { inner: self.inner.within(subject), others }
     }
 
     /// What is wrong with a file: the first mistake, and those that a person is told of as well.
@@ -82,7 +79,7 @@ impl Error {
         first.others = all.collect();
         if faults.more() > 0 {
             let why = format!("and {} more mistakes", faults.more());
-            first.others.push(ti_gauge::error::Error::new("", Cause::Invalid(why)));
+            first.others.push(ti_gauge::error::Error::new("", Cause::Invalid, why));
         }
         Some(first)
     }
@@ -94,13 +91,18 @@ impl Error {
     }
 
     /// What happened.
-    pub fn cause(&self) -> &Cause {
+    pub fn cause(&self) -> Cause {
         self.inner.cause()
     }
 
-    /// What it is about.
-    pub fn facts(&self) -> &Facts {
-        self.inner.facts()
+    /// The line without what it is about and the step.
+    pub fn reason(&self) -> &Reason {
+        self.inner.reason()
+    }
+
+    /// Whether the access has left something to do, or was refused because of what an earlier one has left.
+    pub fn is_owed(&self) -> bool {
+        self.inner.is_owed()
     }
 
     /// The step that failed, where there is one.
@@ -110,43 +112,37 @@ impl Error {
 
     /// The errno that a file operation answers with.
     pub fn errno(&self) -> Errno {
-        self.errno.unwrap_or_else(|| errno::of(self.cause()))
+        Errno::from_raw(self.inner.errno())
     }
 
     /// What a program is told of it.
     pub fn details(&self) -> Details {
-        let facts = self.facts();
-        let [least, greatest] = facts.limits.clone().map_or([None, None], |limits| limits.map(Some));
-        Details {
-            errno: format!("{:?}", self.errno()),
-            cause: self.cause().name(),
-            step: self.step().map(Step::as_str),
-            register: facts.register.clone(),
-            place: facts.place.map(|place| Place::from(place).to_string()),
-            least,
-            greatest,
-            value: facts.value,
-        }
+        Details { errno: self.errno(), facts: self.inner.facts() }
     }
 }
 
 /// An error's facts as an object of `--json`. What is not known is left out.
-#[derive(Debug, Serialize)]
+#[derive(Debug)]
 pub struct Details {
-    errno: String,
-    cause: &'static str,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    step: Option<&'static str>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    register: Option<String>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    place: Option<String>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    least: Option<String>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    greatest: Option<String>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    value: Option<i64>,
+    errno: Errno,
+    facts: Vec<(&'static str, Fact)>,
+}
+
+impl Serialize for Details {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let errno = ("errno", Value::from(format!("{:?}", self.errno)));
+        let facts = self.facts.iter().map(|(name, fact)| (*name, json(fact)));
+        serializer.collect_map(std::iter::once(errno).chain(facts))
+    }
+}
+
+fn json(fact: &Fact) -> Value {
+    match fact {
+        Fact::Yes => true.into(),
+        Fact::Number(number) => (*number).into(),
+        Fact::Text(text) => (**text).into(),
+        Fact::Place(place) => Place::from(*place).to_string().into(),
+    }
 }
 
 /// One line without control characters: names of files and processes in it may be anybody's.
@@ -169,16 +165,16 @@ impl From<gaugefs_client::Error> for Error {
             (Some(refused), _) => refused.clone().into(),
             (None, Some(io)) => match io.raw_os_error() {
                 Some(errno) => Self::host(subject, Errno::from_raw(errno), text),
-                None => Self::new(subject, Cause::Io(io.kind(), text)),
+                None => Self::new(subject, Cause::Io(io.kind()), text),
             },
-            (None, None) => Self::new(subject, Cause::Io(io::ErrorKind::Other, text)),
+            (None, None) => Self::new(subject, Cause::Io(io::ErrorKind::Other), text),
         }
     }
 }
 
 impl From<ti_gauge::error::Error> for Error {
     fn from(inner: ti_gauge::error::Error) -> Self {
-        Self { inner, errno: None, others: Vec::new() }
+        Self { inner, others: Vec::new() }
     }
 }
 
@@ -200,7 +196,7 @@ mod tests {
 
     #[test]
     fn an_error_is_one_line_without_control_characters() {
-        let error = Error::new("/tmp/a\nb", Cause::Busy("process 1 (\x1b]0;x\x07)\nwarning: forged".into()));
+        let error = Error::new("/tmp/a\nb", Cause::Busy, "process 1 (\x1b]0;x\x07)\nwarning: forged");
         assert_eq!(error.to_string(), r"/tmp/a\nb: process 1 (\u{1b}]0;x\u{7})\nwarning: forged");
     }
 }

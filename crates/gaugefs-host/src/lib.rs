@@ -26,7 +26,6 @@ use std::time::Duration;
 use ti_gauge::unit;
 
 pub mod chemistry;
-mod errno;
 pub mod error;
 pub mod folders;
 pub mod input;

@@ -273,7 +273,7 @@ impl Out {
         let file = file.map_err(|error| Error::io(&name, "cannot write it", &error))?;
         let wrong = |why: String| {
             let why = format!("{why}; choose another file, or move this one away");
-            Err(Error::new(&name, Cause::Invalid(why)))
+            Err(Error::new(&name, Cause::Invalid, why))
         };
         let empty = file.metadata().is_ok_and(|status| status.len() == 0);
         let (mut truncated, mut before) = (false, Vec::new());

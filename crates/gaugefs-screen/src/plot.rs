@@ -112,5 +112,5 @@ fn check_extension(file: &Path) -> Result<()> {
         }
         _ => "plot writes SVG; give a name that ends in .svg".into(),
     };
-    Err(Error::new(file.display().to_string(), Cause::Invalid(why)))
+    Err(Error::new(file.display().to_string(), Cause::Invalid, why))
 }

@@ -93,7 +93,7 @@ pub fn fits(key: &[u8; 16], challenge: &Message, digest: &Message, asked: Order)
 pub fn ask(gauge: &mut Gauge, challenge: &Message, order: Order, waited: Duration) -> Result<Message> {
     let Some(waits) = &gauge.chip.authentication else {
         let why = "this part has no authentication that gaugefs knows";
-        return Err(Error::new(gauge.chip.model, Cause::NotPermitted(why.into())));
+        return Err(Error::new(gauge.chip.model, Cause::NotPermitted, why));
     };
     gauge.limit(Some(LIMIT.saturating_sub(waited)));
     let outcome = gauge.claim().and_then(|()| exchange_twice(gauge, waits, challenge, order));
@@ -145,7 +145,7 @@ fn exchange(gauge: &mut Gauge, waits: &Authentication, sent: &Message) -> Result
     gauge.read(AUTHENTICATE_DATA, &mut echo)?;
     // Sent once: a second checksum would apply to the digest.
     let started = gauge.write_once(AUTHENTICATE_CHECKSUM, &[checksum(sent)]);
-    started.map_err(|bus| Error::new("AuthenticateChecksum()", Cause::Bus(bus)))?;
+    started.map_err(|bus| Error::bus("AuthenticateChecksum()", bus))?;
     // I2C has no error detection, and the time that the gauge needs is not documented, so two reads of the
     // digest must agree.
     let mut before = None;
@@ -161,7 +161,7 @@ fn exchange(gauge: &mut Gauge, waits: &Authentication, sent: &Message) -> Result
         before = Some(digest);
     }
     let why = "the gauge shows no digest of the challenge";
-    Err(Error::new("AuthenticateData()", Cause::Protocol(why.into())))
+    Err(Error::new("AuthenticateData()", Cause::Protocol, why))
 }
 
 /// A challenge or a digest as text, two digits a byte.
@@ -175,7 +175,7 @@ pub fn from_hex(digits: &[u8]) -> Result<Message> {
     let message = text::unhex(digits.trim_ascii()).and_then(|bytes| bytes.try_into().ok());
     message.ok_or_else(|| {
         let why = format!("expected a challenge of {LENGTH} bytes as {} hexadecimal digits", 2 * LENGTH);
-        Error::new("authenticate", Cause::Invalid(why))
+        Error::new("authenticate", Cause::Invalid, why)
     })
 }
 
@@ -262,7 +262,7 @@ mod tests {
             &format!("0x{}", &ZEROS[2..]),
         ] {
             let error = from_hex(text.as_bytes()).expect_err("not a challenge");
-            assert!(matches!(error.cause(), Cause::Invalid(_)));
+            assert!(matches!(error.cause(), Cause::Invalid));
             assert!(text.len() < 3 || !error.to_string().contains(text));
         }
     }

@@ -116,7 +116,7 @@ pub fn is_on(chip: &Chip, control_status: u16) -> bool {
 /// The error for a part whose calibration no document has.
 pub fn not_documented(chip: &Chip) -> Error {
     let why = "no document describes the calibration of this part";
-    Error::new(chip.model, Cause::NotPermitted(why.into())).at(Step::Check)
+    Error::new(chip.model, Cause::NotPermitted, why).at(Step::Check)
 }
 
 /// What a register is calibrated to.
@@ -164,7 +164,7 @@ impl Task<'_> {
     }
 
     fn refuse<T>(&self, subject: &str, why: String) -> Result<T> {
-        Err(Error::new(subject, Cause::OutOfRange(why)).at(Step::Check))
+        Err(Error::new(subject, Cause::OutOfRange, why).at(Step::Check))
     }
 
     /// Reads a register, and refuses readings that are too far apart.
@@ -182,7 +182,7 @@ impl Task<'_> {
                 readings.show(unit),
                 target.spread
             );
-            return Err(Error::new(name, Cause::NotNow(why)).at(Step::Check));
+            return Err(Error::new(name, Cause::NotNow, why).at(Step::Check));
         }
         Ok(readings)
     }
@@ -236,7 +236,7 @@ impl Task<'_> {
                     "{} after the calibration, {first:+.1} {unit} off before and {error:+.1} {unit} now",
                     after.show(unit)
                 );
-                return Err(Error::new(name, Cause::Protocol(why)).at(Step::Verify));
+                return Err(Error::new(name, Cause::Protocol, why).at(Step::Verify));
             }
             Ok(())
         };
@@ -329,7 +329,7 @@ impl Task<'_> {
                  and charger",
                 before.show("mA")
             );
-            return Err(Error::new("Current()", Cause::NotNow(why)).at(Step::Check));
+            return Err(Error::new("Current()", Cause::NotNow, why).at(Step::Check));
         }
         // CC_OFFSET_SAVE stores the offset of the converter in either case.
         let mut rows = vec![row(self.gauge.chip, offset.row)?];
@@ -351,7 +351,7 @@ impl Task<'_> {
                 self.dataflash.accept_measured();
                 let (_, new) = self.value_now(offset.row).map_err(|error| {
                     let why = format!("measured and stored, but then {error}; {name} was {was}");
-                    Error::new("", Cause::StateUnknown(why))
+                    Error::new("", Cause::StateUnknown, why)
                 })?;
                 return Ok(format!(
                     "{name} {was} -> {}; Current(): {} before, {} after",
@@ -363,7 +363,7 @@ impl Task<'_> {
             Ok(after) => {
                 let why =
                     format!("{} with the new offset and {} before", after.show("mA"), before.show("mA"));
-                Error::new(name, Cause::Protocol(why)).at(Step::Verify)
+                Error::new(name, Cause::Protocol, why).at(Step::Verify)
             }
             Err(error) => error,
         };
@@ -390,7 +390,7 @@ impl Task<'_> {
                 (true, false) => break,
                 (false, false) if gauge.clock.now() > started + BEGINS => {
                     let why = "the gauge does not show that it measures its offset";
-                    return Err(Error::new(gauge.chip.model, Cause::TimedOut(why.into())).at(Step::Control));
+                    return Err(Error::new(gauge.chip.model, Cause::TimedOut, why).at(Step::Control));
                 }
                 _ => seen |= running,
             }
@@ -428,12 +428,12 @@ impl Task<'_> {
         match self.dataflash.undo_measured(self.gauge) {
             Ok(()) => {
                 let why = format!("{error}; the old value was restored and verified: {was}");
-                Err(Error::new("", Cause::RolledBack(why)))
+                Err(Error::new("", Cause::RolledBack, why))
             }
             Err(second) => {
                 let why =
                     format!("{error}; then {second}: the gauge may have stored other values than {was}");
-                Err(Error::new("", Cause::StateUnknown(why)))
+                Err(Error::new("", Cause::StateUnknown, why))
             }
         }
     }
@@ -495,7 +495,7 @@ impl Task<'_> {
                      the number of cells?",
                     read.show(unit)
                 );
-                return Err(Error::new(name, Cause::Protocol(why)).at(Step::Verify));
+                return Err(Error::new(name, Cause::Protocol, why).at(Step::Verify));
             }
             found = Some(read);
             Ok(())
@@ -527,7 +527,7 @@ impl Task<'_> {
             Err(error) => {
                 // The first transaction stays: with it the gauge measures its pack, which can be charged now.
                 let left = match error.cause() {
-                    Cause::StateUnknown(_) => "limit and divider are unknown".to_string(),
+                    Cause::StateUnknown => "limit and divider are unknown".to_string(),
                     _ => format!(
                         "its limit stays 0, with which it is open at any voltage, and the divider {divider} mV"
                     ),
@@ -537,7 +537,7 @@ impl Task<'_> {
                      or write a limit of your own to df/{}",
                     Place::from(limit)
                 );
-                Err(Error::new(chip.model, Cause::StateUnknown(why)))
+                Err(Error::new(chip.model, Cause::StateUnknown, why))
             }
         }
     }

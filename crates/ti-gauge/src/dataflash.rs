@@ -286,7 +286,7 @@ impl DataFlash {
             Ok(()) => self.unrecorded = false,
             // A read changes nothing, so it goes on. What is lost is that a power cut of the host within it leaves the gauge
             // unsealed.
-            Err(error) if matches!(error.cause(), Cause::Io(..) | Cause::NotPermitted(_)) => {
+            Err(error) if matches!(error.cause(), Cause::Io(_) | Cause::NotPermitted) => {
                 if !std::mem::replace(&mut self.unrecorded, true) {
                     log::warn!("{error}");
                 }
@@ -333,7 +333,7 @@ impl DataFlash {
     ) -> Result<Outcome> {
         if gauge.chip.volatile.is_none() {
             let why = "its data memory is flash, and nothing of it is lost with the power";
-            return Err(Error::new(gauge.chip.model, Cause::NotPermitted(why.into())).at(Step::Check));
+            return Err(Error::new(gauge.chip.model, Cause::NotPermitted, why).at(Step::Check));
         }
         self.write_with(gauge, changes, Extras { soon: true, lost, ..Extras::default() }, waited)
     }
@@ -417,7 +417,7 @@ impl DataFlash {
             if matches!(outcome, Ok(Outcome::Written { .. })) && has_lost_memory(gauge) != Ok(false) {
                 let why = "written and verified, but the gauge has lost its power since, or does not answer: its data \
                            memory may be lost";
-                return Err(Error::new("", Cause::StateUnknown(why.into())));
+                return Err(Error::new("", Cause::StateUnknown, why));
             }
             outcome
         })
@@ -437,7 +437,7 @@ impl DataFlash {
             // It may have been exchanged since it was confirmed. Nothing was written yet.
             if found.seal == Seal::Sealed && !gauge.was_opened() && !self.is_certain(gauge)? {
                 let why = "it was away for a moment after it was unsealed; nothing was written, try again";
-                return Err(Error::new(gauge.chip.model, Cause::NotNow(why.into())).at(Step::Check));
+                return Err(Error::new(gauge.chip.model, Cause::NotNow, why).at(Step::Check));
             }
             // The reset that this write needs may seal it.
             self.check_key(gauge, found.seal, changes)?;
@@ -580,7 +580,7 @@ impl DataFlash {
         );
         self.now.may_be_another();
         self.doubt_pack();
-        Error::new(gauge.chip.model, Cause::Gone(why)).at(Step::Identify)
+        Error::new(gauge.chip.model, Cause::Gone, why).at(Step::Identify)
     }
 
     /// The blocks next to those that change, where they are known. On a part with a flat address space they are

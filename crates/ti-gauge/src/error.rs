@@ -2,14 +2,17 @@
 
 //! What went wrong, at which step, to which register or parameter, and what to do.
 //!
-//! Every failure is one [`Error`]: one line that a technician can act on, a [`Cause`] that a program can match on, to
-//! choose an errno or an exit code, and [`Facts`], so that no program has to read the line.
+//! Every failure is one [`Error`]: one line that a technician can act on, a [`Cause`] that a program can match on, with an
+//! errno, and facts by their names, so that no program has to read the line. A failure with facts of its own is one row
+//! of [`Reason`]: its fields are the facts, and the line is made of them when it is printed.
 
+use std::borrow::Cow;
 use std::sync::Arc;
 use std::{error, fmt, io};
 
-use gauge_bus::error::reason;
+use gauge_bus::error::{errno_of, reason};
 use gauge_bus::{BusError, ErrorKind};
+use rustix::io::Errno;
 
 /// A `Result` whose error is [`Error`].
 pub type Result<T, E = Error> = std::result::Result<T, E>;
@@ -63,112 +66,216 @@ impl Step {
     }
 }
 
-/// The cause of an error. The text says what happened and what to do.
-#[derive(Clone, Debug, PartialEq, Eq)]
+/// The kind of a failure.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Cause {
     /// Not a value of that type, junk after it, or a subcommand that is not safe.
-    Invalid(String),
+    Invalid,
     /// Outside the range of the manual or the narrower safe limits.
-    OutOfRange(String),
+    OutOfRange,
     /// Sealed and no key works, or not changeable this way.
-    NotPermitted(String),
+    NotPermitted,
     /// Something else holds the gauge: a transaction, a kernel driver, another process.
-    Busy(String),
+    Busy,
     /// The gauge cannot do it now: voltage below its flash-update limit, and the like.
-    NotNow(String),
+    NotNow,
     /// The checksum of a block that was read is wrong.
-    BadChecksum(String),
+    BadChecksum,
     /// The reply breaks the protocol.
-    Protocol(String),
+    Protocol,
     /// The gauge did not finish in time.
-    TimedOut(String),
+    TimedOut,
     /// Failed, and the old block was put back and verified.
-    RolledBack(String),
+    RolledBack,
     /// Failed, and data flash or seal are unknown or not as they were found.
-    StateUnknown(String),
+    StateUnknown,
     /// The gauge is gone, or another part answers in its place.
-    Gone(String),
+    Gone,
     /// Nobody answers at the address.
-    NoAnswer(String),
+    NoAnswer,
     /// The bus itself failed.
     Bus(BusError),
     /// The bus could not be opened.
-    Adapter(ErrorKind, String),
+    Adapter(ErrorKind),
     /// The host failed: a file or a folder.
-    Io(io::ErrorKind, String),
+    Io(io::ErrorKind),
 }
 
 impl Cause {
+    fn row(self) -> (&'static str, i32) {
+        let (name, errno) = match self {
+            Cause::Invalid => ("invalid", Errno::INVAL),
+            Cause::OutOfRange => ("out-of-range", Errno::RANGE),
+            Cause::NotPermitted => ("not-permitted", Errno::PERM),
+            Cause::Busy => ("busy", Errno::BUSY),
+            Cause::NotNow => ("not-now", Errno::AGAIN),
+            Cause::BadChecksum => ("bad-checksum", Errno::BADMSG),
+            Cause::Protocol => ("protocol", Errno::PROTO),
+            Cause::TimedOut => ("timed-out", Errno::TIMEDOUT),
+            Cause::RolledBack => ("rolled-back", Errno::IO),
+            Cause::StateUnknown => ("state-unknown", Errno::NOTRECOVERABLE),
+            Cause::Gone => ("gone", Errno::NODEV),
+            Cause::NoAnswer => ("no-answer", Errno::NXIO),
+            Cause::Bus(bus) => return ("bus", bus.errno()),
+            Cause::Adapter(kind) => return ("adapter", kind.errno()),
+            Cause::Io(kind) => return ("io", errno_of(kind)),
+        };
+        (name, errno.raw_os_error())
+    }
+
     /// Its name for a program, such as `out-of-range`.
-    pub fn name(&self) -> &'static str {
-        match self {
-            Cause::Invalid(_) => "invalid",
-            Cause::OutOfRange(_) => "out-of-range",
-            Cause::NotPermitted(_) => "not-permitted",
-            Cause::Busy(_) => "busy",
-            Cause::NotNow(_) => "not-now",
-            Cause::BadChecksum(_) => "bad-checksum",
-            Cause::Protocol(_) => "protocol",
-            Cause::TimedOut(_) => "timed-out",
-            Cause::RolledBack(_) => "rolled-back",
-            Cause::StateUnknown(_) => "state-unknown",
-            Cause::Gone(_) => "gone",
-            Cause::NoAnswer(_) => "no-answer",
-            Cause::Bus(_) => "bus",
-            Cause::Adapter(..) => "adapter",
-            Cause::Io(..) => "io",
-        }
+    pub fn name(self) -> &'static str {
+        self.row().0
+    }
+
+    /// The errno that a file operation answers with.
+    pub fn errno(self) -> i32 {
+        self.row().1
     }
 }
 
-/// What an error is about, as far as it is known. Nothing that a user wrote is among it: that may be a key.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-#[non_exhaustive]
-pub struct Facts {
-    /// The register, as the manual names it.
-    pub register: Option<String>,
-    /// The place in data flash: the id of its subclass, or [`FLAT`](crate::chip::FLAT), and an offset in bytes.
-    pub place: Option<(u8, u16)>,
-    /// The least value and the greatest one that are allowed, in the unit of the register or parameter.
-    pub limits: Option<[String; 2]>,
-    /// What the gauge shows instead, in the same unit.
-    pub value: Option<i64>,
-    /// The access has left something to do, or was refused because of what an earlier one has left.
-    pub owed: bool,
+/// One fact about a failure.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Fact {
+    /// A yes.
+    Yes,
+    /// A number.
+    Number(i64),
+    /// A name, or a number with its notation.
+    Text(Cow<'static, str>),
+    /// A place in data flash: the id of its subclass, or [`FLAT`](crate::chip::FLAT), and an offset in bytes.
+    Place((u8, u16)),
 }
 
-/// One failure: subject, step and cause.
-#[derive(Clone, Debug)]
-pub struct Error {
+impl From<u16> for Fact {
+    fn from(number: u16) -> Self {
+        Self::Number(number.into())
+    }
+}
+
+impl From<i64> for Fact {
+    fn from(number: i64) -> Self {
+        Self::Number(number)
+    }
+}
+
+impl From<&'static str> for Fact {
+    fn from(text: &'static str) -> Self {
+        Self::Text(text.into())
+    }
+}
+
+impl From<String> for Fact {
+    fn from(text: String) -> Self {
+        Self::Text(text.into())
+    }
+}
+
+/// Makes [`Reason`] of one row for each failure: its name for a program, its cause, the facts about it, and its text.
+macro_rules! reasons {
+    ($($(#[doc = $doc:literal])+ $variant:ident { $($field:ident: $type:ty),+ } $name:literal, $cause:ident, $($text:expr),+;)+) => {
+        /// Why something failed.
+        #[derive(Clone, Debug, PartialEq, Eq)]
+        #[non_exhaustive]
+        pub enum Reason {
+            /// What has no facts of its own.
+            Text(Cause, Cow<'static, str>),
+            /// A transfer on the bus.
+            Bus(BusError),
+            $($(#[doc = $doc])+ $variant { $(#[doc = concat!("The fact `", stringify!($field), "`.")] $field: $type),+ },)+
+        }
+
+        impl Reason {
+            /// Its name for a program, its cause, and the facts by their names.
+            fn row(&self) -> (Option<&'static str>, Cause, Vec<(&'static str, Fact)>) {
+                match self {
+                    Self::Text(cause, _) => (None, *cause, Vec::new()),
+                    Self::Bus(bus) => (None, Cause::Bus(*bus), Vec::new()),
+                    $(Self::$variant { $($field),+ } => {
+                        (Some($name), Cause::$cause, vec![$((stringify!($field), $field.clone().into())),+])
+                    })+
+                }
+            }
+        }
+
+        impl fmt::Display for Reason {
+            fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                match self {
+                    Self::Text(_, text) => f.write_str(text),
+                    Self::Bus(bus) => bus.fmt(f),
+                    $(Self::$variant { $($field),+ } => write!(f, $($text),+),)+
+                }
+            }
+        }
+    };
+}
+
+// Nothing that a user wrote is among the facts: it may be a key that was meant for another file.
+reasons! {
+    /// A value is outside of what is allowed, in that unit.
+    OutOfRange { least: String, greatest: String, unit: &'static str } "out-of-range", OutOfRange,
+        "the value is outside {least} to {greatest}{}{unit}", if unit.is_empty() { "" } else { " " };
+    /// A value would do harm.
+    Unsafe { number: i64, least: i64, why: &'static str } "unsafe", OutOfRange, "{number} is below {least}: {why}";
+    /// The gauge's supply is outside of what the part works from, in mV.
+    Supply { value: u16, least: u16, greatest: u16 } "supply-voltage", NotNow,
+        "{value} mV, and the part works from {least} to {greatest} mV: charge the cell, or check its connection";
+}
+
+/// One failure: subject, step and reason.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Error(Box<Inner>);
+
+#[derive(Clone, Debug, PartialEq, Eq)]
+struct Inner {
     subject: String,
     step: Option<Step>,
-    cause: Cause,
-    /// `None` if nothing is known. It is behind a pointer because every result has room for an error.
-    more: Option<Box<More>>,
+    reason: Reason,
+    /// The register, as the manual names it.
+    register: Option<String>,
+    /// The place in data flash.
+    place: Option<(u8, u16)>,
+    /// The access has left something to do, or was refused because of what an earlier one has left.
+    owed: bool,
+    host: Option<Host>,
 }
 
-/// What few errors have.
-#[derive(Clone, Debug, Default)]
-struct More {
-    facts: Facts,
-    /// The host's own error.
-    source: Option<Arc<io::Error>>,
-}
+/// The host's own error.
+#[derive(Clone, Debug)]
+struct Host(Arc<io::Error>);
 
-/// The host's own error has no equality; cause and text tell it apart.
-impl PartialEq for Error {
+/// It has no equality; its kind and its number have.
+impl PartialEq for Host {
     fn eq(&self, other: &Self) -> bool {
-        let Self { subject, step, cause, more: _ } = self;
-        (subject, step, cause, self.facts()) == (&other.subject, &other.step, &other.cause, other.facts())
+        (self.0.kind(), self.0.raw_os_error()) == (other.0.kind(), other.0.raw_os_error())
     }
 }
 
-impl Eq for Error {}
+impl Eq for Host {}
 
 impl Error {
     /// An error about `subject`: a register, a parameter, a file or a bus.
-    pub fn new(subject: impl Into<String>, cause: Cause) -> Self {
-        Self { subject: subject.into(), step: None, cause, more: None }
+    pub fn new(subject: impl Into<String>, cause: Cause, text: impl Into<Cow<'static, str>>) -> Self {
+        Self::of(subject, Reason::Text(cause, text.into()))
+    }
+
+    /// An error whose reason has facts.
+    pub fn of(subject: impl Into<String>, reason: Reason) -> Self {
+        let subject = subject.into();
+        Self(Box::new(Inner {
+            subject,
+            step: None,
+            reason,
+            register: None,
+            place: None,
+            owed: false,
+            host: None,
+        }))
+    }
+
+    /// A transfer that failed.
+    pub(crate) fn bus(subject: impl Into<String>, bus: BusError) -> Self {
+        Self::of(subject, Reason::Bus(bus))
     }
 
     /// The host's error; `what` says what failed.
@@ -177,135 +284,120 @@ impl Error {
         let own = error
             .raw_os_error()
             .map_or_else(|| io::Error::new(error.kind(), error.to_string()), io::Error::from_raw_os_error);
-        let cause = Cause::Io(error.kind(), format!("{what}: {}", reason(error)));
-        let mut error = Self::new(subject, cause);
-        error.more().source = Some(Arc::new(own));
-        error
+        Self::host(subject, own, format!("{what}: {}", reason(error)))
     }
 
-    /// An error about a register.
-    pub(crate) fn of_register(name: impl Into<String>, cause: Cause) -> Self {
-        let name = name.into();
-        let mut error = Self::new(name.clone(), cause);
-        error.more().facts.register = Some(name);
-        error
+    /// The host's error, in words that say what to do.
+    pub fn host(subject: impl Into<String>, error: io::Error, text: impl Into<String>) -> Self {
+        let mut failed = Self::new(subject, Cause::Io(error.kind()), text.into());
+        failed.0.host = Some(Host(Arc::new(error)));
+        failed
     }
 
-    fn more(&mut self) -> &mut More {
-        self.more.get_or_insert_default()
+    /// Notes that it is about the register which is its subject.
+    #[must_use]
+    pub(crate) fn of_register(mut self) -> Self {
+        self.0.register = Some(self.0.subject.clone());
+        self
     }
 
     /// Notes where in data flash it is, unless that is known already.
     #[must_use]
     pub fn at_place(mut self, place: (u8, u16)) -> Self {
-        self.more().facts.place.get_or_insert(place);
-        self
-    }
-
-    /// Notes which values are allowed.
-    #[must_use]
-    pub(crate) fn allowing(mut self, least: impl ToString, greatest: impl ToString) -> Self {
-        self.more().facts.limits = Some([least.to_string(), greatest.to_string()]);
-        self
-    }
-
-    /// Notes what the gauge shows.
-    #[must_use]
-    pub(crate) fn showing(mut self, value: impl Into<i64>) -> Self {
-        self.more().facts.value = Some(value.into());
+        self.0.place.get_or_insert(place);
         self
     }
 
     /// Notes whether it is about what is owed, unless that is known already.
     #[must_use]
     pub fn owing(mut self, owed: bool) -> Self {
-        if owed {
-            self.more().facts.owed = true;
-        }
+        self.0.owed |= owed;
         self
     }
 
     /// Adds the step it happened in, unless one is known already.
     #[must_use]
     pub fn at(mut self, step: Step) -> Self {
-        self.step.get_or_insert(step);
+        self.0.step.get_or_insert(step);
         self
     }
 
     /// Replaces the subject, for a caller that knows the parameter's name.
     #[must_use]
     pub fn about(mut self, subject: impl Into<String>) -> Self {
-        self.subject = subject.into();
+        self.0.subject = subject.into();
         self
     }
 
     /// Puts a larger subject in front: the parameter whose transaction failed.
     #[must_use]
     pub fn within(mut self, subject: &str) -> Self {
-        if self.subject.is_empty() {
-            self.subject = subject.to_string();
-        } else if !subject.is_empty() && self.subject != subject {
-            self.subject = format!("{subject}: {}", self.subject);
+        if self.0.subject.is_empty() {
+            self.0.subject = subject.to_string();
+        } else if !subject.is_empty() && self.0.subject != subject {
+            self.0.subject = format!("{subject}: {}", self.0.subject);
         }
         self
     }
 
-    /// What happened.
-    pub fn cause(&self) -> &Cause {
-        &self.cause
+    /// The kind of failure.
+    pub fn cause(&self) -> Cause {
+        self.0.reason.row().1
+    }
+
+    /// The errno that a file operation answers with: the host's own, or that of the cause.
+    pub fn errno(&self) -> i32 {
+        self.0.host.as_ref().and_then(|host| host.0.raw_os_error()).unwrap_or_else(|| self.cause().errno())
+    }
+
+    /// What happened. Its text is the line without subject and step.
+    pub fn reason(&self) -> &Reason {
+        &self.0.reason
     }
 
     /// The step that failed, where there is one.
     pub fn step(&self) -> Option<Step> {
-        self.step
+        self.0.step
     }
 
-    /// What it is about.
-    pub fn facts(&self) -> &Facts {
-        static NOTHING: Facts = Facts { register: None, place: None, limits: None, value: None, owed: false };
-        self.more.as_ref().map_or(&NOTHING, |more| &more.facts)
+    /// Whether the access has left something to do, or was refused because of what an earlier one has left.
+    pub fn is_owed(&self) -> bool {
+        self.0.owed
     }
-}
 
-impl fmt::Display for Cause {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Cause::Invalid(text)
-            | Cause::OutOfRange(text)
-            | Cause::NotPermitted(text)
-            | Cause::Busy(text)
-            | Cause::NotNow(text)
-            | Cause::BadChecksum(text)
-            | Cause::Protocol(text)
-            | Cause::TimedOut(text)
-            | Cause::RolledBack(text)
-            | Cause::StateUnknown(text)
-            | Cause::Gone(text)
-            | Cause::NoAnswer(text)
-            | Cause::Adapter(_, text)
-            | Cause::Io(_, text) => f.write_str(text),
-            Cause::Bus(bus) => bus.fmt(f),
-        }
+    /// What is known of it, by names for a program.
+    pub fn facts(&self) -> Vec<(&'static str, Fact)> {
+        let Inner { step, reason, register, place, owed, .. } = &*self.0;
+        let (name, cause, own) = reason.row();
+        let more = [
+            ("cause", Some(cause.name().into())),
+            ("step", step.map(|step| step.as_str().into())),
+            ("reason", name.map(Fact::from)),
+            ("register", register.clone().map(Fact::from)),
+            ("place", place.map(Fact::Place)),
+            ("owed", owed.then_some(Fact::Yes)),
+        ];
+        more.into_iter().filter_map(|(name, fact)| Some((name, fact?))).chain(own).collect()
     }
 }
 
 impl fmt::Display for Error {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        if !self.subject.is_empty() {
-            write!(f, "{}: ", self.subject)?;
+        if !self.0.subject.is_empty() {
+            write!(f, "{}: ", self.0.subject)?;
         }
-        if let Some(step) = self.step {
+        if let Some(step) = self.0.step {
             write!(f, "{}: ", step.as_str())?;
         }
-        self.cause.fmt(f)
+        self.0.reason.fmt(f)
     }
 }
 
 impl error::Error for Error {
     fn source(&self) -> Option<&(dyn error::Error + 'static)> {
-        match (self.more.as_ref().and_then(|more| more.source.as_ref()), &self.cause) {
-            (Some(host), _) => Some(&**host),
-            (None, Cause::Bus(bus)) => Some(bus),
+        match (&self.0.host, &self.0.reason) {
+            (Some(host), _) => Some(&*host.0),
+            (None, Reason::Bus(bus)) => Some(bus),
             (None, _) => None,
         }
     }
@@ -313,13 +405,13 @@ impl error::Error for Error {
 
 impl From<BusError> for Error {
     fn from(bus: BusError) -> Self {
-        Self::new("", Cause::Bus(bus))
+        Self::bus("", bus)
     }
 }
 
 impl From<gauge_bus::Error> for Error {
     fn from(error: gauge_bus::Error) -> Self {
-        Self::new(error.subject, Cause::Adapter(error.kind, error.text))
+        Self::new(error.subject, Cause::Adapter(error.kind), error.text)
     }
 }
 
@@ -329,21 +421,39 @@ mod tests {
 
     #[test]
     fn a_subject_that_is_empty_leaves_no_colon() {
-        let error = Error::new("Cell Terminate Voltage", Cause::Invalid("x".into()));
+        let error = Error::new("Cell Terminate Voltage", Cause::Invalid, "x");
         assert_eq!(error.clone().within("").to_string(), "Cell Terminate Voltage: x");
         assert_eq!(error.clone().within("line 3").to_string(), "line 3: Cell Terminate Voltage: x");
-        assert_eq!(Error::new("", Cause::Invalid("x".into())).within("").to_string(), "x");
+        assert_eq!(Error::new("", Cause::Invalid, "x").within("").to_string(), "x");
+    }
+
+    #[test]
+    fn an_error_has_facts() {
+        let why = Reason::OutOfRange { least: "1000".into(), greatest: "3700".into(), unit: "mV" };
+        let error = Error::of("Cell Terminate Voltage", why).at(Step::Check).at_place((80, 53));
+        assert_eq!(error.to_string(), "Cell Terminate Voltage: check: the value is outside 1000 to 3700 mV");
+        assert_eq!(error.errno(), Errno::RANGE.raw_os_error());
+        let facts = [
+            ("cause", "out-of-range".into()),
+            ("step", "check".into()),
+            ("reason", "out-of-range".into()),
+            ("place", Fact::Place((80, 53))),
+            ("least", "1000".into()),
+            ("greatest", "3700".into()),
+            ("unit", "mV".into()),
+        ];
+        assert_eq!(error.facts(), facts);
     }
 
     #[test]
     fn an_error_has_its_source() {
         use std::error::Error as _;
-        let bus = Error::new("Voltage()", Cause::Bus(BusError::NoAck));
+        let bus = Error::bus("Voltage()", BusError::NoAck);
         assert_eq!(bus.source().expect("the bus").downcast_ref(), Some(&BusError::NoAck));
         let full = io::Error::from_raw_os_error(28);
         let host = Error::io("/tmp/x", "cannot be written", &full);
         let source = host.source().expect("the host").downcast_ref::<io::Error>().expect("its error");
-        assert_eq!(source.raw_os_error(), Some(28));
-        assert!(Error::new("seal", Cause::Invalid("x".into())).source().is_none());
+        assert_eq!((source.raw_os_error(), host.errno()), (Some(28), 28));
+        assert!(Error::new("seal", Cause::Invalid, "x").source().is_none());
     }
 }

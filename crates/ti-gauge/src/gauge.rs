@@ -429,20 +429,20 @@ impl Gauge {
             return Ok(());
         }
         let why = "only its standard commands are known, so nothing is written to it";
-        Err(Error::new(self.chip.name, Cause::NotPermitted(why.into())))
+        Err(Error::new(self.chip.name, Cause::NotPermitted, why))
     }
 
     /// Fills `into` with the bytes starting at an address.
     pub fn read(&mut self, code: u8, into: &mut [u8]) -> Result<()> {
         self.again(|gauge| gauge.transfer(&[code], into))
-            .map_err(|bus| Error::of_register(self.name_of(code), Cause::Bus(bus)).at(Step::Read))
+            .map_err(|bus| Error::bus(self.name_of(code), bus).of_register().at(Step::Read))
     }
 
     /// Writes bytes that may be written twice without harm: a pointer, a selection, the window's buffer.
     pub fn write(&mut self, code: u8, data: &[u8]) -> Result<()> {
         self.may_write()?;
         self.again(|gauge| gauge.write_once(code, data))
-            .map_err(|bus| Error::of_register(self.name_of(code), Cause::Bus(bus)))
+            .map_err(|bus| Error::bus(self.name_of(code), bus).of_register())
     }
 
     /// Writes bytes whose effect must not happen twice.
@@ -485,7 +485,7 @@ impl Gauge {
     pub fn command_once(&mut self, code: u16) -> Result<()> {
         self.may_write()?;
         let sent = self.write_once(CONTROL, &code.to_le_bytes());
-        sent.map_err(|bus| Error::new(self.subcommand_name(code), Cause::Bus(bus)).at(Step::Control))
+        sent.map_err(|bus| Error::bus(self.subcommand_name(code), bus).at(Step::Control))
     }
 
     /// Sends a subcommand that must not reach another gauge: only if nothing has happened since then behind which this
@@ -502,9 +502,9 @@ impl Gauge {
         if !is_same {
             let why =
                 "not sent: the gauge did not answer for a moment, in which its pack may have been exchanged";
-            return Err(Error::new(subject, Cause::NotNow(why.into())).at(Step::Control));
+            return Err(Error::new(subject, Cause::NotNow, why).at(Step::Control));
         }
-        sent.map_err(|bus| Error::new(subject, Cause::Bus(bus)).at(Step::Control))
+        sent.map_err(|bus| Error::bus(subject, bus).at(Step::Control))
     }
 
     /// Sends a subcommand and reads the word that it answers with.
@@ -585,7 +585,7 @@ impl Gauge {
 
     /// Makes sure that no kernel driver has taken the address.
     pub fn claim(&mut self) -> Result<()> {
-        self.bus.claim().map_err(|bus| Error::new(self.chip.name, Cause::Bus(bus)).at(Step::Check))
+        self.bus.claim().map_err(|bus| Error::bus(self.chip.name, bus).at(Step::Check))
     }
 
     /// Releases an adapter that was removed.
@@ -638,7 +638,7 @@ impl Gauge {
         let why = format!(
             "device type is 0x{found:04x}, not 0x{expected:04x}: another part answers; mount it anew"
         );
-        Err(Error::new(self.chip.model, Cause::Gone(why)).at(Step::Identify))
+        Err(Error::new(self.chip.model, Cause::Gone, why).at(Step::Identify))
     }
 
     /// Reads the seal state.
@@ -674,9 +674,7 @@ impl Gauge {
                     differ += 1;
                     if differ > TRIES {
                         let why = "the seal state reads differently each time: check the bus";
-                        return Err(
-                            Error::new("CONTROL_STATUS", Cause::Protocol(why.into())).at(Step::Control)
-                        );
+                        return Err(Error::new("CONTROL_STATUS", Cause::Protocol, why).at(Step::Control));
                     }
                     if before.is_none() {
                         self.wait(APART);
@@ -721,7 +719,7 @@ impl Gauge {
                 }
             }
             SealStatus::None => {
-                return Err(Error::of_register("CONTROL_STATUS", Cause::Bus(BusError::ReadOnly)));
+                return Err(Error::bus("CONTROL_STATUS", BusError::ReadOnly).of_register());
             }
             SealStatus::Field { register, shift } => {
                 let word = match register {
@@ -738,7 +736,7 @@ impl Gauge {
                     1 => Seal::FullAccess,
                     _ => {
                         let why = format!("security bits of 0x{word:04x} are 00, which means no state");
-                        return Err(Error::new("CONTROL_STATUS", Cause::Protocol(why)));
+                        return Err(Error::new("CONTROL_STATUS", Cause::Protocol, why));
                     }
                 }
             }
@@ -755,7 +753,7 @@ impl Gauge {
     /// pause, as TI advises, and then never again: a refused key is not sent in a loop. Two cases are no refusal
     /// of the key: the gauge has accepted it before, or a transfer failed in between.
     pub fn unseal(&mut self) -> Result<()> {
-        let refuse = |why: String| Error::new(self.chip.model, Cause::NotPermitted(why)).at(Step::Unseal);
+        let refuse = |why: String| Error::new(self.chip.model, Cause::NotPermitted, why).at(Step::Unseal);
         let place = self.key_file.clone();
         let Some(key) = self.key(Name::Unseal) else {
             return Err(refuse(format!("SEALED, and no key is given; put it into {place} and mount again")));
@@ -770,12 +768,12 @@ impl Gauge {
         }
         if self.proven.is_some() || self.failures != failures {
             let why = "SEALED, and the gauge did not take its key, twice: the bus is disturbed; try again";
-            return Err(Error::new(self.chip.model, Cause::NotNow(why.into())).at(Step::Unseal));
+            return Err(Error::new(self.chip.model, Cause::NotNow, why).at(Step::Unseal));
         }
         self.refused = true;
         let why =
             format!("SEALED, and the gauge refused the key; put the right one into {place} and mount again");
-        Err(Error::new(self.chip.model, Cause::NotPermitted(why)).at(Step::Unseal))
+        Err(Error::new(self.chip.model, Cause::NotPermitted, why).at(Step::Unseal))
     }
 
     /// Whether the gauge that is there is known to have the unseal key: it has accepted it, and nothing has happened
@@ -807,7 +805,7 @@ impl Gauge {
 
     /// Goes from UNSEALED to FULL ACCESS and confirms it.
     pub fn full_access(&mut self) -> Result<()> {
-        let refuse = |why: String| Error::new(self.chip.model, Cause::NotPermitted(why)).at(Step::Unseal);
+        let refuse = |why: String| Error::new(self.chip.model, Cause::NotPermitted, why).at(Step::Unseal);
         if !self.chip.security.full_access {
             return Err(refuse("this part has no FULL ACCESS".into()));
         }
@@ -818,7 +816,7 @@ impl Gauge {
         if self.takes(&key, Seal::FullAccess)? {
             return Ok(());
         }
-        Err(Error::new(self.chip.model, Cause::NotPermitted("the gauge refused the full-access key".into()))
+        Err(Error::new(self.chip.model, Cause::NotPermitted, "the gauge refused the full-access key")
             .at(Step::Unseal))
     }
 
@@ -837,7 +835,7 @@ impl Gauge {
         let silence = self.chip.security.key_silence;
         if self.deadline.is_some_and(|deadline| self.clock.now() + silence >= deadline) {
             let why = "the gauge did not take the key, and no time is left to send it once more; try again";
-            return Err(Error::new(self.chip.model, Cause::TimedOut(why.into())).at(Step::Unseal));
+            return Err(Error::new(self.chip.model, Cause::TimedOut, why).at(Step::Unseal));
         }
         self.wait(silence);
         if goal == Seal::Unsealed {
@@ -860,7 +858,7 @@ impl Gauge {
         if let Err(bus) = sent
             && !bus.is_transient()
         {
-            return Err(Error::new(self.chip.model, Cause::Bus(bus)).at(Step::Unseal));
+            return Err(Error::bus(self.chip.model, bus).at(Step::Unseal));
         }
         self.commands(goal);
         // A key that is sent too early is refused, for FULL ACCESS and on a gauge with RAM, so a single misread state
@@ -894,7 +892,7 @@ impl Gauge {
             return Ok(());
         }
         let why = format!("the gauge is {} again: it has been reset or has lost its power", now.as_str());
-        Err(Error::new(self.chip.model, Cause::NotNow(why)).at(Step::Unseal))
+        Err(Error::new(self.chip.model, Cause::NotNow, why).at(Step::Unseal))
     }
 
     /// Goes to a seal state from the state `now`, and confirms it.
@@ -942,13 +940,13 @@ impl Gauge {
                     return Ok(());
                 }
                 Err(error) if matches!(error.cause(), Cause::Bus(bus) if !bus.is_transient()) => break,
-                Err(error) if matches!(error.cause(), Cause::NotNow(_)) => break,
+                Err(error) if matches!(error.cause(), Cause::NotNow) => break,
                 _ => self.wait(SEAL_POLL),
             }
         }
         let state = outcome.map_err(|error| error.at(Step::Seal))?;
         let why = format!("the gauge was sent SEALED {SEALS} times and is still {}", state.as_str());
-        Err(Error::new(self.chip.model, Cause::Protocol(why)).at(Step::Seal))
+        Err(Error::new(self.chip.model, Cause::Protocol, why).at(Step::Seal))
     }
 
     /// Notes that a SEALED which did not arrive was IT_ENABLE, which differs in one bit: [QEN] is set, and was not before.
@@ -1046,5 +1044,5 @@ pub fn agreed<T: PartialEq>(subject: &str, mut look: impl FnMut() -> Result<T>) 
         last = next;
     }
     let why = "it reads differently each time: check the bus";
-    Err(Error::new(subject, Cause::Protocol(why.into())).at(Step::Read))
+    Err(Error::new(subject, Cause::Protocol, why).at(Step::Read))
 }

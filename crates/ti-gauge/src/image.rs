@@ -195,12 +195,12 @@ pub(crate) fn at_line(line: usize, why: impl Into<String>) -> Error {
         why.truncate(end);
         why += "...";
     }
-    Error::new(format!("line {line}"), Cause::Invalid(why))
+    Error::new(format!("line {line}"), Cause::Invalid, why)
 }
 
 /// An error about a file that does not hold as much as its first lines say.
 fn cut_short(why: impl fmt::Display) -> Error {
-    Error::new("", Cause::Invalid(format!("{why}; the file is cut short, or lines were added or removed")))
+    Error::new("", Cause::Invalid, format!("{why}; the file is cut short, or lines were added or removed"))
 }
 
 /// Checks the count that gaugefs writes into the first lines of a file. A file that has one ends with a whole line.
@@ -466,7 +466,7 @@ impl Image {
             let why = "a binary image of data flash (.dfi), which does not say what it is for; export a .gg.csv or .gm.fs \
                        with them, or a .df.fs for a bq34z100";
             let mut faults = Faults::default();
-            faults.add(0, Error::new("", Cause::Invalid(why.into())));
+            faults.add(0, Error::new("", Cause::Invalid, why));
             return Reading { image: None, faults };
         }
         // Tools use other encodings in comments and units, which are not needed here.
@@ -488,7 +488,7 @@ impl Image {
 
     fn found(text: &str, chip: Option<&'static Chip>, faults: &mut Faults) -> Option<Self> {
         let text = text.strip_prefix('\u{feff}').unwrap_or(text);
-        let invalid = |why: String| Error::new("", Cause::Invalid(why));
+        let invalid = |why: String| Error::new("", Cause::Invalid, why);
         if text.trim().is_empty() {
             return faults.stop(0, invalid("the file is empty".into()));
         }
@@ -559,7 +559,7 @@ impl Image {
             && here != there
         {
             let why = format!("it is for firmware 0x{there:04x}, but the gauge has 0x{here:04x}");
-            return Err(Error::new("", Cause::Invalid(why)));
+            return Err(Error::new("", Cause::Invalid, why));
         }
         let Comparison { differences, only_second, .. } = self.compare(file, exclude)?;
         let asked_for = file.left_out.iter().filter(|left| left.counts(exclude));
@@ -647,7 +647,7 @@ impl Image {
     pub fn compare<'a>(&'a self, new: &'a Image, exclude: &[Group]) -> Result<Comparison<'a>> {
         if !std::ptr::eq(self.chip, new.chip) {
             let why = format!("one is for a {}, the other for a {}", self.chip.model, new.chip.model);
-            return Err(Error::new("", Cause::Invalid(why)));
+            return Err(Error::new("", Cause::Invalid, why));
         }
         let mut comparison = Comparison {
             differences: Vec::new(),
@@ -812,7 +812,7 @@ fn chip_of(
     device_type: Option<u16>,
     firmware: Option<u16>,
 ) -> Result<&'static Chip> {
-    let invalid = |why: String| Err(Error::new("", Cause::Invalid(why)));
+    let invalid = |why: String| Err(Error::new("", Cause::Invalid, why));
     let is = |chip: &Chip| {
         device_type.is_none_or(|code| chip.identity.device_type == code)
             && firmware.is_none_or(|code| fits(chip.identity.firmware, code))

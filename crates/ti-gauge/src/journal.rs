@@ -372,7 +372,7 @@ impl Journal {
         let entry = text.and_then(|text| {
             let why =
                 "not a whole journal of this version of gaugefs; inspect it, and move it away or discard it";
-            parse(&text).ok_or_else(|| Error::new(&name, Cause::BadChecksum(why.into())))
+            parse(&text).ok_or_else(|| Error::new(&name, Cause::BadChecksum, why))
         });
         let other = entry.as_ref().ok().and_then(|entry| entry.machine.as_ref()).filter(|machine| {
             // Where locks do not work, another host may be at work on it.
@@ -410,7 +410,7 @@ impl Journal {
                     continue;
                 }
                 let why = "an interrupted write is not settled yet; see gaugefs settle";
-                return Err(Error::new(path.display().to_string(), Cause::Busy(why.into())));
+                return Err(Error::new(path.display().to_string(), Cause::Busy, why));
             }
             match self.store(&path, true, identity, found, blocks) {
                 Err(error) if error.kind() == ErrorKind::AlreadyExists && self.disk.exists(&path) => {}
@@ -459,7 +459,7 @@ impl Journal {
         };
         if !file.lock().map_err(|error| refused(path, &error))? {
             let why = "another gaugefs works on this journal";
-            return Err(Error::new(path.display().to_string(), Cause::Busy(why.into())));
+            return Err(Error::new(path.display().to_string(), Cause::Busy, why));
         }
         Ok(Some(OpenJournal { disk: self.disk.clone(), file, path: path.into() }))
     }
@@ -526,7 +526,7 @@ fn untrusted(path: &Path, error: &io::Error) -> Error {
         "{error}, so what is there is not believed, and nothing is written to the gauge: make it your own and only yours \
          to write (chown, chmod go-w), or choose another folder with --state-dir"
     );
-    Error::new(path.display().to_string(), Cause::NotPermitted(why))
+    Error::new(path.display().to_string(), Cause::NotPermitted, why)
 }
 
 impl OpenJournal {

@@ -6,7 +6,7 @@
 use crate::chip::{Parameter, Range};
 use crate::codec;
 use crate::date;
-use crate::error::{Cause, Error, Result};
+use crate::error::{Cause, Error, Reason, Result};
 use crate::text::unhex;
 use crate::unit;
 use crate::value::{Type, Value};
@@ -73,7 +73,7 @@ pub fn string(parameter: &Parameter, bytes: Vec<u8>) -> Result<Value> {
     let room = parameter.kind.size() - 1;
     if bytes.len() > room {
         let why = format!("{} characters, but only {room} fit", bytes.len());
-        return Err(Error::new(parameter.name, Cause::Invalid(why)));
+        return Err(Error::new(parameter.name, Cause::Invalid, why));
     }
     Ok(Value::Text(bytes))
 }
@@ -110,9 +110,8 @@ pub fn check(parameter: &Parameter, value: &Value) -> Result<()> {
 
 /// What was written is not repeated: it may be a key that was meant for another file.
 fn outside(parameter: &Parameter, min: &str, max: &str) -> Error {
-    let unit = if parameter.unit.is_empty() { String::new() } else { format!(" {}", parameter.unit) };
-    Error::new(parameter.name, Cause::OutOfRange(format!("the value is outside {min} to {max}{unit}")))
-        .allowing(min, max)
+    let reason = Reason::OutOfRange { least: min.into(), greatest: max.into(), unit: parameter.unit };
+    Error::of(parameter.name, reason)
 }
 
 /// Parses a value that a gauge already holds, in or out of range: only the type is checked.
@@ -121,7 +120,7 @@ pub fn parse_stored(parameter: &Parameter, text: &[u8]) -> Result<Value> {
 }
 
 fn parse_in(parameter: &Parameter, range: Option<&Range>, text: &[u8]) -> Result<Value> {
-    let invalid = |why: String| Error::new(parameter.name, Cause::Invalid(why));
+    let invalid = |why: String| Error::new(parameter.name, Cause::Invalid, why);
     let Some(text) = std::str::from_utf8(text).ok().map(str::trim).filter(|text| text.len() < 100) else {
         return Err(invalid(format!("not a value of type {}", parameter.kind)));
     };
@@ -220,10 +219,10 @@ fn integer(text: &str) -> Option<Option<i64>> {
 /// Parses a value for a parameter: as its file accepts it, or with a unit that gives exactly a value that can be stored, or a
 /// date as `2026-11-22`. The error says which units are accepted.
 pub fn parse_with_unit(parameter: &Parameter, text: &str) -> Result<Value> {
-    let invalid = |why: String| Error::new(parameter.name, Cause::Invalid(why));
+    let invalid = |why: String| Error::new(parameter.name, Cause::Invalid, why);
     let text = text.trim();
     let plain = match parse(parameter, text.as_bytes()) {
-        Err(error) if matches!(error.cause(), Cause::Invalid(_)) => error,
+        Err(error) if matches!(error.cause(), Cause::Invalid) => error,
         plain => return plain,
     };
     if matches!(parameter.kind, Type::S(_)) {
@@ -368,11 +367,11 @@ mod tests {
     const NAME: Parameter = Parameter::text(55, 5, "Device Chemistry", "LION");
 
     fn is_invalid(error: &Error) -> bool {
-        matches!(error.cause(), Cause::Invalid(_))
+        matches!(error.cause(), Cause::Invalid)
     }
 
     fn is_out_of_range(error: &Error) -> bool {
-        matches!(error.cause(), Cause::OutOfRange(_))
+        matches!(error.cause(), Cause::OutOfRange)
     }
 
     fn refusal(parameter: &Parameter, text: &str) -> Error {

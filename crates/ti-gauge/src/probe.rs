@@ -108,7 +108,7 @@ pub fn check(gauge: &mut Gauge) -> Result<()> {
     if reading(gauge)?.is_plausible() {
         return Ok(());
     }
-    Err(Error::new("", Cause::Gone(STRANGE.into())).at(Step::Identify))
+    Err(Error::new("", Cause::Gone, STRANGE).at(Step::Identify))
 }
 
 /// The chips whose registers read plausibly at the address. Fails if no chip's registers could be read at all.
@@ -245,10 +245,10 @@ fn questions(chip: &Chip) -> Questions {
 
 /// The chip at an address that the user has named.
 pub fn find(subject: &str, target: &Target<'_>) -> Result<&'static Chip> {
-    let failed = |cause| Err(Error::new(subject, cause).at(Step::Identify));
+    let failed = |cause, why: String| Err(Error::new(subject, cause, why).at(Step::Identify));
     let plausible = candidates(target).map_err(|error| error.within(subject))?;
     if plausible.is_empty() {
-        return failed(Cause::Gone(STRANGE.into()));
+        return failed(Cause::Gone, STRANGE.into());
     }
     let who = identify(&plausible, target).map_err(|error| error.within(subject))?;
     let chips = if who.chips.is_empty() && who.sibling.is_none() { &who.unproven } else { &who.chips };
@@ -256,18 +256,21 @@ pub fn find(subject: &str, target: &Target<'_>) -> Result<&'static Chip> {
         ([one], _) => Ok(one),
         ([], Some(Sibling { like: Some(chip), .. })) => Ok(chip),
         ([], Some(sibling)) => {
-            failed(Cause::Gone(format!("it is a {}, which gaugefs does not support", sibling.name)))
+            failed(Cause::Gone, format!("it is a {}, which gaugefs does not support", sibling.name))
         }
         ([], None) => {
             let Answers { device_type, firmware_version, hardware_version, .. } = who.answers;
-            failed(Cause::Gone(format!(
-                "device type 0x{device_type:04x}, firmware 0x{firmware_version:04x}, hardware \
+            failed(
+                Cause::Gone,
+                format!(
+                    "device type 0x{device_type:04x}, firmware 0x{firmware_version:04x}, hardware \
                  0x{hardware_version:04x}: unknown part; `gaugefs chips` lists the known ones"
-            )))
+                ),
+            )
         }
         (several, _) => {
             let names: Vec<_> = several.iter().map(|chip| chip.name).collect();
-            failed(Cause::Invalid(format!("it may be any of {}; choose with --chip", names.join(", "))))
+            failed(Cause::Invalid, format!("it may be any of {}; choose with --chip", names.join(", ")))
         }
     }
 }

@@ -93,7 +93,7 @@ enum Step {
 impl Firmware {
     /// Checks that a file is the whole firmware of a chip, and that it can be interrupted anywhere.
     pub fn parse(text: &str, chip: &'static Chip) -> Result<Self> {
-        let refuse = |why: String| Error::new("", Cause::Invalid(why));
+        let refuse = |why: String| Error::new("", Cause::Invalid, why);
         let Some(known) = &chip.firmware_file else {
             return Err(refuse(format!(
                 "it is not known how a firmware file of the {} is recognised",
@@ -170,7 +170,7 @@ impl Firmware {
                      and on, which starts its own firmware",
                     self.version
                 );
-                Err(Error::new("", Cause::Gone(why)))
+                Err(Error::new("", Cause::Gone, why))
             }
             _ => Ok(()),
         }
@@ -234,7 +234,7 @@ pub fn look(bus: &mut dyn Bus, clock: &dyn Clock) -> Result<Found> {
     let is_words = row.chunks(3).all(|word| word[2] & !ERASED[2] == 0);
     if !is_words || row.iter().all(|byte| *byte == row[0]) {
         let why = "the device there does not answer like the boot loader of a gauge; nothing was erased";
-        return Err(Error::new(format!("address 0x{ROM_ADDRESS:02x}"), Cause::Gone(why.into())));
+        return Err(Error::new(format!("address 0x{ROM_ADDRESS:02x}"), Cause::Gone, why));
     }
     let marked = row[MARK_AT..MARK_AT + 3] == MARK;
     Ok(Found { version: marked.then(|| version_of(&row)) })
@@ -275,7 +275,7 @@ fn compare(bus: &mut dyn Bus, clock: &dyn Clock, register: u8, expected: &[u8]) 
         RESULT => format!("the gauge did not carry out the command; its result is 0x{:02x}", found[0]),
         _ => format!("the sum of what the gauge has is {}, not {}", hex(&found), hex(expected)),
     };
-    Err(Error::new("", Cause::Protocol(why)))
+    Err(Error::new("", Cause::Protocol, why))
 }
 
 fn hex(bytes: &[u8]) -> String {

@@ -30,7 +30,7 @@ fn tree(chip: &str, present: bool) -> (Fs, Node) {
     let sim = Sim::new(chip, &Options::default(), clock.clone()).expect("a chip that is simulated");
     clock.sleep(Duration::from_secs(1));
     let chip = Chip::by_name(chip).expect("a chip in the tables");
-    let missing = (!present).then(|| Error::new("", Cause::Gone("it is not connected".into())));
+    let missing = (!present).then(|| Error::new("", Cause::Gone, "it is not connected"));
     let startup = Startup { missing, ..Startup::default() };
     let address = if present { 0x55 } else { 0x56 };
     let bus = Box::new(sim.bus_at(address));

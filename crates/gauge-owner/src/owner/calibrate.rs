@@ -45,10 +45,8 @@ impl Owner {
         }
         let why = "the gauge is in calibration mode, which a program has entered and not left: its flash is open at any \
                    voltage, and nothing is written; leave it with `gaugefs calibrate GAUGE leave`";
-        self.shared.report(
-            operations::CALIBRATE.itself(),
-            &Error::new("CONTROL_STATUS [CALEN]", Cause::Busy(why.into())),
-        );
+        self.shared
+            .report(operations::CALIBRATE.itself(), &Error::new("CONTROL_STATUS [CALEN]", Cause::Busy, why));
     }
 }
 

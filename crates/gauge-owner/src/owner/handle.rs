@@ -231,7 +231,7 @@ impl Shared {
     /// more important.
     pub(super) fn record(&self, attempt: Attempt, error: &Error) {
         let line = error.to_string();
-        let failure = Failure { at: Timestamp::now(), attempt, owed: error.facts().owed };
+        let failure = Failure { at: Timestamp::now(), attempt, owed: error.is_owed() };
         self.publish(|published| {
             let shown = published.failed.as_ref().filter(|_| !published.owed.is_empty());
             if shown.is_none_or(|shown| shown.attempt.importance() <= failure.attempt.importance()) {
@@ -612,7 +612,7 @@ mod tests {
         assert!(!rig.handle.take_changed());
         rig.handle.report(
             super::super::operations::CONTROL.itself(),
-            &Error::new("control", Cause::Invalid("no such subcommand".into())),
+            &Error::new("control", Cause::Invalid, "no such subcommand"),
         );
         assert_eq!(&*rig.handle.published().last_error, "control: no such subcommand");
         assert_eq!(rig.owner.shared.signal.wait(seen, None), seen + 1);

@@ -255,7 +255,7 @@ impl Owner {
     /// Shows what is kept of the gauge's pack, writes it, or removes it.
     pub(super) fn keep_learned(&mut self, wish: Wish, asked: Asked) -> Result<()> {
         let chip = self.gauge.chip;
-        let refuse = |why: &str| Error::new("learned", Cause::NotPermitted(why.into()));
+        let refuse = |why: &'static str| Error::new("learned", Cause::NotPermitted, why);
         if chip.volatile.is_none() {
             let why = "its data memory is flash, and keeps what the gauge learns without power";
             return Err(refuse(why));
@@ -270,7 +270,7 @@ impl Owner {
                 let (newest, dropped) = store.newest(chip, self.design_capacity());
                 let Some((time, image)) = newest else {
                     let why = dropped.into_iter().next().unwrap_or_else(|| "nothing is kept of it".into());
-                    return Err(Error::new("learned", Cause::NotNow(why)));
+                    return Err(Error::new("learned", Cause::NotNow, why));
                 };
                 let learned = over(self.memory.profile().to_vec(), image.to_restore()?);
                 let outcome = self.dataflash.restore(&mut self.gauge, &learned, true, asked.waited);

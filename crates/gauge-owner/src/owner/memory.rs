@@ -270,7 +270,7 @@ impl Owner {
              written any more: it resets as soon as it is configured; check its supply, and whether the profile is for \
              this part; after that, unplug the gauge or restart the mount"
         );
-        let error = Error::new("profile", Cause::NotNow(why)).at(Step::Restore);
+        let error = Error::new("profile", Cause::NotNow, why).at(Step::Restore);
         self.shared.report(Attempt::RESTORE, &error);
         self.memory.loss = Loss::Stopped;
         self.show_configured();
@@ -278,9 +278,9 @@ impl Owner {
 
     /// The profile could not be written; it is tried again.
     fn still_owed(&mut self, error: &ti_gauge::error::Error, attempts: u32) {
-        let owed = error.facts().owed;
+        let owed = error.is_owed();
         let why = format!("{error}; tried again with the next poll");
-        let error = Error::new("profile", Cause::NotNow(why)).owing(owed);
+        let error = Error::new("profile", Cause::NotNow, why).owing(owed);
         let line = error.to_string();
         match &self.memory.loss {
             // In the log only once.

@@ -211,13 +211,13 @@ impl Owner {
         if self.unverified {
             let why =
                 "it has not answered yet, so nothing is sent to its address; check that it is connected";
-            return Some(Error::new(self.shared.name(), Cause::Gone(why.into())));
+            return Some(Error::new(self.shared.name(), Cause::Gone, why));
         }
         if let Some(error) = self.limitation() {
             return Some(error);
         }
         let why = "the gauge was busy with other requests for too long; nothing was sent, try again";
-        let late = || Error::new(self.gauge.chip.name, Cause::NotNow(why.into()));
+        let late = || Error::new(self.gauge.chip.name, Cause::NotNow, why);
         (waited > QUEUE_LIMIT).then(late)
     }
 }

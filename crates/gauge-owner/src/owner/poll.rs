@@ -239,7 +239,7 @@ impl Owner {
         let chip = self.gauge.chip;
         if registers.hold_only(0xff) {
             let why = "every byte reads 0xff, as on a bus without a gauge; check that it is connected";
-            return Err(Error::new(chip.name, Cause::Protocol(why.into())).at(Step::Read));
+            return Err(Error::new(chip.name, Cause::Protocol, why).at(Step::Read));
         }
         let value = |code| word(chip, &registers, code);
         if self.dataflash.misreads_loss(&mut self.gauge, value)? || self.dataflash.is_surprised(chip, value) {

@@ -118,7 +118,7 @@ impl Owner {
             }
         }
         let Some(snapshot) = published.snapshot.clone() else {
-            return Err(Error::new(self.shared.name(), Cause::Gone("it was not polled; try again".into())));
+            return Err(Error::new(self.shared.name(), Cause::Gone, "it was not polled; try again"));
         };
         let (answers, limited, seal) = (published.answers, published.limited, published.seal);
         let (calibration, statistics) = (published.calibration.clone(), &self.gauge.statistics);
@@ -190,7 +190,7 @@ impl Owner {
             Err(error) if error.errno() == Errno::EPERM => {
                 Err("the gauge is sealed and no key opens it".into())
             }
-            Err(error) if matches!(error.cause(), Cause::Io(..)) => Err("an error of the host".into()),
+            Err(error) if matches!(error.cause(), Cause::Io(_)) => Err("an error of the host".into()),
             Err(error) => Err(error.to_string()),
         }
     }

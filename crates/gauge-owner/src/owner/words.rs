@@ -25,7 +25,7 @@ pub(super) fn seal(_: &Context, data: &[u8]) -> Result<Seal> {
     let seals = [Seal::Sealed, Seal::Unsealed, Seal::FullAccess];
     let found = seals.into_iter().find(|seal| seal.as_str().eq_ignore_ascii_case(trimmed(data)));
     let why = "not a state of the seal; write sealed, unsealed or full-access";
-    found.ok_or_else(|| Error::new("seal", Cause::Invalid(why.into())))
+    found.ok_or_else(|| Error::new("seal", Cause::Invalid, why))
 }
 
 /// `show`, or what somebody has decided about an interrupted write, with the serial number of the pack if it is meant
@@ -33,7 +33,7 @@ pub(super) fn seal(_: &Context, data: &[u8]) -> Result<Seal> {
 pub(super) fn decision(_: &Context, data: &[u8]) -> Result<Option<Decision>> {
     let usage = "not a decision; write show, undo, finish or discard; undo and finish may be followed by the pack's \
                  serial number";
-    let bad = || Error::new("settle", Cause::Invalid(usage.into()));
+    let bad = || Error::new("settle", Cause::Invalid, usage);
     let words = trimmed(data).to_ascii_lowercase();
     let mut words = words.split_ascii_whitespace();
     let (word, number) = (words.next().unwrap_or_default(), words.next());
@@ -57,7 +57,7 @@ pub(super) fn wish(_: &Context, data: &[u8]) -> Result<Wish> {
         "show" => Ok(Wish::Show),
         "restore" => Ok(Wish::Restore),
         "forget" => Ok(Wish::Forget),
-        _ => Err(Error::new("learned", Cause::Invalid("write show, restore or forget".into()))),
+        _ => Err(Error::new("learned", Cause::Invalid, "write show, restore or forget")),
     }
 }
 
@@ -66,13 +66,12 @@ pub(super) fn wish(_: &Context, data: &[u8]) -> Result<Wish> {
 pub(super) fn job(context: &Context, data: &[u8]) -> Result<Job> {
     let usage = "write board-offset, cc-offset, voltage MV, current MA, temperature CELSIUS, bringup CELLS DIVIDER [MV] \
                  or leave";
-    let bad = || Error::new("calibrate", Cause::Invalid(usage.into()));
+    let bad = || Error::new("calibrate", Cause::Invalid, usage);
     let number = |word: &str| word.parse::<f64>().ok().filter(|number| number.is_finite()).ok_or_else(bad);
     let step = |word: &str, scale: Option<f64>| -> Result<f64> {
         let why = "the scale of the gauge is not known yet; wait for a poll";
-        let scale = scale
-            .filter(|scale| *scale > 0.0)
-            .ok_or_else(|| Error::new("calibrate", Cause::NotNow(why.into())))?;
+        let scale =
+            scale.filter(|scale| *scale > 0.0).ok_or_else(|| Error::new("calibrate", Cause::NotNow, why))?;
         Ok(number(word)? / scale)
     };
     let words: Vec<&str> = trimmed(data).split_whitespace().collect();
@@ -120,7 +119,7 @@ pub(super) fn subcommand(context: &Context, data: &[u8]) -> Result<u16> {
                 _ => "",
             };
             let why = format!("{what}{instead}; allowed are {}", allowed.join(" "));
-            Err(Error::new("control", Cause::Invalid(why)))
+            Err(Error::new("control", Cause::Invalid, why))
         }
     }
 }
@@ -129,11 +128,11 @@ pub(super) fn subcommand(context: &Context, data: &[u8]) -> Result<u16> {
 pub(super) fn interval(_: &Context, data: &[u8]) -> Result<Duration> {
     let seconds: f64 = trimmed(data).parse().map_err(|_| {
         let why = "not a number of seconds; write 0.5 to 3600";
-        Error::new("poll_interval", Cause::Invalid(why.into()))
+        Error::new("poll_interval", Cause::Invalid, why)
     })?;
     if !(0.5..=3600.0).contains(&seconds) {
         let why = "the number of seconds is outside 0.5 to 3600";
-        return Err(Error::new("poll_interval", Cause::OutOfRange(why.into())));
+        return Err(Error::new("poll_interval", Cause::OutOfRange, why));
     }
     Ok(Duration::from_secs_f64(seconds))
 }

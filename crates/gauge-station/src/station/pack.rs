@@ -99,7 +99,7 @@ fn transfers(gauge: &Direct) -> u64 {
 }
 
 fn refuse(subject: &str, why: String) -> Error {
-    Error::new(subject, Cause::NotPermitted(why))
+    Error::new(subject, Cause::NotPermitted, why)
 }
 
 impl Task<'_> {
@@ -154,7 +154,7 @@ impl Task<'_> {
         let mut outcome = self.gauge.open();
         for _ in 1..TRIES {
             match &outcome {
-                Err(error) if !matches!(error.cause(), Cause::NotPermitted(_) | Cause::Io(..)) => {
+                Err(error) if !matches!(error.cause(), Cause::NotPermitted | Cause::Io(_)) => {
                     slot.clock().sleep(AGAIN);
                     outcome = self.gauge.open();
                 }
@@ -187,7 +187,7 @@ impl Task<'_> {
                 "{why}; connect the pack that was begun before, mount it and use gaugefs settle, or set unsettled = \
                  \"discard\" in the station's file"
             );
-            return Err(Error::new("journal", Cause::Busy(what)));
+            return Err(Error::new("journal", Cause::Busy, what));
         }
         self.gauge.ask(&op::SETTLE, Some(Decision::Discard))?;
         self.keep_journals();
@@ -234,7 +234,7 @@ impl Task<'_> {
     /// Reads the pack, and refuses one that was programmed before.
     fn first_look(&mut self, slot: &mut dyn Slot) -> Result<Flash> {
         let flash = match self.look() {
-            Err(error) if matches!(error.cause(), Cause::NotPermitted(_)) => {
+            Err(error) if matches!(error.cause(), Cause::NotPermitted) => {
                 let found = self.look_with_new_keys(slot);
                 let found = found.or_else(|| self.look_with_erased_key(slot));
                 found.ok_or_else(|| self.with_number(&error))?
@@ -401,7 +401,7 @@ impl Task<'_> {
         let flash = self.look()?;
         if flash.number(gate.limit) == Some(0) {
             let why = "the limit stays 0, with which flash is open at any voltage";
-            return Err(Error::new("bring-up", Cause::StateUnknown(why.into())));
+            return Err(Error::new("bring-up", Cause::StateUnknown, why));
         }
         Ok(Some(flash))
     }
@@ -469,7 +469,7 @@ impl Task<'_> {
             if clock.now() > end || self.station.is_stopping() {
                 let now = now.map_or("unknown".into(), |now| format!("{now} mA"));
                 let why = format!("the current is {now} after {} s: {what}", LOAD_PATIENCE.as_secs());
-                return Err(Error::new("calibration", Cause::NotNow(why)));
+                return Err(Error::new("calibration", Cause::NotNow, why));
             }
             if !std::mem::replace(&mut told, true) {
                 self.station.prompt(&self.bench.name, &what);
@@ -508,7 +508,7 @@ impl Task<'_> {
             // A station may have been stopped between the two.
             Name::FullAccess => match self.gauge.ask(&op::SEAL, Seal::FullAccess) {
                 Ok(()) => Ok(true),
-                Err(error) if matches!(error.cause(), Cause::NotPermitted(_)) => {
+                Err(error) if matches!(error.cause(), Cause::NotPermitted) => {
                     self.gauge.ask(&op::SEAL, Seal::Sealed).map(|()| false)
                 }
                 Err(error) => Err(error),
@@ -531,17 +531,17 @@ impl Task<'_> {
     /// Nothing is left to do, and the pack is sealed.
     fn is_settled(&mut self) -> Result<()> {
         if let Some((why, _)) = self.gauge.settle(PATIENCE) {
-            return Err(Error::new("pack", Cause::StateUnknown(why)));
+            return Err(Error::new("pack", Cause::StateUnknown, why));
         }
         if let Some(journal) = self.bench.journals(&self.station.disk).unsettled().first() {
             let why = format!("{} is not settled", journal.display());
-            return Err(Error::new("journal", Cause::StateUnknown(why)));
+            return Err(Error::new("journal", Cause::StateUnknown, why));
         }
         if self.station.seals() {
             // Asked once more: the last reading has unsealed it meanwhile.
             self.seal()?;
             if self.gauge.handle.published().seal != Seal::Sealed {
-                return Err(Error::new("seal", Cause::StateUnknown("the pack is not sealed".into())));
+                return Err(Error::new("seal", Cause::StateUnknown, "the pack is not sealed"));
             }
         }
         Ok(())

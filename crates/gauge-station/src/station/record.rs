@@ -197,7 +197,7 @@ impl Record {
                     let why = format!(
                         "not a line of a station's record: {error}; correct it, or move the file away"
                     );
-                    return Err(Error::new(format!("{name}: line {}", at + 1), Cause::Invalid(why)));
+                    return Err(Error::new(format!("{name}: line {}", at + 1), Cause::Invalid, why));
                 }
             }
         }
@@ -247,7 +247,7 @@ impl Record {
             "the record was {what} since the station has opened it; no pack is begun without it: put the right file \
              back, and start the station again"
         );
-        Err(Error::new(self.path.display().to_string(), Cause::Gone(why)))
+        Err(Error::new(self.path.display().to_string(), Cause::Gone, why))
     }
 
     /// Adds a line. On return it is on disk. Of a pack that is begun, there is room for the outcome, too.
@@ -256,7 +256,7 @@ impl Record {
         if self.broken {
             let why = "an earlier line could not be written, or the record is not the same file any more; correct that, \
                        and start the station again";
-            return Err(Error::new(name, Cause::Busy(why.into())));
+            return Err(Error::new(name, Cause::Busy, why));
         }
         self.check()?;
         let line = to_line(entry);

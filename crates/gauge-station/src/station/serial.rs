@@ -51,7 +51,7 @@ pub(super) fn called(chip: &'static Chip, name: &str) -> Option<Row> {
 
 /// The parameter that holds the serial number.
 pub(super) fn row(chip: &'static Chip, station: &Options) -> Result<Option<Row>> {
-    let refuse = |key: &str, why: String| Err(Error::new(key, Cause::Invalid(why)));
+    let refuse = |key: &str, why: String| Err(Error::new(key, Cause::Invalid, why));
     match &station.serial_parameter {
         Some(name) => match named(chip, name) {
             Some(row) => Ok(Some(row)),
@@ -80,7 +80,7 @@ impl Serials {
     /// The source that a station's file names.
     pub(super) fn of(station: &Options, row: Option<Row>, scanner: Box<dyn Scanner>) -> Result<Self> {
         let (Some(from), Some(row)) = (station.serial, row) else { return Ok(Self::None) };
-        let refuse = |key: &str, why: &str| Err(Error::new(key, Cause::Invalid(why.into())));
+        let refuse = |key: &str, why: &'static str| Err(Error::new(key, Cause::Invalid, why));
         match from {
             SerialFrom::Counter => {
                 if matches!(row.1.kind, Type::S(_) | Type::F4) {
@@ -117,7 +117,7 @@ impl Serials {
         loop {
             let Some(line) = scanner.line(&what) else {
                 let why = "the input has ended, and a serial number is needed";
-                return Err(Error::new("serial number", Cause::Gone(why.into())));
+                return Err(Error::new("serial number", Cause::Gone, why));
             };
             let why = match line.trim() {
                 "" => "the line is empty".into(),
@@ -137,7 +137,7 @@ impl Serials {
     pub(super) fn next(&self, row: Row, record: &Record) -> Result<Option<Value>> {
         let used_up = |what: &str| {
             let why = format!("{what}: all serial numbers were given");
-            Err(Error::new("serial number", Cause::OutOfRange(why)))
+            Err(Error::new("serial number", Cause::OutOfRange, why))
         };
         match self {
             Self::None | Self::Input(_) => Ok(None),
@@ -178,12 +178,12 @@ fn list(path: &Path, row: Row) -> Result<Vec<Value>> {
         let value = notation::parse(row.1, line.as_bytes()).map_err(|error| at(error.into()))?;
         if let Some(first) = lines.insert(shown(row, &value), number) {
             let why = format!("the serial number is also in line {first}; remove one of the two");
-            return Err(at(Error::new("", Cause::Invalid(why))));
+            return Err(at(Error::new("", Cause::Invalid, why)));
         }
         values.push(value);
     }
     if values.is_empty() {
-        return Err(Error::new(name, Cause::Invalid("the list has no serial number".into())));
+        return Err(Error::new(name, Cause::Invalid, "the list has no serial number"));
     }
     Ok(values)
 }

@@ -96,7 +96,7 @@ impl Flash {
             if self.bytes(row) != before.bytes(row) {
                 let show = |flash: &Self| flash.text(row).unwrap_or_default();
                 let why = format!("{} when it was read before, and {} now", show(before), show(self));
-                return Err(Error::new(row.1.name, Cause::Protocol(why)));
+                return Err(Error::new(row.1.name, Cause::Protocol, why));
             }
         }
         Ok(())
@@ -117,8 +117,8 @@ impl Flash {
     fn raw_of(&self, id: u8) -> ti_gauge::error::Result<Vec<u8>> {
         let found = self.subclass(|subclass| subclass.id == id);
         found.map(|(_, bytes)| bytes.to_vec()).ok_or_else(|| {
-            let why = ti_gauge::error::Cause::Invalid("the gauge does not show it".into());
-            ti_gauge::error::Error::new(format!("subclass {id}"), why)
+            let why = "the gauge does not show it";
+            ti_gauge::error::Error::new(format!("subclass {id}"), ti_gauge::error::Cause::Invalid, why)
         })
     }
 }
@@ -132,7 +132,7 @@ pub(super) fn changes(asked: &Image, now: &Flash, allow_unproven: bool) -> Resul
             "{first} ({} that cannot be written); exclude them in the station's file",
             passed_over.len()
         );
-        return Err(Error::new("image", Cause::NotPermitted(why)));
+        return Err(Error::new("image", Cause::NotPermitted, why));
     }
     let mut list = Vec::new();
     for difference in &changes {
@@ -163,13 +163,13 @@ pub(super) fn check(asked: &Image, now: &Flash, but: &[Place]) -> Result<()> {
             let has = now.text(row).unwrap_or_else(|| "not shown".into());
             let hint = if parameter.learned { "; the gauge rewrites it itself: exclude learned" } else { "" };
             let why = format!("it is {has} when read back, and {} was asked for{hint}", entry.text());
-            return Err(Error::new(asked.name(entry), Cause::Protocol(why)));
+            return Err(Error::new(asked.name(entry), Cause::Protocol, why));
         }
     }
     match asked.raw_changes(|id| now.raw_of(id), true)?.first() {
         Some(difference) => {
             let why = format!("undocumented bytes differ when read back: {difference}");
-            Err(Error::new("image", Cause::Protocol(why)))
+            Err(Error::new("image", Cause::Protocol, why))
         }
         None => Ok(()),
     }

@@ -138,7 +138,7 @@ impl Column {
             let column = Self::named(name).ok_or_else(|| unknown(name))?;
             if columns.iter().any(|other| other.title == column.title) {
                 let why = format!("`{}` is named twice", name.trim());
-                return Err(Error::new("--columns", Cause::Invalid(why)));
+                return Err(Error::new("--columns", Cause::Invalid, why));
             }
             columns.push(column);
         }
@@ -194,7 +194,7 @@ fn unknown(name: &str) -> Error {
         name.trim(),
         known.join(", ")
     );
-    Error::new("--columns", Cause::Invalid(why))
+    Error::new("--columns", Cause::Invalid, why)
 }
 
 #[cfg(test)]

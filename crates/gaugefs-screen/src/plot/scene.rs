@@ -151,7 +151,7 @@ pub(super) fn lay_out(history: &History, limits: &[Limit], width: u16, height: O
         let is_drawn = |panel: &Panel| panel.series.iter().any(|series| series.column == limit.column);
         if !panels.iter().any(is_drawn) {
             let why = format!("`{}` is not drawn; name it in --columns, too", limit.column);
-            return Err(Error::new("--limit", Cause::Invalid(why)));
+            return Err(Error::new("--limit", Cause::Invalid, why));
         }
     }
     let keys = legend(history, limits, width);
@@ -165,7 +165,7 @@ pub(super) fn lay_out(history: &History, limits: &[Limit], width: u16, height: O
     if each < LEAST {
         let least = (around + count * LEAST).ceil();
         let why = format!("{count} panels need a height of {least} pixels");
-        return Err(Error::new("--height", Cause::OutOfRange(why)));
+        return Err(Error::new("--height", Cause::OutOfRange, why));
     }
     let above = MARGIN + head + strips;
     let frames: Vec<_> = (0..)

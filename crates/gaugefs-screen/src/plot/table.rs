@@ -75,7 +75,7 @@ pub(super) struct Flow {
 const LOW: [&str; 2] = ["SOC1", "SOCF"];
 
 fn invalid(subject: impl Into<String>, why: impl Into<String>) -> Error {
-    Error::new(subject, Cause::Invalid(why.into()))
+    Error::new(subject, Cause::Invalid, why.into())
 }
 
 /// A row: its time and its fields.

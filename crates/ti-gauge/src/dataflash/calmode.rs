@@ -54,7 +54,7 @@ fn set_mode(gauge: &mut Gauge, calibration: &Calibration, wanted: bool) -> Resul
 
 fn failed(gauge: &Gauge, name: &str) -> Error {
     let why = format!("the gauge was sent {name} {TRIES} times and does not show it");
-    Error::new(gauge.chip.model, Cause::TimedOut(why)).at(Step::Control)
+    Error::new(gauge.chip.model, Cause::TimedOut, why).at(Step::Control)
 }
 
 /// Enters calibration mode and confirms it. The gauge is open.

@@ -10,7 +10,7 @@ use super::checks::integer;
 pub use crate::chip::Row;
 use crate::chip::{Chip, FLAT, Kind, Parameter, Range, Safe};
 use crate::codec::{self, WINDOW};
-use crate::error::{Cause, Error, Result, Step};
+use crate::error::{Cause, Error, Reason, Result, Step};
 use crate::notation;
 use crate::value::Value;
 
@@ -54,7 +54,7 @@ impl Change {
         check_row(row, allow_unproven)?;
         notation::check(parameter, value)?;
         let bytes = codec::encode(parameter.kind, value).ok_or_else(|| {
-            Error::new(parameter.name, Cause::Invalid(format!("does not fit type {}", parameter.kind)))
+            Error::new(parameter.name, Cause::Invalid, format!("does not fit type {}", parameter.kind))
         })?;
         let change = Self { place: Place::of(row), bytes, row: Some(row), saved: false };
         change.check_least()?;
@@ -111,10 +111,8 @@ impl Change {
         let number = integer(parameter, &self.bytes);
         match &parameter.safe {
             Some(Safe::AtLeast(least, why)) if number < *least => {
-                let why = format!("{number} is below {least}: {why}");
-                let greatest = parameter.kind.bounds().map_or(i64::MAX, |(_, greatest)| greatest);
-                let refused = Error::new(self.subject(), Cause::OutOfRange(why)).at(Step::Check);
-                Err(refused.allowing(least, greatest))
+                let unsafe_value = Reason::Unsafe { number, least: *least, why };
+                Err(Error::of(self.subject(), unsafe_value).at(Step::Check))
             }
             _ => Ok(()),
         }
@@ -131,7 +129,7 @@ impl Change {
             return Ok(());
         }
         let why = format!("bits 0x{differ:x} must not change: {why}; the word is now 0x{old:x}");
-        Err(Error::new(self.subject(), Cause::OutOfRange(why)).at(Step::Check))
+        Err(Error::new(self.subject(), Cause::OutOfRange, why).at(Step::Check))
     }
 
     /// Whether these bytes, in its place, are what the part has there by itself.
@@ -179,11 +177,11 @@ impl Change {
 fn check_row((subclass, parameter): Row, allow_unproven: bool) -> Result<()> {
     if subclass.kind == Kind::Security {
         let why = "keys cannot be changed like other parameters";
-        return Err(Error::new(parameter.name, Cause::NotPermitted(why.into())));
+        return Err(Error::new(parameter.name, Cause::NotPermitted, why));
     }
     if parameter.unproven && !allow_unproven {
         let why = "its address or range is not sure; mount with --allow-unproven to write it";
-        return Err(Error::new(parameter.name, Cause::Io(ErrorKind::PermissionDenied, why.into())));
+        return Err(Error::new(parameter.name, Cause::Io(ErrorKind::PermissionDenied), why));
     }
     Ok(())
 }
@@ -195,7 +193,7 @@ fn check_raw(chip: &Chip, Place { subclass: id, offset }: Place, length: usize) 
     let table = chip.subclass(id);
     if table.is_some_and(|subclass| subclass.kind == Kind::Security) {
         let why = "keys cannot be changed like other bytes";
-        return Err(Error::new("", Cause::NotPermitted(why.into())));
+        return Err(Error::new("", Cause::NotPermitted, why));
     }
     let end = usize::from(offset) + length;
     if length == 0 || usize::from(offset) / WINDOW != (end - 1) / WINDOW {
@@ -220,5 +218,5 @@ fn check_raw(chip: &Chip, Place { subclass: id, offset }: Place, length: usize) 
 }
 
 fn invalid(why: String) -> Error {
-    Error::new("", Cause::Invalid(why))
+    Error::new("", Cause::Invalid, why)
 }

@@ -33,7 +33,7 @@ impl DataFlash {
                      is written to it",
                     place.name(at)
                 );
-                return Err(Error::new("", Cause::Gone(why)).at(Step::Check));
+                return Err(Error::new("", Cause::Gone, why).at(Step::Check));
             }
         }
         self.signed.learn(self.now.pack, ());
@@ -78,7 +78,7 @@ impl DataFlash {
         // It is read again before the next write.
         self.now.may_have_changed();
         let why = format!("{shut}: charge the pack{}", remedy(gate));
-        Err(Error::new("", Cause::NotNow(why)).at(Step::Check))
+        Err(Error::new("", Cause::NotNow, why).at(Step::Check))
     }
 
     /// Checks that the gate stays open with all changes of the transaction, and after each of their blocks, and
@@ -127,7 +127,7 @@ impl DataFlash {
         let refuse = |why: String| {
             let of_gate = |change: &&Change| gate.rows().any(|row| change.covers(row));
             let subject = changes.iter().find(of_gate).map_or_else(String::new, Change::subject);
-            Err(Error::new(subject, Cause::OutOfRange(why)).at(Step::Check))
+            Err(Error::new(subject, Cause::OutOfRange, why).at(Step::Check))
         };
         let after = setting(dirty.len());
         // No source says that Voltage() follows a new divider before somebody calibrates, so with the limit as it is

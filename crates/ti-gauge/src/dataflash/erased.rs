@@ -46,7 +46,7 @@ pub fn erased_since(
 /// The error for a pack with erased parameters. `remedy` names what they can be written from.
 pub fn says_erased(lost: &[Row], remedy: &str) -> Error {
     let Some((row, more)) = lost.split_first() else {
-        return Error::new("", Cause::BadChecksum(String::new()));
+        return Error::new("", Cause::BadChecksum, String::new());
     };
     let place = locate(row.0.id, row.1.offset).0;
     let others = match more.len() {
@@ -66,7 +66,7 @@ pub fn says_erased(lost: &[Row], remedy: &str) -> Error {
         Place::of(*row),
         place.name(0)
     );
-    Error::new("", Cause::BadChecksum(why))
+    Error::new("", Cause::BadChecksum, why)
 }
 
 /// The parameters that were erased with the end of a block.

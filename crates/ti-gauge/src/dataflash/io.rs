@@ -70,7 +70,7 @@ fn reload_by(
     };
     if let Some(at) = differs(&window) {
         let why = format!("{} has changed since it was read", block.place.name(at));
-        return Err(Error::new("", Cause::Protocol(why)).at(Step::ReadBlock));
+        return Err(Error::new("", Cause::Protocol, why).at(Step::ReadBlock));
     }
     let mut new = window;
     for at in (0..WINDOW).filter(|&at| !block.learned.has(at)) {
@@ -81,8 +81,7 @@ fn reload_by(
 
 /// Whether an error may be gone at the next attempt.
 pub(super) fn is_passing(error: &Error) -> bool {
-    matches!(error.cause(), Cause::Bus(bus) if bus.is_transient())
-        || matches!(error.cause(), Cause::NotNow(_))
+    matches!(error.cause(), Cause::Bus(bus) if bus.is_transient()) || matches!(error.cause(), Cause::NotNow)
 }
 
 /// Makes sure that the gauge has not lost its power meanwhile. One that has is sealed: it ignores what is written and
@@ -92,7 +91,7 @@ pub(super) fn still_open(gauge: &mut Gauge) -> Result<()> {
         Seal::Sealed => {
             let why =
                 "the gauge is SEALED in the middle of the write: it has been reset or has lost its power";
-            Err(Error::new("", Cause::Protocol(why.into())).at(Step::Verify))
+            Err(Error::new("", Cause::Protocol, why).at(Step::Verify))
         }
         Seal::Unsealed | Seal::FullAccess => Ok(()),
     }
@@ -172,5 +171,5 @@ fn mismatch(block: &Dirty, stored: &[u8; WINDOW], at: usize) -> Error {
     } else {
         format!("{place} reads 0x{:02x}, wrote 0x{:02x}", stored[at], block.new[at])
     };
-    Error::new("", Cause::Protocol(why)).at(Step::Verify)
+    Error::new("", Cause::Protocol, why).at(Step::Verify)
 }

@@ -198,7 +198,7 @@ impl Job {
             && let Some(at) = (0..WINDOW).find(|&at| other(at))
         {
             let why = format!("{}, which this write does not touch, has changed", block.place.name(at));
-            return Err(Error::new("", Cause::Protocol(why)));
+            return Err(Error::new("", Cause::Protocol, why));
         }
         session.begin(gauge)?;
         let back = reload(gauge, &block.replacing(*stored, wanted))?;
@@ -278,16 +278,16 @@ pub(super) fn converge(
     if !job.was_lost && has_lost_memory(gauge).unwrap_or(false) {
         session.forget_mode();
         let why = format!("{error}; the gauge has lost its power, and its data memory with it");
-        return Landed::Unknown(Error::new("", Cause::StateUnknown(why)));
+        return Landed::Unknown(Error::new("", Cause::StateUnknown, why));
     }
     match job.bring(gauge, session, Side::Old, false) {
         Ok(()) => {
             let why = format!("{error}; the old value was restored and verified");
-            Landed::Back(Error::new("", Cause::RolledBack(why)))
+            Landed::Back(Error::new("", Cause::RolledBack, why))
         }
         Err(second) => {
             let why = format!("{error}; then {second}: data flash contents unknown");
-            Landed::Unknown(Error::new("", Cause::StateUnknown(why)))
+            Landed::Unknown(Error::new("", Cause::StateUnknown, why))
         }
     }
 }

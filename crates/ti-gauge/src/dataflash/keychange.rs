@@ -184,7 +184,7 @@ impl DataFlash {
         let run = |this: &mut Self, gauge: &mut Gauge, session: &mut Session| {
             let outcome = task.run(this, gauge, found.voltage_mv, session);
             let is_known = match outcome.as_ref().map_err(Error::cause) {
-                Ok(()) | Err(Cause::RolledBack(_)) => true,
+                Ok(()) | Err(Cause::RolledBack) => true,
                 Err(_) => false,
             };
             // All keys but those that are lost have been used.
@@ -297,7 +297,7 @@ impl DataFlash {
             found.as_str(),
             gauge.key_file
         );
-        Err(Error::new(gauge.chip.model, Cause::NotPermitted(why)).at(Step::Check))
+        Err(Error::new(gauge.chip.model, Cause::NotPermitted, why).at(Step::Check))
     }
 }
 
@@ -305,7 +305,7 @@ impl DataFlash {
 fn block_of(chip: &'static Chip, name: Name) -> Result<&'static KeyBlock> {
     let refuse = |why: &str| {
         let why = format!("cannot be changed here: {why}");
-        Err(Error::new(chip.model, Cause::NotPermitted(why)).at(Step::Check))
+        Err(Error::new(chip.model, Cause::NotPermitted, why).at(Step::Check))
     };
     match &chip.security.storage {
         KeyStorage::Fixed(why) => refuse(why),
@@ -324,11 +324,12 @@ fn block_of(chip: &'static Chip, name: Name) -> Result<&'static KeyBlock> {
 /// Refuses keys that would leave a gauge open or be taken for something else. The manual's defaults are
 /// allowed, so that a pack can be handed on with them.
 fn check_new(gauge: &Gauge, change: &KeyChange) -> Result<()> {
-    let refuse =
-        |why: &str| Err(Error::new("", Cause::OutOfRange(format!("the new key {why}"))).at(Step::Check));
+    let refuse = |why: &'static str| {
+        Err(Error::new("", Cause::OutOfRange, format!("the new key {why}")).at(Step::Check))
+    };
     if change.new == change.old {
         let why = "the new key is the old one";
-        return Err(Error::new("", Cause::Invalid(why.into())).at(Step::Check));
+        return Err(Error::new("", Cause::Invalid, why).at(Step::Check));
     }
     let (default, other) = match change.name {
         Name::Unseal => (gauge.chip.security.default_unseal, gauge.key(Name::FullAccess)),
@@ -471,11 +472,11 @@ impl<'a> Task<'a> {
             order: self.order,
         };
         let mut error = self.back(gauge, &unfinished, &error);
-        if matches!(error.cause(), Cause::RolledBack(_))
+        if matches!(error.cause(), Cause::RolledBack)
             && let Some(plan) = session.entry.as_ref().and_then(|entry| entry.plan.clone())
             && let Err(second) = restore_rows(gauge, session, &plan)
         {
-            error = Error::new("", Cause::StateUnknown(format!("{error}; but {second}")));
+            error = Error::new("", Cause::StateUnknown, format!("{error}; but {second}"));
         }
         dataflash.unfinished = Some(unfinished);
         Err(error)
@@ -504,7 +505,7 @@ impl<'a> Task<'a> {
         self.mine(name).cloned().ok_or_else(|| {
             let (name, place) = (name.as_str(), &gauge.key_file);
             let why = format!("the {name} key is needed too; put it into {place} and mount again");
-            Error::new(gauge.chip.model, Cause::NotPermitted(why)).at(Step::Check)
+            Error::new(gauge.chip.model, Cause::NotPermitted, why).at(Step::Check)
         })
     }
 
@@ -537,7 +538,7 @@ impl<'a> Task<'a> {
                 }
             };
             let found = found
-                .ok_or_else(|| Error::new(gauge.chip.model, Cause::NotPermitted(why())).at(Step::Unseal))?;
+                .ok_or_else(|| Error::new(gauge.chip.model, Cause::NotPermitted, why()).at(Step::Unseal))?;
             *taken = Some(found);
         }
         Ok(taken)
@@ -699,7 +700,7 @@ impl<'a> Task<'a> {
                     "{name} is not what it was when a change of keys was cut short: this is another pack; nothing was \
                      changed. Connect the right pack, or give that change up: gaugefs settle GAUGE --discard"
                 );
-                Err(Error::new(gauge.chip.model, Cause::Gone(why)).at(Step::Identify))
+                Err(Error::new(gauge.chip.model, Cause::Gone, why).at(Step::Identify))
             }
             Match::Certain | Match::Weak => Ok(()),
         }
@@ -715,7 +716,7 @@ impl<'a> Task<'a> {
             if !gauge.takes(key, goal)? {
                 let which = if name == self.change.name { "this" } else { "the mount's" };
                 let why = format!("the gauge refused {which} {} key", name.as_str());
-                return Err(Error::new(gauge.chip.model, Cause::NotPermitted(why)).at(Step::Unseal));
+                return Err(Error::new(gauge.chip.model, Cause::NotPermitted, why).at(Step::Unseal));
             }
         }
         Ok(())
@@ -733,7 +734,7 @@ impl<'a> Task<'a> {
             && !self.challenge(gauge, key)?
         {
             let why = "the answer to a challenge does not match this key";
-            return Err(Error::new(gauge.chip.model, Cause::NotPermitted(why.into())).at(Step::Verify));
+            return Err(Error::new(gauge.chip.model, Cause::NotPermitted, why).at(Step::Verify));
         }
         if self.change.name == Name::Authentication && !self.torn {
             return Ok(());
@@ -771,7 +772,7 @@ impl<'a> Task<'a> {
     ) -> Result<()> {
         let refuse = |why: &str| {
             let why = format!("{why}; nothing was changed");
-            Err(Error::new("", Cause::NotPermitted(why)).at(Step::Check))
+            Err(Error::new("", Cause::NotPermitted, why).at(Step::Check))
         };
         let name = self.change.name;
         let places = [(&ring.unseal, Name::Unseal), (&ring.full_access, Name::FullAccess), (held, name)];
@@ -837,7 +838,7 @@ impl<'a> Task<'a> {
             let mut touched = 0;
             if self.put_back(gauge, unfinished, &mut touched).is_ok() {
                 let why = format!("{error}; the old key was restored, and the gauge takes it");
-                return Error::new("", Cause::RolledBack(why));
+                return Error::new("", Cause::RolledBack, why);
             }
             if touched > 0 {
                 known = Worked::Neither;
@@ -875,7 +876,7 @@ impl<'a> Task<'a> {
         let why = format!(
             "{error}; {known}; this mount undoes the change when it can, as long as it runs; or {way}"
         );
-        Error::new("", Cause::StateUnknown(why))
+        Error::new("", Cause::StateUnknown, why)
     }
 
     /// Whether nobody may be able to open the gauge again once it is SEALED: what it keeps is no key that was tried.
@@ -907,7 +908,7 @@ impl<'a> Task<'a> {
         match self.open_again(gauge) {
             Keyhole::Silent => {
                 let why = "the gauge does not answer while its keys are tried";
-                return Err(Error::new(gauge.chip.model, Cause::TimedOut(why.into())).at(Step::Restore));
+                return Err(Error::new(gauge.chip.model, Cause::TimedOut, why).at(Step::Restore));
             }
             Keyhole::Shut(name) => {
                 let name = name.as_str();
@@ -1051,7 +1052,7 @@ impl<'a> Task<'a> {
 
 fn neither() -> Error {
     let why = "the gauge has neither the old key nor the new one; nothing was changed";
-    Error::new("", Cause::NotPermitted(why.into())).at(Step::Check)
+    Error::new("", Cause::NotPermitted, why).at(Step::Check)
 }
 
 /// Restores what a loss of power has erased beside the keys.
@@ -1062,7 +1063,7 @@ fn restore_rows(gauge: &mut Gauge, session: &mut Session, plan: &Plan) -> Result
     let seen = quietly(gauge, |gauge| look(gauge, plan))?;
     if seen.iter().any(|seen| seen.held == Held::Unexplained) && !session.decided {
         let why = "a row next to the keys has changed, which the change of keys does not touch";
-        return Err(Error::new("", Cause::Protocol(why.into())).at(Step::Restore));
+        return Err(Error::new("", Cause::Protocol, why).at(Step::Restore));
     }
     let mut job = Job::interrupted(seen, false);
     if job.is_intact() {
@@ -1078,7 +1079,7 @@ fn restore_rows(gauge: &mut Gauge, session: &mut Session, plan: &Plan) -> Result
 fn answers(gauge: &mut Gauge, key: &Secret, order: Order) -> Result<bool> {
     let mut challenge = [0; LENGTH];
     getrandom::fill(&mut challenge).map_err(|error| {
-        Error::new("random numbers", Cause::Io(std::io::ErrorKind::Other, error.to_string()))
+        Error::new("random numbers", Cause::Io(std::io::ErrorKind::Other), error.to_string())
     })?;
     let digest = authentication::answered(gauge, &challenge, order)?;
     let key = key.bytes().try_into().expect("an authentication key has 16 bytes");

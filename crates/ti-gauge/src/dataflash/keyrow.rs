@@ -45,12 +45,13 @@ pub(super) fn quietly<T>(gauge: &mut Gauge, run: impl FnOnce(&mut Gauge) -> Resu
     let outcome = run(gauge);
     gauge.set_secret(false);
     outcome.map_err(|error| {
-        let cause = match error.cause() {
-            Cause::BadChecksum(_) => Cause::BadChecksum("the checksum of the key block is wrong".into()),
-            Cause::Protocol(_) => Cause::Protocol("the key block could not be read correctly".into()),
-            cause => cause.clone(),
+        let cause = error.cause();
+        let why = match cause {
+            Cause::BadChecksum => "the checksum of the key block is wrong",
+            Cause::Protocol => "the key block could not be read correctly",
+            _ => return error.about(""),
         };
-        let plain = Error::new("", cause);
+        let plain = Error::new("", cause, why);
         match error.step() {
             Some(step) => plain.at(step),
             None => plain,

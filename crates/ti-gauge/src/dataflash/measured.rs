@@ -92,7 +92,7 @@ pub(super) fn is_over(gauge: &mut Gauge) -> Result<()> {
     let running = calibration.board_offset.running | calibration.cc_offset.running;
     if agreed("CONTROL_STATUS", || Ok(gauge.control_status()?.1 & running != 0))? {
         let why = "it still measures its offset, which may take 16 s; try again then";
-        return Err(Error::new(gauge.chip.model, Cause::NotNow(why.into())).at(Step::Check));
+        return Err(Error::new(gauge.chip.model, Cause::NotNow, why).at(Step::Check));
     }
     Ok(())
 }

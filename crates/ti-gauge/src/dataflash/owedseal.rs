@@ -72,7 +72,7 @@ impl DataFlash {
             if !entry.as_ref().is_none_or(part) {
                 let why =
                     "the gauge that was left open was another part; discard what is owed with gaugefs settle";
-                return Err(Error::new(gauge.chip.model, Cause::Gone(why.into())).at(Step::Seal));
+                return Err(Error::new(gauge.chip.model, Cause::Gone, why).at(Step::Seal));
             }
             // CONTROL_STATUS may still show the state before the last key.
             gauge.wait(SEAL_LAG);

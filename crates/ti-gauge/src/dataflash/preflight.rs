@@ -11,7 +11,7 @@ use super::session::Session;
 use super::state::{lost_flag, read_word};
 use super::{Change, DataFlash, Outcome};
 use crate::chip::{Chip, Kind, Learning, Mode, Role, Word};
-use crate::error::{Cause, Error, Result, Step};
+use crate::error::{Cause, Error, Reason, Result, Step};
 use crate::gauge::{Answers, Gauge, Look, Moment, Seal, Statistics, agreed};
 use crate::journal::Identity;
 
@@ -229,7 +229,7 @@ impl DataFlash {
             now.seal = seal.unwrap_or(now.seal);
         }
         let why = "its state reads differently each time: check the bus";
-        Err(Error::new(gauge.chip.model, Cause::NotNow(why.into())).at(Step::Check))
+        Err(Error::new(gauge.chip.model, Cause::NotNow, why).at(Step::Check))
     }
 
     /// Makes sure that the gauge is the one whose values were read: type, firmware, and the word that
@@ -258,7 +258,7 @@ impl DataFlash {
                     let why = format!(
                         "firmware is 0x{version:04x}, which this table does not cover; mount it anew"
                     );
-                    return Err(Error::new(chip.model, Cause::Gone(why)).at(Step::Identify));
+                    return Err(Error::new(chip.model, Cause::Gone, why).at(Step::Identify));
                 }
                 version
             }
@@ -280,13 +280,13 @@ impl DataFlash {
             "{what} is 0x{other:04x} and was 0x{expected:04x} when its values were read: another pack answers; check \
              its values before you write"
         );
-        let error = Error::new(chip.model, Cause::Gone(why)).at(Step::Identify);
+        let error = Error::new(chip.model, Cause::Gone, why).at(Step::Identify);
         self.doubt(&error);
         Err(error)
     }
 
     fn doubt(&mut self, error: &Error) {
-        if matches!(error.cause(), Cause::Gone(_)) {
+        if matches!(error.cause(), Cause::Gone) {
             self.doubt_pack();
         }
     }
@@ -300,7 +300,7 @@ impl DataFlash {
         {
             let why = "set, and was not when its values were read: the gauge has lost its power, and its data memory \
                        with it; check its values before you write";
-            return Err(Error::new("Flags() [ITPOR]", Cause::Gone(why.into())).at(Step::Check));
+            return Err(Error::new("Flags() [ITPOR]", Cause::Gone, why).at(Step::Check));
         }
         for mode in chip.preflight.modes {
             let word = match mode.word {
@@ -316,12 +316,8 @@ impl DataFlash {
         let (voltage_mv, restored) = (found.voltage_mv, changes.iter().all(|change| change.saved));
         match chip.preflight.voltage_mv {
             Some((min, max)) if !(min..=max).contains(&voltage_mv) && !restored => {
-                let why = format!(
-                    "{voltage_mv} mV, and the part works from {min} to {max} mV: charge the cell, or check its \
-                     connection"
-                );
-                let refused = Error::of_register("Voltage()", Cause::NotNow(why)).at(Step::Check);
-                Err(refused.allowing(min, max).showing(voltage_mv))
+                let reason = Reason::Supply { value: voltage_mv, least: min, greatest: max };
+                Err(Error::of("Voltage()", reason).of_register().at(Step::Check))
             }
             _ => Ok(()),
         }
@@ -348,7 +344,7 @@ impl DataFlash {
         }
         let why = "a learning cycle is active, and the reset that this write needs would end it: wait until Qmax and Ra are \
                    learned, or mount with --allow-learning";
-        Ok(Some(Error::new(learning.name, Cause::Busy(why.into())).at(Step::Check)))
+        Ok(Some(Error::new(learning.name, Cause::Busy, why).at(Step::Check)))
     }
 
     /// Updates what is known of the gauge after a write.
@@ -364,8 +360,8 @@ impl DataFlash {
                 known_pack.lost = gauge.chip.volatile.map(|_| false);
             }
             Err(error) => {
-                self.mode_left_on |= matches!(error.cause(), Cause::StateUnknown(_));
-                if matches!(error.cause(), Cause::StateUnknown(_) | Cause::RolledBack(_)) {
+                self.mode_left_on |= matches!(error.cause(), Cause::StateUnknown);
+                if matches!(error.cause(), Cause::StateUnknown | Cause::RolledBack) {
                     known_pack.lost = None;
                 }
             }
@@ -486,16 +482,16 @@ fn off(mode: &Mode, word: u16) -> Result<()> {
         return Ok(());
     }
     let why = format!("set in 0x{word:04x}: {}; {}", mode.what, mode.remedy);
-    Err(Error::new(mode.name, Cause::Busy(why)).at(Step::Check))
+    Err(Error::new(mode.name, Cause::Busy, why).at(Step::Check))
 }
 
 /// A gauge that does not answer may have been left in ROM mode by a flash programmer.
 fn in_rom(chip: &Chip, error: Error) -> Error {
     let has_rom = chip.subcommands.iter().any(|subcommand| subcommand.code == ROM_MODE);
-    if !has_rom || *error.cause() != Cause::Bus(gauge_bus::BusError::NoAck) {
+    if !has_rom || error.cause() != Cause::Bus(gauge_bus::BusError::NoAck) {
         return error;
     }
     let why = "not acknowledged; is the gauge powered and connected? One that a flash programmer left in ROM mode \
                answers at 0x0b only: `gaugefs rescue` brings it back";
-    Error::new(chip.model, Cause::NoAnswer(why.into())).at(Step::Identify)
+    Error::new(chip.model, Cause::NoAnswer, why).at(Step::Identify)
 }

@@ -100,7 +100,7 @@ fn look_twice<T: PartialEq>(
     }
     before?;
     let why = "the block reads differently each time";
-    Err(Error::new("", Cause::Protocol(why.into())).at(Step::ReadBlock))
+    Err(Error::new("", Cause::Protocol, why).at(Step::ReadBlock))
 }
 
 /// Looks at a selected block of RAM as soon as that is worth while, and once more when the table says that it is there.

@@ -146,7 +146,7 @@ impl Session {
     pub(super) fn enter_calibration(&mut self, gauge: &mut Gauge) -> Result<()> {
         let Some(calibration) = gauge.chip.calibration else {
             let why = "no document describes the calibration mode of this part";
-            return Err(Error::new(gauge.chip.model, Cause::NotPermitted(why.into())).at(Step::Check));
+            return Err(Error::new(gauge.chip.model, Cause::NotPermitted, why).at(Step::Check));
         };
         self.calibrating = Some(calibration);
         calmode::enter(gauge, calibration)
@@ -157,7 +157,7 @@ impl Session {
         let Some(calibration) = self.calibrating else { return Ok(()) };
         let left = calmode::leave(gauge, calibration).map_err(|error| {
             let why = format!("the gauge may still be in calibration mode: {error}");
-            Error::new("", Cause::StateUnknown(why)).at(Step::Restore)
+            Error::new("", Cause::StateUnknown, why).at(Step::Restore)
         });
         if left != Ok(false) {
             // The gauge may have been unsealed for it.
@@ -207,7 +207,7 @@ impl Session {
         // What it shows from now on is to be that of the gauge that was reset.
         if gauge.chip.volatile.is_none() && self.is_another(gauge) {
             let why = "another pack answers since the reset";
-            return Err(Error::new(gauge.chip.model, Cause::Gone(why.into())).at(Step::Identify));
+            return Err(Error::new(gauge.chip.model, Cause::Gone, why).at(Step::Identify));
         }
         Ok(())
     }
@@ -219,7 +219,7 @@ impl Session {
             let moment = self.assure(gauge)?;
             self.note_reset()?;
             outcome = reset(gauge, self.found, moment);
-            if !outcome.as_ref().is_err_and(|error| matches!(error.cause(), Cause::NotNow(_))) {
+            if !outcome.as_ref().is_err_and(|error| matches!(error.cause(), Cause::NotNow)) {
                 break;
             }
             // It may have been taken all the same.
@@ -290,7 +290,7 @@ impl Session {
             gauge.forget_refusal();
             closed = self.restore_seal(gauge, false);
         }
-        let unknown = outcome.as_ref().is_err_and(|error| matches!(error.cause(), Cause::StateUnknown(_)));
+        let unknown = outcome.as_ref().is_err_and(|error| matches!(error.cause(), Cause::StateUnknown));
         // To a recording nothing is owed.
         let recorded = [&finished, &closed].into_iter().any(|end| {
             end.as_ref().is_err_and(|error| {
@@ -312,7 +312,7 @@ impl Session {
             (Ok(done), Ok(())) => (Ok(done), None),
             (Ok(_), Err(error)) => {
                 let why = format!("done and verified, but restoring the {found} state failed: {error}");
-                let error = Error::new("", Cause::StateUnknown(why));
+                let error = Error::new("", Cause::StateUnknown, why);
                 let owed = unfinished || self.found == Seal::Sealed;
                 let left = if owed { left(unfinished, &error) } else { None };
                 (Err(error), left)
@@ -321,7 +321,7 @@ impl Session {
             (Err(first), Err(_)) if self.now == Some(self.found) => (Err(first), None),
             (Err(first), Err(second)) => {
                 let why = format!("{first}; then restoring the {found} state failed: {second}");
-                let error = Error::new("", Cause::StateUnknown(why));
+                let error = Error::new("", Cause::StateUnknown, why);
                 let data = unknown || unfinished;
                 let left = if data || self.found == Seal::Sealed { left(data, &error) } else { None };
                 (Err(error), left)
@@ -347,7 +347,7 @@ impl Session {
 
 /// Whether a block was stored and reads otherwise.
 pub(super) fn reads_wrong(error: &Error) -> bool {
-    matches!(error.cause(), Cause::Protocol(_)) && error.step() == Some(Step::Verify)
+    matches!(error.cause(), Cause::Protocol) && error.step() == Some(Step::Verify)
 }
 
 /// Resets the gauge, which is open, until there is a sign that it has happened: a part that had been sealed is
@@ -391,7 +391,7 @@ fn reset(gauge: &mut Gauge, found: Seal, moment: Moment) -> Result<Seal> {
         }
     }
     let why = format!("the gauge was sent RESET {RESETS} times and shows no sign of it");
-    Err(Error::new(gauge.chip.model, Cause::TimedOut(why)).at(Step::Reset))
+    Err(Error::new(gauge.chip.model, Cause::TimedOut, why).at(Step::Reset))
 }
 
 /// Waits until the gauge answers after the end of CONFIG UPDATE, and goes to a state in which data memory can be
@@ -436,5 +436,5 @@ pub(super) fn own_up<T>(gauge: &mut Gauge, run: impl FnOnce(&mut Gauge) -> Resul
         Ok(_) => format!("done; but {mishap}"),
         Err(error) => format!("{error}; {mishap}"),
     };
-    Err(Error::new("", Cause::StateUnknown(why)))
+    Err(Error::new("", Cause::StateUnknown, why))
 }

@@ -315,7 +315,7 @@ impl DataFlash {
         let owes_seal = self.find_seal().is_some();
         let settled = match self.find_pending() {
             // Only the seal is tried again by itself.
-            Some(Pending { why, undecided: true, .. }) if owes_seal => Err(Error::new("", Cause::Busy(why))),
+            Some(Pending { why, undecided: true, .. }) if owes_seal => Err(Error::new("", Cause::Busy, why)),
             _ => self.settle_writes(gauge, waited),
         };
         let sealed = self.pay_seal(gauge, waited + (gauge.clock.now() - begun));
@@ -347,7 +347,7 @@ impl DataFlash {
         if self.pending.as_ref().is_some_and(|pending| pending.undecided) {
             told.iter().for_each(|told| log::warn!("{}: {told}", gauge.chip.name));
             let why = self.pending.as_ref().map_or(String::new(), |pending| pending.why.clone());
-            return Err(Error::new("", Cause::Busy(why)));
+            return Err(Error::new("", Cause::Busy, why));
         }
         Ok((!told.is_empty()).then(|| told.join("; ")))
     }
@@ -450,7 +450,7 @@ impl DataFlash {
         });
         match ruled_out {
             // Each of them is tried with what its plan knows of the keys.
-            Err(error) if matches!(error.cause(), Cause::NotPermitted(_)) => Ok(Vec::new()),
+            Err(error) if matches!(error.cause(), Cause::NotPermitted) => Ok(Vec::new()),
             ruled_out => ruled_out,
         }
     }
@@ -528,7 +528,7 @@ impl DataFlash {
             if decision == Decision::Discard {
                 self.forget_seal();
             }
-            let nothing = || Error::new(gauge.chip.name, Cause::Invalid("there is nothing to settle".into()));
+            let nothing = || Error::new(gauge.chip.name, Cause::Invalid, "there is nothing to settle");
             return sealed?.ok_or_else(nothing);
         };
         let key = pending.plan().and_then(|plan| plan.key).filter(|key| !key.is_over());
@@ -539,7 +539,7 @@ impl DataFlash {
         };
         if let Some(key) = key.filter(|_| needs_keys) {
             let why = format!("no journal has keys: {}", way_out(&key.names));
-            return Err(Error::new(gauge.chip.name, Cause::NotPermitted(why)));
+            return Err(Error::new(gauge.chip.name, Cause::NotPermitted, why));
         }
         if decision != Decision::Discard {
             let told = self.resolve(gauge, &pending, Some(decision), waited)?;
@@ -611,11 +611,11 @@ impl DataFlash {
                 })
             }),
             None if pending.undecided => Ok(Verdict::Undecided(pending.why.clone())),
-            None => Err(Error::new("", Cause::Busy(pending.why.clone()))),
+            None => Err(Error::new("", Cause::Busy, pending.why.clone())),
         };
         self.now.may_be_renamed();
         let reads_wrong = verdict.as_ref().is_err_and(|error| {
-            matches!(error.cause(), Cause::StateUnknown(_)) && error.step() == Some(Step::Restore)
+            matches!(error.cause(), Cause::StateUnknown) && error.step() == Some(Step::Restore)
         });
         let tries = pending.tries + u32::from(reads_wrong);
         let (error, undecided) = match verdict {
@@ -639,7 +639,7 @@ impl DataFlash {
                     "an interrupted write is not settled: {why}{file}; nothing was touched and nothing is written to \
                      this gauge until somebody decides: gaugefs settle"
                 );
-                (Error::new(gauge.chip.name, Cause::Busy(why)), true)
+                (Error::new(gauge.chip.name, Cause::Busy, why), true)
             }
             Err(error) if pending.elsewhere => {
                 (self.pending, self.held) = (None, None);
@@ -653,7 +653,7 @@ impl DataFlash {
                     "an interrupted write is not settled: {error}; that was tried {tries} times, and nothing more is \
                      written to this gauge until somebody decides: gaugefs settle"
                 );
-                (Error::new(gauge.chip.name, Cause::Busy(why)), true)
+                (Error::new(gauge.chip.name, Cause::Busy, why), true)
             }
             Err(error) => (error.within("cannot settle an interrupted write"), false),
         };
@@ -797,7 +797,7 @@ impl DataFlash {
     /// Unseals the gauge, also if its keys were erased with a row of the plan.
     fn unseal(&mut self, gauge: &mut Gauge, plan: &Plan) -> Result<()> {
         let refused = match gauge.unseal() {
-            Err(error) if matches!(error.cause(), Cause::NotPermitted(_) | Cause::NotNow(_)) => error,
+            Err(error) if matches!(error.cause(), Cause::NotPermitted | Cause::NotNow) => error,
             done => return done,
         };
         // No journal has the keys. Each wrong one locks the gauge for a while, so it is tried once.
@@ -828,7 +828,7 @@ impl DataFlash {
     fn pay_first(&mut self, gauge: &mut Gauge, waited: Duration) -> Result<Duration> {
         let begun = gauge.clock.now();
         if let Some(Pending { why, undecided: true, .. }) = self.find_pending() {
-            return Err(Error::new("", Cause::Busy(why)));
+            return Err(Error::new("", Cause::Busy, why));
         }
         let told = self.settle_here(gauge, waited)?;
         told.iter().for_each(|told| log::warn!("{}: {told}", gauge.chip.name));

@@ -20,6 +20,6 @@ pub(super) enum Verdict {
 
 /// What is not back. If it was stored and reads otherwise, trying again programs it again.
 pub(super) fn unrestored(error: Error) -> Error {
-    let unknown = Error::new("", Cause::StateUnknown(format!("{error}: data flash contents unknown")));
+    let unknown = Error::new("", Cause::StateUnknown, format!("{error}: data flash contents unknown"));
     if reads_wrong(&error) { unknown.at(Step::Restore) } else { unknown }
 }

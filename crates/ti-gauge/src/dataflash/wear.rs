@@ -72,7 +72,7 @@ impl Wear {
             seconds / 60,
             seconds % 60
         );
-        Err(Error::new("data flash", Cause::NotNow(why)).at(Step::Check))
+        Err(Error::new("data flash", Cause::NotNow, why).at(Step::Check))
     }
 }
 

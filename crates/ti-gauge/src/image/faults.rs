@@ -61,9 +61,9 @@ impl Faults {
     pub(super) fn unite(&mut self) {
         const SEVERAL: usize = 5;
         let Some((line, first)) = self.named.first().cloned() else { return };
-        if self.count > SEVERAL && self.named.iter().all(|(_, error)| error.cause() == first.cause()) {
+        if self.count > SEVERAL && self.named.iter().all(|(_, error)| error.reason() == first.reason()) {
             *self = Self::default();
-            self.at(line, format!("{}; no other line of the file can be read either", first.cause()));
+            self.at(line, format!("{}; no other line of the file can be read either", first.reason()));
         }
     }
 
@@ -105,7 +105,7 @@ mod tests {
         for line in (1..=50).rev() {
             faults.at(line, format!("mistake {line}"));
         }
-        faults.add(0, Error::new("", Cause::Invalid("the file".into())));
+        faults.add(0, Error::new("", Cause::Invalid, "the file"));
         let named: Vec<_> = faults.iter().map(ToString::to_string).collect();
         assert_eq!((named.len(), faults.more()), (NAMED, 31));
         assert_eq!(&named[..2], ["the file", "line 1: mistake 1"]);

@@ -866,7 +866,7 @@ fn runs(image: &Image) -> Result<Vec<(u16, Vec<u8>)>> {
     let mut runs: Vec<(u16, Vec<u8>)> = Vec::new();
     for entry in entries {
         let bytes = entry.bytes().ok_or_else(|| {
-            Error::new(entry.parameter.name, Cause::Invalid("its value does not fit its type".into()))
+            Error::new(entry.parameter.name, Cause::Invalid, "its value does not fit its type")
         })?;
         let offset = entry.parameter.offset;
         match runs.last_mut() {

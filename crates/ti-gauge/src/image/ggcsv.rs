@@ -296,7 +296,7 @@ fn string(parameter: &Parameter, shown: &str, raw: Option<&str>) -> Result<Value
     }
     if !shown.bytes().all(|byte| (b' '..=b'~').contains(&byte)) {
         let why = "only printable ASCII is accepted here; other bytes are in the column Data Flash Raw Value";
-        return Err(Error::new(parameter.name, Cause::Invalid(why.into())));
+        return Err(Error::new(parameter.name, Cause::Invalid, why));
     }
     notation::string(parameter, shown.into())
 }

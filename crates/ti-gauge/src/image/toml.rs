@@ -92,7 +92,7 @@ pub(super) fn read(text: &str, told: Option<&'static Chip>, faults: &mut Faults)
     if !errors.is_empty() && !is_meant(text) {
         let why = "none of the formats that gaugefs reads: TOML as `gaugefs export` writes it, gg.csv, or FlashStream \
                    (.gm.fs, .df.fs)";
-        return faults.stop(0, Error::new("", Cause::Invalid(why.into())));
+        return faults.stop(0, Error::new("", Cause::Invalid, why));
     }
     let start = |error: &toml::de::Error| error.span().map_or(0, |span| span.start);
     errors.sort_by_key(start);
@@ -137,7 +137,7 @@ pub(super) fn read(text: &str, told: Option<&'static Chip>, faults: &mut Faults)
         && !std::ptr::eq(named, told)
     {
         let why = format!("it is for a {}, not for a {}", named.model, told.model);
-        return file.faults.stop(0, Error::new("", Cause::Invalid(why)));
+        return file.faults.stop(0, Error::new("", Cause::Invalid, why));
     }
     let chip = chip_of(named.or(told), device_type, firmware);
     // What is wrong with a line that names it is said already.
@@ -252,7 +252,7 @@ fn value_of(parameter: &Parameter, name: &str, found: &DeValue<'_>, number: usiz
         let remedy = match found {
             DeValue::String(text) if !is_for_text => match notation::parse(parameter, text.as_bytes()) {
                 Ok(_) => "; write it without quotes".into(),
-                Err(error) => format!("; {}", error.cause()),
+                Err(error) => format!("; {}", error.reason()),
             },
             _ => String::new(),
         };

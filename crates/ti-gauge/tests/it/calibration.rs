@@ -119,31 +119,31 @@ fn what_is_noisy_or_out_of_range_is_refused() {
     let trembling: &[(&str, &str)] = &[("load_ma", "1000"), ("noise_ma", "200")];
     let load: &[(&str, &str)] = &[("load_ma", "1000")];
     for (knobs, job, expected, says) in [
-        (noisy, Job::Voltage(3900.0), "NotNow", "too noisy"),
-        (trembling, Job::Current(-1000.0), "NotNow", "too noisy"),
-        (&[], Job::Voltage(12_600.0), "OutOfRange", "gaugefs bringup"),
-        (load, Job::Current(1000.0), "OutOfRange", "negative"),
-        (load, Job::Current(-500.0), "OutOfRange", "5677445"),
-        (&[], Job::Current(-20.0), "OutOfRange", "100 mA"),
-        (&[], Job::Temperature(60.0), "OutOfRange", "-128 to 127"),
-        (load, Job::BoardOffset, "NotNow", "disconnect load"),
-        (load, Job::CcOffset, "NotNow", "disconnect load"),
+        (noisy, Job::Voltage(3900.0), "not-now", "too noisy"),
+        (trembling, Job::Current(-1000.0), "not-now", "too noisy"),
+        (&[], Job::Voltage(12_600.0), "out-of-range", "gaugefs bringup"),
+        (load, Job::Current(1000.0), "out-of-range", "negative"),
+        (load, Job::Current(-500.0), "out-of-range", "5677445"),
+        (&[], Job::Current(-20.0), "out-of-range", "100 mA"),
+        (&[], Job::Temperature(60.0), "out-of-range", "-128 to 127"),
+        (load, Job::BoardOffset, "not-now", "disconnect load"),
+        (load, Job::CcOffset, "not-now", "disconnect load"),
         (
             &[],
             Job::BringUp { cells: 7, divider: 20_000, voltage_mv: Some(26_000.0) },
-            "OutOfRange",
+            "out-of-range",
             "20000 mV",
         ),
         (
             NEW_BOARD,
             Job::BringUp { cells: 7, divider: 33_000, voltage_mv: Some(26.985) },
-            "OutOfRange",
+            "out-of-range",
             "26.985 mV is too little for 7 cells; if it means 26.985V,",
         ),
         (
             NEW_BOARD,
             Job::BringUp { cells: 7, divider: 33, voltage_mv: None },
-            "OutOfRange",
+            "out-of-range",
             "33 mV is too little for 7 cells; if it means 33V,",
         ),
     ] {
@@ -158,7 +158,7 @@ fn what_is_noisy_or_out_of_range_is_refused() {
     }
     let mut rig = Rig::new("bq27441-g1");
     let error = run(&mut rig.dataflash, &mut rig.gauge, &Job::Leave, Duration::ZERO, &mut |_| {});
-    assert_eq!(cause(&error.expect_err("not documented")), "NotPermitted");
+    assert_eq!(cause(&error.expect_err("not documented")), "not-permitted");
 }
 
 /// The load changes while the new values are written: they seem to make the error larger.
@@ -179,7 +179,7 @@ fn what_makes_the_error_larger_is_put_back() {
     };
     let error = run(&mut rig.dataflash, &mut rig.gauge, &Job::Current(-1000.0), Duration::ZERO, &mut tell)
         .expect_err("it is worse");
-    assert_eq!(cause(&error), "RolledBack", "{error}");
+    assert_eq!(cause(&error), "rolled-back", "{error}");
     assert!(rig.sim.flash() == flash && rig.seal() == Seal::Sealed);
 
     // An offset that was measured while a load was connected.
@@ -193,7 +193,7 @@ fn what_makes_the_error_larger_is_put_back() {
     };
     let error = run(&mut rig.dataflash, &mut rig.gauge, &Job::BoardOffset, Duration::ZERO, &mut tell)
         .expect_err("it is worse");
-    assert_eq!(cause(&error), "RolledBack", "{error}");
+    assert_eq!(cause(&error), "rolled-back", "{error}");
     assert!(rig.sim.flash() == flash && rig.seal() == Seal::Sealed, "{error}");
 }
 
@@ -209,7 +209,7 @@ fn a_new_board_gets_its_old_values_back_if_the_voltage_is_wrong() {
             told.push(text.to_string())
         })
         .expect_err("the divider is wrong");
-        assert_eq!(cause(&error), "RolledBack", "{job:?}: {error}");
+        assert_eq!(cause(&error), "rolled-back", "{job:?}: {error}");
         assert!(error.to_string().contains("is the divider right"), "{error}");
         assert!(told.iter().any(|text| text.contains("[VOLTSEL]")), "{told:?}");
         assert!(rig.sim.flash() == flash && rig.seal() == Seal::Sealed, "{job:?}");
@@ -244,7 +244,7 @@ fn regression_a_bring_up_without_its_limit_was_a_success() {
         let outcome = run(&mut rig.dataflash, &mut rig.gauge, &BRING_UP, Duration::ZERO, &mut tell);
         let error = outcome.expect_err("the limit is not set");
         let says = error.to_string();
-        assert_eq!(cause(&error), "StateUnknown", "{says}");
+        assert_eq!(cause(&error), "state-unknown", "{says}");
         assert!(says.contains("not complete") && says.contains("run the same command again"), "{says}");
         assert_eq!(says.contains("its limit stays 0"), undone, "{says}");
         if !undone {
@@ -328,7 +328,7 @@ fn a_fault_at_any_transfer_of_a_calibration_causes_no_false_success() {
                         matches!(case.job, Job::BringUp { .. }) && rig.read(68, 0) == Ok(vec![0, 0]);
                     assert!(!is_open, "{at}: without its limit: {outcome:?}");
                 }
-                "StateUnknown" => {}
+                "state-unknown" => {}
                 _ => assert!(is_as(&flash, &old), "{at}: {outcome:?}, but data flash has changed"),
             }
             let mode = rig.sim.get("mode");
@@ -416,7 +416,7 @@ fn a_calibration_that_changes_a_divider_by_more_than_a_fifth_is_refused() {
         let job = Job::Voltage(actual);
         let error = run(&mut rig.dataflash, &mut rig.gauge, &job, Duration::ZERO, &mut |_| {});
         let error = error.expect_err("no tolerance explains it");
-        assert_eq!(cause(&error), "OutOfRange", "{error}");
+        assert_eq!(cause(&error), "out-of-range", "{error}");
         assert!(error.to_string().contains("20 %") && rig.sim.flash() == flash, "{error}");
     }
 }
@@ -538,7 +538,7 @@ fn an_offset_of_a_new_pack_that_nobody_has_judged_waits_for_a_person() {
         rig.clock.sleep(Duration::from_secs(20));
         let new = rig.sim.flash();
         let error = rig.dataflash.settle(&mut rig.gauge, Duration::ZERO).expect_err("it may be another pack");
-        assert_eq!(cause(&error), "Busy", "{error}");
+        assert_eq!(cause(&error), "busy", "{error}");
         assert!(error.to_string().contains("not judged") && rig.sim.flash() == new, "{error}");
         let shown = rig.dataflash.examine(&mut rig.gauge, Duration::ZERO).expect("it answers");
         assert!(shown.contains("Board Offset"), "{shown}");
@@ -574,7 +574,7 @@ fn an_offset_that_is_still_measured_is_not_settled_yet() {
     };
     rig.dataflash = DataFlash::new(Limits::default(), Some(folder.journal()));
     let error = rig.dataflash.settle(&mut rig.gauge, Duration::ZERO).expect_err("it measures");
-    assert!(cause(&error) == "NotNow" && error.to_string().contains("still measures its offset"), "{error}");
+    assert!(cause(&error) == "not-now" && error.to_string().contains("still measures its offset"), "{error}");
     rig.clock.sleep(Duration::from_secs(20));
     rig.dataflash.settle(&mut rig.gauge, Duration::ZERO).expect("it is over");
     assert_eq!((rig.sim.flash() == old, rig.seal(), folder.files()), (true, Seal::Sealed, vec![]));

@@ -21,20 +21,20 @@ fn a_change_is_what_may_be_written() {
                         Change::of_value(row, &Value::Int(value), true).map_err(|error| cause(&error))
                     };
                     if subclass.kind == Kind::Security {
-                        assert_eq!(of(min).err(), Some("NotPermitted"), "{at}");
+                        assert_eq!(of(min).err(), Some("not-permitted"), "{at}");
                     } else {
-                        assert_eq!([of(min - 1).err(), of(max + 1).err()], [Some("OutOfRange"); 2], "{at}");
+                        assert_eq!([of(min - 1).err(), of(max + 1).err()], [Some("out-of-range"); 2], "{at}");
                         refused += 2;
                     }
                     if parameter.unproven && subclass.kind != Kind::Security {
                         let error = Change::of_value(row, &Value::Int(min), false).expect_err(&at);
-                        assert_eq!(cause(&error), "Io", "{at}: {error}");
+                        assert_eq!(cause(&error), "io", "{at}: {error}");
                         unproven += 1;
                     }
                 }
                 let there =
                     Change::raw(chip, (subclass.id, parameter.offset).into(), vec![0]).expect_err(&at);
-                assert!(["Invalid", "NotPermitted"].contains(&cause(&there)), "{at}: {there}");
+                assert!(["invalid", "not-permitted"].contains(&cause(&there)), "{at}: {there}");
                 raw += 1;
             }
         }

@@ -427,7 +427,7 @@ fn run(seed: u64, moves: &BTreeMap<&str, Vec<bool>>) -> std::result::Result<Vec<
     let mut outcome = model.act(&mut host);
     for _ in 0..4 {
         // EAGAIN, or a seal that is owed: it was busy with a row of its own.
-        let is_busy = outcome.as_ref().is_err_and(|error| matches!(error.cause(), Cause::NotNow(_)));
+        let is_busy = outcome.as_ref().is_err_and(|error| matches!(error.cause(), Cause::NotNow));
         if is_busy || outcome.is_err() && host.dataflash.owed().is_some_and(|owed| !owed.data) {
             model.clock.sleep(Duration::from_secs(1));
             host.transfers.store(0, Ordering::Relaxed);
@@ -505,9 +505,7 @@ fn run(seed: u64, moves: &BTreeMap<&str, Vec<bool>>) -> std::result::Result<Vec<
             let at = differing(&run.flash(), &new);
             return Err(format!("success is false, at {at:?} <- {}", about(&fault)));
         }
-        Some(Err(error))
-            if !matches!(error.cause(), Cause::StateUnknown(_)) && !check(&run.flash(), &old) =>
-        {
+        Some(Err(error)) if !matches!(error.cause(), Cause::StateUnknown) && !check(&run.flash(), &old) => {
             let at = differing(&run.flash(), &old);
             return Err(format!("{error}, but flash has changed at {at:?} <- {}", about(&fault)));
         }
@@ -620,7 +618,7 @@ const UNDECIDED_RAM: &str = "is not what it was then";
 
 /// A gauge that was found open, whose key this host has not tried, is not reset.
 fn is_refused_untried(error: &ti_gauge::error::Error, found: Seal) -> bool {
-    found != Seal::Sealed && matches!(error.cause(), Cause::NotPermitted(_))
+    found != Seal::Sealed && matches!(error.cause(), Cause::NotPermitted)
 }
 
 fn differing(one: &[u8], other: &[u8]) -> Vec<(usize, u8, u8)> {

@@ -173,13 +173,13 @@ fn a_fault_at_any_transfer_of_a_write_causes_no_false_success() {
                     assert!(flash == new, "{at}: success is false");
                     true
                 }
-                Err(error) if cause(error) == "StateUnknown" => {
+                Err(error) if cause(error) == "state-unknown" => {
                     unknown += 1;
                     false
                 }
                 Err(error) => {
                     match error.cause() {
-                        Cause::RolledBack(_) => rolled_back += 1,
+                        Cause::RolledBack => rolled_back += 1,
                         _ => refused += 1,
                     }
                     assert!(flash == old, "{at}: {error}, but data flash has changed");

@@ -86,7 +86,7 @@ impl Operation {
                 match &outcome {
                     Ok(()) => assert!(now == after, "{at}: success is false: {:?}", now.differs(&after)),
                     Err(error) => {
-                        assert_ne!(cause(error), "StateUnknown", "{at}: {error}");
+                        assert_ne!(cause(error), "state-unknown", "{at}: {error}");
                         assert!(now == before, "{at}: {error}: {:?}", now.differs(&before));
                     }
                 }
@@ -308,7 +308,7 @@ fn regression_a_wrong_bit_let_a_reset_end_a_learning_cycle() {
         rig
     };
     let mut plain = start();
-    assert_eq!(cause(&plain.write(80, 53, "3100").expect_err("a cycle runs")), "Busy");
+    assert_eq!(cause(&plain.write(80, 53, "3100").expect_err("a cycle runs")), "busy");
     for (at, record) in plain.sim.log().into_iter().enumerate() {
         for (byte, bit) in bits(at + 1, record.read.len()) {
             let fault = format!("flip {} {} {bit}", at + 1, record.write.len() + byte);
@@ -350,7 +350,7 @@ fn regression_a_write_that_waits_for_a_decision_left_config_update_on() {
     cut(&mut rig, &folder, &changes, programs);
     assert_ne!(rig.get("mode"), "normal");
     let error = settle(&mut rig).expect_err("the pack may be another one");
-    assert_eq!(cause(&error), "Busy", "{error}");
+    assert_eq!(cause(&error), "busy", "{error}");
     assert_eq!((rig.get("mode").as_str(), rig.get("seal").as_str()), ("normal", "sealed"));
     assert!(rig.dataflash.owed().is_some_and(|owed| owed.needs_decision));
 }

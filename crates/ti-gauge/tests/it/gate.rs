@@ -93,19 +93,24 @@ fn a_divider_that_would_shut_flash_is_refused() {
     refused(
         &mut at("bq34z100-g1", "3855"),
         &[(DIVIDER, "500")],
-        "OutOfRange",
+        "out-of-range",
         &["385 mV", "2800 mV", "68/0"],
     );
     // Voltage() would be 72000 mV, more than its 16 bits hold.
     refused(
         &mut at("bq34z100-g1", "12000"),
         &[(DIVIDER, "30000")],
-        "OutOfRange",
+        "out-of-range",
         &["72003 mV", "cannot show"],
     );
     // Should Voltage() not follow the divider, 642 mV would be compared.
-    refused(&mut at("bq34z100-g1", "3855"), &[(DIVIDER, "30000")], "OutOfRange", &["642 mV", "68/0"]);
-    refused(&mut at("bq34110", "3500"), &[((FLAT, 0x4010), "100")], "OutOfRange", &["69 mV", "flash/0x4157"]);
+    refused(&mut at("bq34z100-g1", "3855"), &[(DIVIDER, "30000")], "out-of-range", &["642 mV", "68/0"]);
+    refused(
+        &mut at("bq34110", "3500"),
+        &[((FLAT, 0x4010), "100")],
+        "out-of-range",
+        &["69 mV", "flash/0x4157"],
+    );
     written(&mut at("bq34z100-g1", "3855"), &[(DIVIDER, "5100")]);
     written(&mut at("bq34110", "3500"), &[((FLAT, 0x4010), "5100")]);
 }
@@ -118,11 +123,11 @@ fn values_are_judged_together() {
     {
         written(&mut at(chip, "3855"), &[(limit, "3800")]);
         written(&mut at(chip, "3855"), &[(divider, "4000")]);
-        refused(&mut at(chip, "3855"), &[(limit, "3800"), (divider, "4000")], "OutOfRange", &["3083 mV"]);
-        refused(&mut at(chip, "3855"), &[(divider, "4000"), (limit, "3800")], "OutOfRange", &["3083 mV"]);
+        refused(&mut at(chip, "3855"), &[(limit, "3800"), (divider, "4000")], "out-of-range", &["3083 mV"]);
+        refused(&mut at(chip, "3855"), &[(divider, "4000"), (limit, "3800")], "out-of-range", &["3083 mV"]);
     }
     // And together right, although the divider alone is wrong.
-    refused(&mut at("bq34z100-g1", "3855"), &[(DIVIDER, "3000")], "OutOfRange", &["2312 mV"]);
+    refused(&mut at("bq34z100-g1", "3855"), &[(DIVIDER, "3000")], "out-of-range", &["2312 mV"]);
     written(&mut at("bq34z100-g1", "3855"), &[(DIVIDER, "3000"), (LIMIT, "2300")]);
 }
 
@@ -132,10 +137,10 @@ fn values_are_judged_together() {
 fn the_gate_of_the_bq34z100_r2_has_no_full_scale() {
     let at = |voltage_mv| at("bq34z100-r2", voltage_mv);
     written(&mut at("3855"), &[(DIVIDER, "33000")]);
-    refused(&mut at("3855"), &[(DIVIDER, "500")], "OutOfRange", &["385 mV", "2800 mV", "68/0"]);
-    refused(&mut at("12000"), &[(DIVIDER, "33000")], "OutOfRange", &["cannot show"]);
-    refused(&mut at("3855"), &[(CELLS, "2")], "OutOfRange", &["1927 mV per cell"]);
-    refused(&mut at("3855"), &[(PACK_CONFIG, EXTERNAL)], "OutOfRange", &["[VOLTSEL]"]);
+    refused(&mut at("3855"), &[(DIVIDER, "500")], "out-of-range", &["385 mV", "2800 mV", "68/0"]);
+    refused(&mut at("12000"), &[(DIVIDER, "33000")], "out-of-range", &["cannot show"]);
+    refused(&mut at("3855"), &[(CELLS, "2")], "out-of-range", &["1927 mV per cell"]);
+    refused(&mut at("3855"), &[(PACK_CONFIG, EXTERNAL)], "out-of-range", &["[VOLTSEL]"]);
     let mut new = at("3855");
     assert_eq!(new.write(68, 0, "0"), WRITTEN);
     written(&mut new, &[(PACK_CONFIG, EXTERNAL), (DIVIDER, "33000"), (CELLS, "3")]);
@@ -147,14 +152,14 @@ fn voltsel_without_an_external_divider_is_refused() {
     refused(
         &mut rig,
         &[(PACK_CONFIG, EXTERNAL)],
-        "OutOfRange",
+        "out-of-range",
         &["[VOLTSEL]", "external divider", "5000 mV"],
     );
     // With the external divider, the pin has no more than the converter's range of 1 V.
     let mut rig = new_pack();
     written(&mut rig, &[(PACK_CONFIG, EXTERNAL), (LIMIT, "2800")]);
     // And without [VOLTSEL] the converter would get a fifth.
-    refused(&mut finished_pack(), &[(PACK_CONFIG, INTERNAL)], "OutOfRange", &["849 mV per cell"]);
+    refused(&mut finished_pack(), &[(PACK_CONFIG, INTERNAL)], "out-of-range", &["849 mV per cell"]);
 }
 
 /// The limit applies to Voltage() scaled back to the internal divider, too (SLUSBZ5D 8.2.2.1.3).
@@ -163,23 +168,23 @@ fn the_limit_is_compared_with_the_scaled_voltage() {
     let mut rig = finished_pack();
     written(&mut rig, &[(CELLS, "1")]);
     rig.sim.set("voltage_mv", "14000").expect("a knob");
-    refused(&mut rig, &[(LIMIT, "3501")], "OutOfRange", &["3500 mV at a Voltage Divider of 5000"]);
+    refused(&mut rig, &[(LIMIT, "3501")], "out-of-range", &["3500 mV at a Voltage Divider of 5000"]);
     written(&mut rig, &[(LIMIT, "3500")]);
     rig.sim.set("voltage_mv", "13999").expect("a knob");
-    refused(&mut rig, &[((80, 53), "3100")], "NotNow", &["3499 mV at a Voltage Divider of 5000"]);
+    refused(&mut rig, &[((80, 53), "3100")], "not-now", &["3499 mV at a Voltage Divider of 5000"]);
 }
 
 /// By its name the limit is a cell's.
 #[test]
 fn the_number_of_cells_counts() {
-    refused(&mut at("bq34z100-g1", "3855"), &[(CELLS, "2")], "OutOfRange", &["1927 mV per cell"]);
+    refused(&mut at("bq34z100-g1", "3855"), &[(CELLS, "2")], "out-of-range", &["1927 mV per cell"]);
     // 17000 mV are 3400 mV a cell if there are five.
     let mut rig = finished_pack();
     written(&mut rig, &[(LIMIT, "4000")]);
-    refused(&mut rig, &[(CELLS, "5")], "OutOfRange", &["3400 mV per cell"]);
+    refused(&mut rig, &[(CELLS, "5")], "out-of-range", &["3400 mV per cell"]);
     written(&mut rig, &[(CELLS, "5"), (LIMIT, "3300")]);
     // The number of cells is read when it is not among the changes.
-    refused(&mut rig, &[(LIMIT, "3500")], "OutOfRange", &["3400 mV per cell"]);
+    refused(&mut rig, &[(LIMIT, "3500")], "out-of-range", &["3400 mV per cell"]);
     written(&mut rig, &[(CELLS, "1")]);
 }
 
@@ -201,7 +206,7 @@ fn rounding_does_not_open_the_gate() {
         let values: Values<'_> = &[(DIVIDER, divider), (LIMIT, limit)];
         match open {
             true => written(&mut rig, values),
-            false => refused(&mut rig, values, "OutOfRange", &["mV"]),
+            false => refused(&mut rig, values, "out-of-range", &["mV"]),
         }
     }
 }
@@ -223,7 +228,7 @@ fn a_new_pack_whose_flash_is_shut_says_the_way() {
     let mut rig = at("bq34z100-g1", "850");
     let values: Values<'_> = &[(LIMIT, "2800"), (DIVIDER, "20000"), (PACK_CONFIG, EXTERNAL), (CELLS, "4")];
     let says = ["850 mV", "2800 mV (68/0)", "CAL_ENABLE, 0x002d", "104/14", "[VOLTSEL]", "one transaction"];
-    refused(&mut rig, values, "NotNow", &says);
+    refused(&mut rig, values, "not-now", &says);
     rig.dataflash.go_to(&mut rig.gauge, Seal::Unsealed, Duration::ZERO).expect("the default key");
     rig.gauge.command(0x002D).expect("it answers");
     written(&mut rig, values);
@@ -245,7 +250,7 @@ fn calibration_does_not_let_through_what_shuts_flash() {
     rig.dataflash.go_to(&mut rig.gauge, Seal::Unsealed, Duration::ZERO).expect("the default key");
     rig.gauge.command(0x002D).expect("it answers");
     let error = rig.write(104, 14, "500").expect_err("it would shut flash");
-    assert_eq!(cause(&error), "OutOfRange", "{error}");
+    assert_eq!(cause(&error), "out-of-range", "{error}");
 }
 
 /// Where no source says what a divider's bit does to Voltage(), the limit has to be 0 first.
@@ -256,7 +261,7 @@ fn an_unknown_divider_needs_a_limit_of_0() {
         ("bq35100", (FLAT, 0x41B1), "0xc0", (FLAT, 0x41B6), "[EXTVCELL]"),
     ] {
         let mut rig = at(chip, "3500");
-        refused(&mut rig, &[(row, text)], "OutOfRange", &[name, "set the limit to 0"]);
+        refused(&mut rig, &[(row, text)], "out-of-range", &[name, "set the limit to 0"]);
         assert_eq!(rig.write(limit.0, limit.1, "0"), STORED);
         assert_eq!(rig.write(row.0, row.1, text), STORED);
     }
@@ -278,12 +283,12 @@ fn values_that_would_shut_flash_half_way_are_refused() {
     let says = ["before the last block", "set the limit to 0"];
     // The divider comes first, and Voltage() would be 2099 mV.
     let mut rig = at("bq34110", "3500");
-    refused(&mut rig, &[(divider, "3000"), (limit, "2000")], "OutOfRange", &says);
+    refused(&mut rig, &[(divider, "3000"), (limit, "2000")], "out-of-range", &says);
     written(&mut rig, &[(limit, "2000")]);
     written(&mut rig, &[(divider, "3000")]);
     // Voltage() would be 4199 mV, if the gauge measured it before the block behind the limit.
     let mut rig = at("bq34110", "3500");
-    refused(&mut rig, &[(divider, "6000"), (limit, "3900"), other], "OutOfRange", &says);
+    refused(&mut rig, &[(divider, "6000"), (limit, "3900"), other], "out-of-range", &says);
     written(&mut rig, &[(divider, "6000"), (limit, "3900")]);
 }
 
@@ -316,7 +321,7 @@ fn a_failed_configuration_is_undone() {
             rig.gauge = Gauge::new(rig.gauge.chip, bus, rig.clock.clone(), Keys::default(), false);
             rig.gauge.seal().expect("the gauge answers");
             let error = write_all(&mut rig, values).expect_err("not stored");
-            assert_eq!(cause(&error), "RolledBack", "{values:?} {block}: {error}");
+            assert_eq!(cause(&error), "rolled-back", "{values:?} {block}: {error}");
             assert!(rig.sim.flash() == before, "{values:?} {block}: {error}");
             assert_eq!(rig.sim.get("dropped").as_deref(), Some("0"), "{values:?} {block}");
         }
@@ -329,9 +334,9 @@ fn undocumented_bytes_do_not_shut_flash() {
     let mut rig = at("bq34z100-g1", "3855");
     let place = ti_gauge::dataflash::Place { subclass: 104, offset: 15 };
     let error = Change::raw(rig.gauge.chip, place, vec![0]).expect_err("the low byte of Voltage Divider");
-    assert_eq!(cause(&error), "Invalid", "{error}");
+    assert_eq!(cause(&error), "invalid", "{error}");
     let written = rig.write(104, 14, "256").expect_err("0x0100 is too low");
-    assert_eq!(cause(&written), "OutOfRange", "{written}");
+    assert_eq!(cause(&written), "out-of-range", "{written}");
 }
 
 /// Flips one bit of one read.
@@ -400,17 +405,17 @@ fn a_flipped_bit_does_not_open_the_gate() {
         let mut rig = at("bq34z100-g1", "2700");
         rig.flips(flip);
         let error = rig.write(80, 53, "3100").expect_err("too low");
-        assert_eq!(cause(&error), "NotNow", "{flip:?}: {error}");
+        assert_eq!(cause(&error), "not-now", "{flip:?}: {error}");
         assert_eq!(rig.sim.get("dropped").as_deref(), Some("0"), "{flip:?}");
     }
     // Voltage() before a change of the limit: 2900 becomes 3924, in the first reading or in a later one.
     for which in 0..4 {
         let mut rig = at("bq34z100-g1", "2900");
         rig.flips((0x08, 2, which, 1, 0x04));
-        refused(&mut rig, &[(LIMIT, "3000")], "OutOfRange", &["2900 mV"]);
+        refused(&mut rig, &[(LIMIT, "3000")], "out-of-range", &["2900 mV"]);
         let mut rig = at("bq34z100-g1", "2900");
         rig.flips((0x00, 10, which, 9, 0x04));
-        refused(&mut rig, &[(LIMIT, "3000")], "OutOfRange", &["2900 mV"]);
+        refused(&mut rig, &[(LIMIT, "3000")], "out-of-range", &["2900 mV"]);
     }
 }
 
@@ -432,7 +437,7 @@ fn another_block_is_not_taken_for_the_limit() {
     let bus = Box::new(Misselects(Box::new(rig.sim.bus()), false));
     rig.gauge = Gauge::new(rig.gauge.chip, bus, rig.clock.clone(), Keys::default(), false);
     rig.gauge.seal().expect("the gauge answers");
-    refused(&mut rig, &[((80, 53), "3100")], "NotNow", &["2800 mV (68/0)"]);
+    refused(&mut rig, &[((80, 53), "3100")], "not-now", &["2800 mV (68/0)"]);
 }
 
 #[test]
@@ -455,7 +460,7 @@ fn the_limit_is_read_again_after_a_failure() {
     assert_eq!(rig.write(80, 53, "3200"), WRITTEN);
     assert_eq!(since.lock().expect("a list").len(), 2, "it is known");
     rig.sim.set("fault", "drop-commit").expect("a fault");
-    assert_eq!(cause(&rig.write(80, 53, "3300").expect_err("dropped")), "RolledBack");
+    assert_eq!(cause(&rig.write(80, 53, "3300").expect_err("dropped")), "rolled-back");
     assert_eq!(rig.write(80, 53, "3300"), WRITTEN);
     assert_eq!(since.lock().expect("a list").len(), 4, "it is read again");
 }

@@ -197,9 +197,9 @@ fn a_voltage_drop_at_any_transfer_causes_no_false_success() {
                     done += 1;
                     assert!(flash == new, "{at}: success is false");
                 }
-                Err("StateUnknown") => unknown += 1,
+                Err("state-unknown") => unknown += 1,
                 Err(cause) => {
-                    *(if cause == "RolledBack" { &mut back } else { &mut refused }) += 1;
+                    *(if cause == "rolled-back" { &mut back } else { &mut refused }) += 1;
                     assert!(flash == old, "{at}: {cause}, but data flash has changed");
                 }
             }
@@ -232,7 +232,7 @@ fn an_unknown_outcome_is_settled_at_the_next_start() {
             })
         };
         let (said, _) = write(None);
-        assert_eq!(cause(&said.expect("no cut").expect_err("a torn block")), "StateUnknown", "{torn}");
+        assert_eq!(cause(&said.expect("no cut").expect_err("a torn block")), "state-unknown", "{torn}");
         assert_eq!(folder.files().len(), 1, "{torn}: the journal stays");
         rig.sim.set("fault", "none").expect("a knob");
         rig.sim.set("power", "on").expect("a knob");

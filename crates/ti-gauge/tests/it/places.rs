@@ -41,7 +41,7 @@ fn torn(folder: &Folder) -> Rig {
     rig.arrive().expect("nothing to settle");
     rig.set("fault", "torn-commit 5");
     let changes = two_blocks(&rig);
-    assert_eq!(cause(&rig.write_all(&changes).expect_err("it is torn")), "StateUnknown");
+    assert_eq!(cause(&rig.write_all(&changes).expect_err("it is torn")), "state-unknown");
     rig.set("power", "on");
     rig.pause(3);
     rig
@@ -57,7 +57,7 @@ fn is_left_to_a_person(rig: &mut Rig, folder: &Folder, at: &str) {
     let flash = rig.sim.flash();
     let owed = rig.dataflash.owed().unwrap_or_else(|| panic!("{at}: nothing is owed"));
     assert!(owed.needs_decision && owed.why.contains("gaugefs settle"), "{at}: {}", owed.why);
-    assert_eq!(cause(&rig.write(58, 3, "0x5a").expect_err(at)), "Busy", "{at}");
+    assert_eq!(cause(&rig.write(58, 3, "0x5a").expect_err(at)), "busy", "{at}");
     assert!(rig.sim.flash() == flash, "{at}");
     rig.dataflash.decide(&mut rig.gauge, Decision::Undo(None), Duration::ZERO).expect(at);
     assert_eq!(rig.read(48, 11), Ok(vec![0x03, 0xe8]), "{at}");
@@ -84,7 +84,7 @@ fn regression_a_torn_pack_was_taken_for_whole_after_another_one_had_been_there()
         let mut first = left_torn(&folder);
         Rig::new(CHIP).comes_to(folder.journal()).expect("it is whole");
         first.comes_to(folder.at(place)).expect("mounting opens no gauge");
-        assert_eq!(cause(&first.write(80, 53, "3200").expect_err("it is torn")), "Busy");
+        assert_eq!(cause(&first.write(80, 53, "3200").expect_err("it is torn")), "busy");
         is_left_to_a_person(&mut first, &folder, place);
     }
 }
@@ -187,8 +187,8 @@ fn regression_a_complete_plan_with_a_wrong_digit_is_kept_for_a_person() {
         let changed = folder.text();
         assert_ne!(changed.as_ref(), Some(&whole), "{to}");
         let error = rig.comes_to(folder.journal()).expect_err(to);
-        assert_eq!((cause(&error), folder.text()), ("Busy", changed), "{to}: {error}");
-        assert_eq!(cause(&rig.write(58, 3, "0x5a").expect_err(to)), "Busy", "{to}");
+        assert_eq!((cause(&error), folder.text()), ("busy", changed), "{to}: {error}");
+        assert_eq!(cause(&rig.write(58, 3, "0x5a").expect_err(to)), "busy", "{to}");
         assert!(rig.sim.flash() == flash, "{to}");
         // What a person has corrected, or moved away, counts at once.
         folder.edit(|_| whole);
@@ -205,7 +205,7 @@ fn regression_an_unreadable_journal_that_was_moved_away_stops_nothing() {
     fs::write(folder.journal().path(), "what is this").expect("a file");
     let error = rig.comes_to(folder.journal()).expect_err("it cannot be read").to_string();
     assert!(error.contains("move it away"), "{error}");
-    assert_eq!(cause(&rig.write(58, 3, "0x5a").expect_err("it is there")), "Busy");
+    assert_eq!(cause(&rig.write(58, 3, "0x5a").expect_err("it is there")), "busy");
     fs::rename(folder.journal().path(), folder.path().join("elsewhere")).expect("it is there");
     rig.write(58, 3, "0x5a").expect("it is gone");
     assert!(rig.dataflash.owed().is_none());
@@ -223,7 +223,7 @@ fn a_journal_that_is_too_long_is_not_read_and_blocks_writes() {
     let error = rig.comes_to(folder.journal()).expect_err("it cannot be read").to_string();
     assert!(error.contains("longer than 256 MiB"), "{error}");
     let flash = rig.sim.flash();
-    assert_eq!(cause(&rig.write(58, 3, "0x5a").expect_err("it is there")), "Busy");
+    assert_eq!(cause(&rig.write(58, 3, "0x5a").expect_err("it is there")), "busy");
     assert!(rig.sim.flash() == flash && path.exists());
     // One that can be read is no journal for another reason, which the message has.
     long.set_len(256 << 10).expect("shorter");
@@ -352,7 +352,7 @@ fn regression_a_journal_that_others_may_write_was_believed() {
     fs::set_permissions(folder.path(), fs::Permissions::from_mode(0o770)).expect("it is our own");
     let mut rig = Rig::new(CHIP);
     rig.comes_to(folder.journal()).expect("there is no journal");
-    assert_eq!(cause(&rig.write(80, 53, "3200").expect_err("others may write there")), "NotPermitted");
+    assert_eq!(cause(&rig.write(80, 53, "3200").expect_err("others may write there")), "not-permitted");
     rig.read(80, 53).expect("it can be read");
 }
 
@@ -408,7 +408,7 @@ fn regression_a_write_beside_erased_parameters_was_made() {
         let error = rig.write(80, 53, "3100").map(drop);
         if lost.iter().any(|(_, parameter)| parameter.offset != 53) {
             let error = error.expect_err("the rest of the row stays erased");
-            assert_eq!(cause(&error), "BadChecksum", "{error}");
+            assert_eq!(cause(&error), "bad-checksum", "{error}");
             assert!(error.to_string().contains("subclass 80 offset 32"), "{error}");
             assert!(rig.sim.flash() == flash);
         }
@@ -441,7 +441,7 @@ fn regression_a_pack_was_not_read_beside_the_journals_of_many_others() {
             DataFlash::new(Limits::default(), Some(folder.at(&format!("i2c-{}-55", 100 + number))));
         rig.set("fault", "torn-commit 5");
         let changes = two_blocks(&rig);
-        assert_eq!(cause(&rig.write_all(&changes).expect_err("it is torn")), "StateUnknown");
+        assert_eq!(cause(&rig.write_all(&changes).expect_err("it is torn")), "state-unknown");
         rig.set("power", "on");
         rig.pause(3);
         last = Some(rig);

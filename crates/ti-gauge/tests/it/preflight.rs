@@ -131,7 +131,7 @@ fn no_write_in_a_mode_that_someone_else_set() {
     for &(chip, begin, says, end, lasts) in cases {
         let mut rig = Rig::new(chip);
         rig.send(begin);
-        refused(&mut rig, "Busy", &says);
+        refused(&mut rig, "busy", &says);
         rig.send(end);
         rig.clock.sleep(lasts);
         let written = write(&mut rig);
@@ -149,7 +149,7 @@ fn no_write_during_calibration_of_a_ram_gauge() {
     ];
     for chip in ["bq27441-g1", "bq27421-g1", "bq27426", "bq27427"] {
         for (tamper, says) in cases {
-            refused(&mut Rig::tampered(chip, tamper), "Busy", &[says]);
+            refused(&mut Rig::tampered(chip, tamper), "busy", &[says]);
         }
     }
 }
@@ -164,14 +164,14 @@ fn a_mode_left_by_our_own_failed_write_is_cleared() {
         let error = write(&mut rig).expect_err("the gauge falls silent");
         rig.sim.set("fault", "none").expect("a knob");
         let is_on = rig.sim.get("mode").is_some_and(|mode| mode != "normal");
-        (is_on && cause(&error) == "StateUnknown").then_some(rig)
+        (is_on && cause(&error) == "state-unknown").then_some(rig)
     });
     let mut rig = left_on.expect("some silence leaves the mode on");
     rig.gauge.forget_refusal();
     assert_eq!(write(&mut rig), WRITTEN);
     assert_eq!(rig.sim.get("mode").as_deref(), Some("normal"));
     rig.send(&[0x0013]);
-    assert_eq!(cause(&rig.write(82, 10, "1300").expect_err("somebody else's")), "Busy");
+    assert_eq!(cause(&rig.write(82, 10, "1300").expect_err("somebody else's")), "busy");
 }
 
 #[test]
@@ -182,7 +182,7 @@ fn a_gauge_in_rom_mode_is_reported() {
     assert_eq!(rig.sim.get("mode").as_deref(), Some("rom"));
     let flash = rig.sim.flash();
     let error = write(&mut rig).expect_err("nobody answers");
-    assert_eq!(cause(&error), "NoAnswer", "{error}");
+    assert_eq!(cause(&error), "no-answer", "{error}");
     assert!(error.to_string().contains("0x0b"), "{error}");
     assert!(rig.sim.flash() == flash);
 }
@@ -289,9 +289,9 @@ fn another_part_is_not_written_to() {
         assert!(write(&mut rig).is_ok(), "{chip}");
         rig.tamper(tamper);
         assert!(!rig.dataflash.doubts());
-        refused(&mut rig, "Gone", &says);
+        refused(&mut rig, "gone", &says);
         assert!(rig.dataflash.doubts(), "{chip}: it has to be asked anew who it is");
-        refused(&mut rig, "Gone", &says);
+        refused(&mut rig, "gone", &says);
         rig.tamper(|_, _, _| ());
         assert_eq!(write(&mut rig), Ok(Outcome::Unchanged), "{chip}");
     }
@@ -305,7 +305,7 @@ fn an_unknown_firmware_is_not_written_to() {
             read[1] = 2
         }
     });
-    refused(&mut rig, "Gone", &["0x0216", "mount it anew"]);
+    refused(&mut rig, "gone", &["0x0216", "mount it anew"]);
 }
 
 /// I2C has no error detection: one wrong bit must not be taken for another pack or a mode.
@@ -343,7 +343,7 @@ fn a_ram_gauge_that_lost_power_is_read_again_before_a_write() {
         rig.sim.set("power", "off").expect("a knob");
         rig.sim.set("power", "on").expect("a knob");
         rig.clock.sleep(Duration::from_secs(1));
-        refused(&mut rig, "Gone", &["[ITPOR]", "lost its power"]);
+        refused(&mut rig, "gone", &["[ITPOR]", "lost its power"]);
         rig.meet();
         assert_eq!(write(&mut rig), WRITTEN, "{chip}");
     }
@@ -355,7 +355,7 @@ fn a_ram_gauge_is_written_only_between_2450_and_4500_mv() {
         for mv in ["0", "2449", "4501"] {
             let mut rig = Rig::new(chip);
             rig.sim.set("voltage_mv", mv).expect("a knob");
-            refused(&mut rig, "NotNow", &["Voltage()", mv, "charge the cell"]);
+            refused(&mut rig, "not-now", &["Voltage()", mv, "charge the cell"]);
             // Restoring a configuration is not affected.
             let (at, text) = row(chip);
             let change = rig.change(at.0, at.1, text).saved();
@@ -379,7 +379,7 @@ const SAYS: &[&str] = &["learning", "LearnedStatus()", "--allow-learning"];
 fn a_write_that_would_end_a_learning_cycle_is_refused() {
     let mut rig = Rig::new("bq34z100-g1");
     rig.send(&[0x0021, 0x0020]);
-    refused(&mut rig, "Busy", SAYS);
+    refused(&mut rig, "busy", SAYS);
     // A write that needs no reset is allowed.
     assert_eq!(rig.write(80, 53, "3000"), Ok(Outcome::Unchanged));
     assert_eq!(rig.write(58, 3, "0x5a"), STORED);
@@ -388,7 +388,7 @@ fn a_write_that_would_end_a_learning_cycle_is_refused() {
     // After the reset there is nothing to lose until a rest has set [VOK] again.
     rig.clock.sleep(Duration::from_secs(3600));
     rig.seal();
-    refused(&mut rig, "Busy", SAYS);
+    refused(&mut rig, "busy", SAYS);
     assert_eq!(rig.write(82, 4, "0x06"), WRITTEN);
     assert_eq!(write(&mut rig), WRITTEN);
 }
@@ -410,7 +410,7 @@ fn a_golden_image_is_refused_during_a_learning_cycle() {
     let before = rig.sim.flash();
     let changes = [rig.change(82, 4, "0x02"), rig.change(80, 53, "3100")];
     let error = rig.dataflash.write(&mut rig.gauge, &changes, Duration::ZERO).expect_err("it waits");
-    assert_eq!(cause(&error), "Busy", "{error}");
+    assert_eq!(cause(&error), "busy", "{error}");
     assert!(rig.sim.flash() == before);
 }
 
@@ -425,7 +425,7 @@ fn a_write_during_a_learning_cycle_of_a_ram_gauge_is_refused() {
             }
         });
         assert_eq!(rig.write(82, 2, "0x83"), WRITTEN, "{chip}");
-        refused(&mut rig, "Busy", &["learning", "Update Status", "--allow-learning"]);
+        refused(&mut rig, "busy", &["learning", "Update Status", "--allow-learning"]);
         assert_eq!(rig.write(82, 2, "0x80"), WRITTEN, "{chip}");
         assert_eq!(write(&mut rig), WRITTEN, "{chip}");
     }
@@ -519,7 +519,7 @@ fn writes_over_the_hourly_limit_are_refused_before_any_transfer() {
     rig.clock.sleep(Duration::from_secs(600));
     let (sent, flash) = (rig.cost(), rig.sim.flash());
     let error = rig.write(80, 53, "3004").expect_err("three an hour");
-    assert_eq!(cause(&error), "NotNow", "{error}");
+    assert_eq!(cause(&error), "not-now", "{error}");
     for says in [
         "Cell Terminate Voltage (80/53)",
         "3 blocks",
@@ -547,7 +547,7 @@ fn unchanged_values_do_not_count_as_wear() {
     let counts = ["unchanged_writes", "flash_writes", "resets"].map(|name| count(&rig, name));
     assert_eq!(counts, [6, 0, 0]);
     assert_eq!(rig.write(80, 53, "3001"), WRITTEN);
-    assert_eq!(cause(&rig.write(80, 53, "3002").expect_err("one an hour")), "NotNow");
+    assert_eq!(cause(&rig.write(80, 53, "3002").expect_err("one an hour")), "not-now");
 }
 
 /// A golden image is not stopped half-way by the limit; its blocks are counted afterwards.
@@ -569,11 +569,11 @@ fn a_rollback_counts_but_is_never_refused() {
     let mut rig = limited("bq34z100-g1", 1);
     rig.sim.set("fault", "corrupt-commit").expect("a fault");
     let before = rig.sim.flash();
-    assert_eq!(cause(&rig.write(80, 53, "3100").expect_err("stored wrongly")), "RolledBack");
+    assert_eq!(cause(&rig.write(80, 53, "3100").expect_err("stored wrongly")), "rolled-back");
     assert!(rig.sim.flash() == before);
     assert_eq!(count(&rig, "flash_writes"), 2);
     let error = rig.write(80, 53, "3100").expect_err("one an hour");
-    assert!(cause(&error) == "NotNow" && error.to_string().contains("2 blocks"), "{error}");
+    assert!(cause(&error) == "not-now" && error.to_string().contains("2 blocks"), "{error}");
 }
 
 #[test]

@@ -165,7 +165,7 @@ fn a_gauge_in_rom_mode_is_found_by_reading_a_byte() {
     assert_eq!(answers_in_rom(&mut rom), Ok(true));
     let open = || Ok(Box::new(sim.bus()) as Box<dyn Bus>);
     let error = candidates(&open, &clock).expect_err("it has left the other address");
-    assert_eq!(*error.cause(), Cause::Bus(BusError::NoAck));
+    assert_eq!(error.cause(), Cause::Bus(BusError::NoAck));
     assert_eq!(answers_in_rom(&mut Eeprom(0x41)), Ok(true));
 }
 
@@ -175,7 +175,7 @@ fn an_empty_address_is_reported() {
     let sim = Sim::new(CHIPS[0].name, &Options::default(), clock.clone()).expect("a gauge");
     let open = || Ok(Box::new(sim.bus_at(0x50)) as Box<dyn Bus>);
     let error = candidates(&open, &clock).expect_err("nobody is there");
-    assert_eq!(*error.cause(), Cause::Bus(BusError::NoAck));
+    assert_eq!(error.cause(), Cause::Bus(BusError::NoAck));
 }
 
 /// A gauge whose transfers are recorded, each with its time.

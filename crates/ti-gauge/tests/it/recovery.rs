@@ -81,7 +81,7 @@ fn the_journal_stays_while_what_is_put_back_is_not_stored() {
     let torn = rig.sim.flash();
     rig.set("voltage_mv", "2000");
     let error = rig.settle().expect_err("nothing is stored");
-    assert_eq!(cause(&error), "StateUnknown", "{error}");
+    assert_eq!(cause(&error), "state-unknown", "{error}");
     assert!(rig.sim.flash() == torn && folder.text().is_some() && rig.dataflash.owed().is_some());
     rig.write(58, 3, "0x5a").expect_err("an interrupted write is owed");
     assert!(rig.sim.flash() == torn);
@@ -135,12 +135,12 @@ fn a_stale_journal_changes_nothing_until_a_person_decides() {
         rig.start(&folder);
         let (flash, programmed, journal) = (rig.sim.flash(), rig.get("programmed"), folder.text());
         let error = rig.arrive().expect_err(name);
-        assert_eq!(cause(&error), "Busy", "{name}: {error}");
+        assert_eq!(cause(&error), "busy", "{name}: {error}");
         let owed = rig.dataflash.owed().expect(name);
         assert!(owed.needs_decision && owed.why.contains("gaugefs settle"), "{name}: {}", owed.why);
         for _ in 0..2 {
             let refused = rig.write(58, 3, "0x5a").expect_err(name);
-            assert_eq!(cause(&refused), "Busy", "{name}: {refused}");
+            assert_eq!(cause(&refused), "busy", "{name}: {refused}");
             assert!(refused.to_string().contains(&owed_reason(&error.to_string())), "{name}: {refused}");
             rig.arrive().expect_err(name);
         }
@@ -182,7 +182,7 @@ fn a_person_decides_what_becomes_of_a_stale_journal() {
                     } else {
                         "--serial 0x0001"
                     };
-                    assert!(cause(&error) == "Busy" && error.to_string().contains(says), "{at}: {error}");
+                    assert!(cause(&error) == "busy" && error.to_string().contains(says), "{at}: {error}");
                     assert!(rig.sim.flash() == flash && folder.text() == journal, "{at}: {error}");
                 }
             }
@@ -249,7 +249,7 @@ fn regression_a_byte_that_moves_by_itself_was_written_again_and_again() {
         let owed = rig.dataflash.owed().map(|owed| (owed.needs_decision, owed.why.to_string()));
         if is_beside {
             assert_eq!(owed, None, "{error}");
-            assert_eq!(cause(&error), "RolledBack", "{error}");
+            assert_eq!(cause(&error), "rolled-back", "{error}");
             let mut after = rig.sim.flash();
             let changed = differences(&before, &after);
             changed.iter().for_each(|&(at, ..)| (before[at], after[at]) = (0, 0));
@@ -320,7 +320,7 @@ fn an_erased_serial_number_is_restored_where_the_calibration_shows_the_pack() {
             rig.arrive().expect("nothing to settle");
             rig.set("fault", "torn-commit 5");
             let error = rig.write(48, offset, text).expect_err("it is torn");
-            assert_eq!(cause(&error), "StateUnknown", "{at}: {error}");
+            assert_eq!(cause(&error), "state-unknown", "{at}: {error}");
             assert!(rig.dataflash.owed().is_some() && folder.text().is_some(), "{at}");
             rig.set("power", "on");
             rig.pause(3);
@@ -335,8 +335,8 @@ fn an_erased_serial_number_is_restored_where_the_calibration_shows_the_pack() {
                 assert_eq!(differences(&old, &rig.sim.flash()), [], "{at}");
                 assert_eq!(folder.files(), Vec::<String>::new(), "{at}");
             } else {
-                assert_eq!(cause(&outcome.expect_err(&at)), "Busy", "{at}");
-                assert_eq!(cause(&rig.write(58, 3, "0x5a").expect_err(&at)), "Busy", "{at}");
+                assert_eq!(cause(&outcome.expect_err(&at)), "busy", "{at}");
+                assert_eq!(cause(&rig.write(58, 3, "0x5a").expect_err(&at)), "busy", "{at}");
                 assert!(rig.sim.flash() == torn && folder.text().is_some(), "{at}");
                 let undone = rig.dataflash.decide(&mut rig.gauge, Decision::Undo(None), Duration::ZERO);
                 undone.expect("a person knows the pack");
@@ -391,7 +391,7 @@ fn blocks_that_are_ready_late_are_read_and_written_right() {
                 for fault in ["drop-commit", "corrupt-commit"] {
                     rig.set("fault", fault);
                     let error = rig.write(id, offset, "1234").expect_err(fault);
-                    assert_eq!(cause(&error), "RolledBack", "{at}: {error}");
+                    assert_eq!(cause(&error), "rolled-back", "{at}: {error}");
                     assert_eq!(differences(&before, &rig.sim.flash()), [], "{at}");
                 }
                 assert!(matches!(rig.write(id, offset, "1234"), Ok(Outcome::Written { .. })), "{at}");
@@ -459,7 +459,7 @@ fn a_key_that_has_worked_is_not_given_up_after_two_disturbed_attempts() {
                 false => rig.set("drop_keys", "2"),
             }
             let error = rig.write(id, offset, "1234").expect_err("both attempts are disturbed");
-            assert_eq!(cause(&error), "NotNow", "{at}: {error}");
+            assert_eq!(cause(&error), "not-now", "{at}: {error}");
             assert_eq!(differences(&before, &rig.sim.flash()), [], "{at}");
             let outcome = rig.write(id, offset, "1234");
             assert!(outcome.is_ok(), "{at}: {error}, then {outcome:?}");
@@ -478,10 +478,10 @@ fn a_wrong_key_is_sent_twice_and_then_never_again() {
         rig.sim.clear_log();
         rig.arrive().expect("nothing to settle");
         for _ in 0..4 {
-            assert_eq!(cause(&rig.write(id, offset, "1234").expect_err("no key")), "NotPermitted", "{chip}");
-            assert_eq!(cause(&rig.read(id, offset).expect_err("no key")), "NotPermitted", "{chip}");
+            assert_eq!(cause(&rig.write(id, offset, "1234").expect_err("no key")), "not-permitted", "{chip}");
+            assert_eq!(cause(&rig.read(id, offset).expect_err("no key")), "not-permitted", "{chip}");
             let opened = rig.dataflash.go_to(&mut rig.gauge, Seal::Unsealed, Duration::ZERO);
-            assert_eq!(cause(&opened.expect_err("no key")), "NotPermitted", "{chip}");
+            assert_eq!(cause(&opened.expect_err("no key")), "not-permitted", "{chip}");
             rig.settle().expect("nothing to settle");
             rig.pause(60);
         }
@@ -501,7 +501,7 @@ fn a_write_whose_reset_would_lock_out_the_host_is_refused() {
         rig.start_with(&folder, wrong.clone(), |bus, _, write, read| bus.transfer(write, read));
         rig.arrive().expect("nothing to settle");
         let error = rig.write(80, 53, "3100").expect_err("the key does not fit");
-        assert_eq!(cause(&error), "NotPermitted", "{found:?}: {error}");
+        assert_eq!(cause(&error), "not-permitted", "{found:?}: {error}");
         assert!(rig.sim.flash() == flash && rig.get("resets") == "0", "{found:?}");
         assert_eq!((rig.seal(), folder.files()), (found, vec![]), "{found:?}");
         // What needs no reset needs no key.
@@ -583,7 +583,7 @@ fn a_seal_that_cannot_be_restored_is_owed_and_paid_when_the_gauge_answers() {
                     _ => rig.read(place.subclass, place.offset).map(|_| ()),
                 };
                 let error = error.expect_err("the gauge stays open");
-                assert_eq!(cause(&error), "StateUnknown", "{at}: {error}");
+                assert_eq!(cause(&error), "state-unknown", "{at}: {error}");
                 let owed = rig.dataflash.owed().expect("the seal is owed");
                 assert!(owed.why.contains("restoring the sealed state") && !owed.needs_decision, "{at}");
                 assert_eq!(folder.files().len(), 1, "{at}");
@@ -712,7 +712,7 @@ fn a_rollback_after_the_reset_makes_the_gauge_work_with_the_old_value() {
             done
         });
         let error = rig.write(id, offset, "2200").expect_err("it does not verify");
-        assert_eq!(cause(&error), "RolledBack", "{chip}: {error}");
+        assert_eq!(cause(&error), "rolled-back", "{chip}: {error}");
         assert_eq!(differences(&old, &rig.sim.flash()), [], "{chip}");
         assert_eq!(rig.get("resets"), "2", "{chip}");
         rig.pause(3);
@@ -786,11 +786,11 @@ fn a_reset_that_is_lost_is_noticed() {
                     assert_eq!(resets(&rig), before + u32::from(needs), "{at}");
                 }
                 Ok(_) => assert!(rig.sim.flash() == new && (!needs || lost < 3), "{at}"),
-                Err(error) if cause(error) == "RolledBack" => {
+                Err(error) if cause(error) == "rolled-back" => {
                     assert!(needs && lost >= 3 && rig.sim.flash() == old, "{at}: {error}");
                 }
                 Err(error) => {
-                    assert_eq!(cause(error), "StateUnknown", "{at}: {error}");
+                    assert_eq!(cause(error), "state-unknown", "{at}: {error}");
                     assert!(lost > 3 && rig.dataflash.owed().is_some(), "{at}: {error}");
                     rig.settle().unwrap_or_else(|error| panic!("{at}: {error}")).expect("it is owed");
                     assert!(rig.sim.flash() == old, "{at}: {error}");
@@ -814,7 +814,7 @@ fn check_answer(
 ) {
     match outcome {
         Ok(_) => assert_eq!(differences(new, &rig.sim.flash()), [], "{at}: success is false"),
-        Err(error) if cause(error) == "StateUnknown" => {
+        Err(error) if cause(error) == "state-unknown" => {
             let flash = rig.sim.flash();
             let is_owed = rig.dataflash.owed().is_some();
             assert!(
@@ -901,8 +901,8 @@ fn a_host_that_pauses_at_any_transfer_leaves_nothing_half_way() {
             assert!(took < Duration::from_secs(330), "{at}: {took:?}");
             match &outcome {
                 Ok(_) => done += 1,
-                Err(error) if cause(error) == "RolledBack" => back += 1,
-                Err(error) if cause(error) == "StateUnknown" => unknown += 1,
+                Err(error) if cause(error) == "rolled-back" => back += 1,
+                Err(error) if cause(error) == "state-unknown" => unknown += 1,
                 Err(_) => refused += 1,
             }
             check_answer(case, &mut rig, &folder, &model, &outcome, &at);
@@ -946,7 +946,7 @@ fn a_second_power_cut_while_settling_leaves_old_or_new_values() {
                     }
                     rig.set("fault", &format!("torn-commit {words}"));
                     let error = rig.write_all(&changes).expect_err("it is torn");
-                    assert_eq!(cause(&error), "StateUnknown", "{}: {error}", case.name());
+                    assert_eq!(cause(&error), "state-unknown", "{}: {error}", case.name());
                     rig.set("power", "on");
                     rig.pause(3);
                     rig.start(&folder);
@@ -975,7 +975,7 @@ fn a_second_power_cut_while_settling_leaves_old_or_new_values() {
                         }
                         Err(error) => {
                             undecided += 1;
-                            assert_eq!((cause(&error), tear), ("Busy", "neighbour"), "{at}: {error}");
+                            assert_eq!((cause(&error), tear), ("busy", "neighbour"), "{at}: {error}");
                             assert!(rig.sim.flash() == flash && folder.text().is_some(), "{at}: {error}");
                             let undone =
                                 rig.dataflash.decide(&mut rig.gauge, Decision::Undo(None), Duration::ZERO);
@@ -1097,7 +1097,7 @@ fn neither_a_write_nor_its_rollback_undoes_what_the_gauge_has_learned() {
                 let (mut rig, outcome, _) = run(number);
                 match &outcome {
                     Ok(_) => assert!(!fails, "{at}"),
-                    Err(error) => assert!(fails && cause(error) == "RolledBack", "{at}: {error}"),
+                    Err(error) => assert!(fails && cause(error) == "rolled-back", "{at}: {error}"),
                 }
                 assert_eq!((rig.get("seal").as_str(), folder.files()), ("sealed", vec![]), "{at}");
                 if case.learned(&mut rig) != 2 {
@@ -1143,7 +1143,7 @@ fn regression_a_seal_that_arrived_as_it_enable_was_a_success() {
                     true => assert_eq!(outcome, Ok(()), "{at}"),
                     false => {
                         let error = outcome.expect_err(&at);
-                        assert_eq!(cause(&error), "StateUnknown", "{at}: {error}");
+                        assert_eq!(cause(&error), "state-unknown", "{at}: {error}");
                         assert!(error.to_string().contains("as IT_ENABLE"), "{at}: {error}");
                     }
                 }

@@ -10,7 +10,7 @@ use gauge_sim::{Options, Sim};
 use ti_gauge::chip::{Chip, FLAT, Parameter, Subclass};
 use ti_gauge::codec;
 use ti_gauge::dataflash::{Change, DataFlash, Outcome, Row};
-use ti_gauge::error::{Cause, Error, Result};
+use ti_gauge::error::{Error, Result};
 use ti_gauge::gauge::{Gauge, Seal};
 use ti_gauge::keys::Keys;
 
@@ -139,23 +139,7 @@ pub(crate) fn without_old(outcome: Outcome) -> Outcome {
 
 /// The name of the error's cause.
 pub(crate) fn cause(error: &Error) -> &'static str {
-    match error.cause() {
-        Cause::Invalid(_) => "Invalid",
-        Cause::OutOfRange(_) => "OutOfRange",
-        Cause::NotPermitted(_) => "NotPermitted",
-        Cause::Busy(_) => "Busy",
-        Cause::NotNow(_) => "NotNow",
-        Cause::BadChecksum(_) => "BadChecksum",
-        Cause::Protocol(_) => "Protocol",
-        Cause::TimedOut(_) => "TimedOut",
-        Cause::RolledBack(_) => "RolledBack",
-        Cause::StateUnknown(_) => "StateUnknown",
-        Cause::Gone(_) => "Gone",
-        Cause::NoAnswer(_) => "NoAnswer",
-        Cause::Bus(_) => "Bus",
-        Cause::Adapter(..) => "Adapter",
-        Cause::Io(..) => "Io",
-    }
+    error.cause().name()
 }
 
 /// Another value for a parameter that has these bytes, near the old one; `None` if its range has no other.

@@ -63,7 +63,7 @@ fn regression_two_blocks_that_do_not_exist_were_believed() {
         });
         match rig.read(48, 11) {
             Ok(bytes) => assert_eq!(bytes, [0x03, 0xe8], "{errors} errors"),
-            Err(error) => assert_eq!(cause(&error), "Protocol", "{errors} errors: {error}"),
+            Err(error) => assert_eq!(cause(&error), "protocol", "{errors} errors: {error}"),
         }
     }
 }
@@ -80,7 +80,7 @@ fn a_block_that_was_not_selected_is_not_believed() {
         }
         _ => bus.transfer(write, read),
     });
-    assert_eq!(cause(&rig.read(48, 11).expect_err("two other blocks")), "Protocol");
+    assert_eq!(cause(&rig.read(48, 11).expect_err("two other blocks")), "protocol");
 }
 
 /// The answer to another address may have a sum that fits the one that was asked for.
@@ -148,7 +148,7 @@ fn a_count_that_rises_during_a_write_is_kept() {
         match outcome {
             Ok(Outcome::Written { .. }) => assert_eq!(fault, "none", "{at}"),
             outcome => {
-                assert_eq!(cause(&outcome.expect_err("it is written")), "RolledBack", "{at}");
+                assert_eq!(cause(&outcome.expect_err("it is written")), "rolled-back", "{at}");
                 let mut now = rig.sim.flash();
                 now[place..place + 2].copy_from_slice(&old[place..place + 2]);
                 assert!(now == old && fault != "none", "{at}");
@@ -172,7 +172,7 @@ fn after_the_reset_only_what_was_written_is_undone() {
         },
     );
     let error = rig.write_values(&[((48, 11), "2200")]).expect_err("it does not verify");
-    assert_eq!(cause(&error), "RolledBack", "{error}");
+    assert_eq!(cause(&error), "rolled-back", "{error}");
     assert_eq!(
         (rig.bytes(written, 2), rig.bytes(other, 1)),
         (old[written..written + 2].to_vec(), vec![0x22])
@@ -182,7 +182,7 @@ fn after_the_reset_only_what_was_written_is_undone() {
 /// A neighbour that was erased is restored; one that something else has changed is left as it is.
 #[test]
 fn a_disturbed_neighbour_is_restored_only_where_it_was_erased() {
-    for (byte, expected) in [(0xff, "RolledBack"), (0x42, "StateUnknown")] {
+    for (byte, expected) in [(0xff, "rolled-back"), (0x42, "state-unknown")] {
         let mut rig = Rig::new("bq34z100-g1");
         rig.read(48, 11).expect("its neighbours are known then");
         let place = rig.position(48, 33);
@@ -271,7 +271,7 @@ fn nothing_is_sent_while_a_kernel_driver_has_the_address() {
     let mut rig = Rig::new("bq34z100-g1");
     rig.claimed_through(Err(BusError::Busy), |bus, write, read| bus.transfer(write, read));
     rig.sim.clear_log();
-    assert_eq!(cause(&rig.write_values(&[((48, 11), "2200")]).expect_err("it is bound")), "Bus");
+    assert_eq!(cause(&rig.write_values(&[((48, 11), "2200")]).expect_err("it is bound")), "bus");
     assert!(rig.log().is_empty());
 }
 
@@ -371,7 +371,7 @@ fn the_old_bytes_are_written_until_they_are_there() {
         if commits(write) && count == 2 { Ok(()) } else { bus.transfer(write, read) }
     });
     let error = rig.write_values(&[((48, 11), "2200")]).expect_err("it is stored wrong");
-    assert_eq!(cause(&error), "RolledBack", "{error}");
+    assert_eq!(cause(&error), "rolled-back", "{error}");
     assert!(rig.sim.flash() == old);
 }
 
@@ -402,7 +402,7 @@ fn a_write_of_several_blocks_answers_within_30_s() {
         assert!(took < Duration::from_secs(30), "{at}: {took:?} until {outcome:?}");
         match outcome.as_ref().map_err(cause) {
             Ok(_) => done += 1,
-            Err("RolledBack" | "StateUnknown") => begun += 1,
+            Err("rolled-back" | "state-unknown") => begun += 1,
             Err(_) => {
                 refused += 1;
                 assert!(rig.sim.flash() == old, "{at}: {outcome:?}");
@@ -420,7 +420,7 @@ fn the_way_back_has_time_after_a_pause() {
     let clock = rig.clock.clone();
     rig.after(commits, 1, move || clock.sleep(Duration::from_secs(60)));
     let error = rig.write_values(&[((32, 4), "60"), ((48, 11), "2200")]).expect_err("there is no time left");
-    assert_eq!(cause(&error), "RolledBack", "{error}");
+    assert_eq!(cause(&error), "rolled-back", "{error}");
     assert!(rig.sim.flash() == old);
     assert_eq!(rig.sim.get("seal").as_deref(), Some("sealed"));
 }

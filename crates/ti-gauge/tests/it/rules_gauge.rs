@@ -87,7 +87,7 @@ fn a_key_whose_transfers_failed_does_not_count_as_refused() {
         }
         bus.transfer(write, read)
     });
-    assert_eq!(cause(&rig.gauge.unseal().expect_err("the bus is disturbed")), "NotNow");
+    assert_eq!(cause(&rig.gauge.unseal().expect_err("the bus is disturbed")), "not-now");
     rig.gauge.unseal().expect("the key fits");
 }
 
@@ -215,7 +215,7 @@ fn a_new_key_is_proven_by_using_it() {
     });
     let change = KeyChange::parse(b"unseal 0414 3672 8d3e b7c5").expect("a change");
     let outcome = rig.dataflash.change_key(&mut rig.gauge, &change, Order::LsbFirst, Duration::ZERO);
-    assert_eq!(cause(&outcome.expect_err("the key does not open it")), "RolledBack");
+    assert_eq!(cause(&outcome.expect_err("the key does not open it")), "rolled-back");
     assert!(rig.sim.flash() == old);
 }
 
@@ -234,7 +234,7 @@ fn one_wrong_reading_does_not_show_that_calibration_is_enabled() {
     });
     rig.sim.clear_log();
     let error = rig.write_values(&[((48, 11), "2200")]).expect_err("flash is shut");
-    assert_eq!(cause(&error), "NotNow", "{error}");
+    assert_eq!(cause(&error), "not-now", "{error}");
 }
 
 /// The power is lost after the block was read back.
@@ -366,7 +366,7 @@ fn ram_that_was_lost_within_a_write_is_reported() {
         },
     );
     let error = rig.write_values(&[((82, 10), "1500")]).expect_err("its data memory is lost");
-    assert_eq!(cause(&error), "StateUnknown", "{error}");
+    assert_eq!(cause(&error), "state-unknown", "{error}");
 }
 
 /// Its power is lost at the first commit. What it had in RAM cannot be restored.
@@ -380,7 +380,7 @@ fn ram_that_was_lost_at_a_commit_is_not_called_restored() {
         clock.sleep(Duration::from_secs(1));
     });
     let error = rig.write_values(&[((82, 10), "1500")]).expect_err("its data memory is lost");
-    assert_eq!(cause(&error), "StateUnknown", "{error}");
+    assert_eq!(cause(&error), "state-unknown", "{error}");
     assert!(error.to_string().contains("its data memory with it"), "{error}");
 }
 

@@ -76,7 +76,7 @@ fn blank_values_do_not_distinguish_packs() {
         }
         let flash = rig.sim.flash();
         let error = rig.arrive().expect_err("it may be another pack");
-        assert_eq!(cause(&error), "Busy", "{chip} {bytes:02x?}: {error}");
+        assert_eq!(cause(&error), "busy", "{chip} {bytes:02x?}: {error}");
         assert!(rig.sim.flash() == flash, "{chip} {bytes:02x?}");
     }
 }
@@ -102,11 +102,11 @@ fn a_gauge_that_arrives_was_not_watched() {
     let gone = gone_after_a_commit(&mut rig, &folder);
     let changes = two_blocks(&rig);
     let error = rig.write_all(&changes).expect_err("the adapter is gone");
-    assert_eq!(cause(&error), "StateUnknown", "{error}");
+    assert_eq!(cause(&error), "state-unknown", "{error}");
     gone.store(false, Ordering::SeqCst);
     let flash = rig.sim.flash();
     let error = rig.arrive().expect_err("it may be another pack");
-    assert_eq!(cause(&error), "Busy", "{error}");
+    assert_eq!(cause(&error), "busy", "{error}");
     assert!(rig.sim.flash() == flash);
 }
 
@@ -134,7 +134,7 @@ fn nothing_is_committed_again_on_a_gauge_that_has_sealed_itself() {
         done
     });
     let error = rig.write(80, 53, "3100").expect_err("it has sealed itself");
-    assert_eq!(cause(&error), "RolledBack", "{error}");
+    assert_eq!(cause(&error), "rolled-back", "{error}");
     assert_eq!(commits.load(Ordering::SeqCst), 1);
     assert!(rig.sim.flash() == flash);
 }
@@ -170,7 +170,7 @@ fn a_block_whose_write_failed_is_not_known() {
     let mut rig = Rig::calibrated(CHIP, Seal::Sealed);
     let gone = gone_after_a_commit(&mut rig, &folder);
     let error = rig.write(48, 4, "0x0007").expect_err("the adapter is gone");
-    assert_eq!(cause(&error), "StateUnknown", "{error}");
+    assert_eq!(cause(&error), "state-unknown", "{error}");
     gone.store(false, Ordering::SeqCst);
     rig.clock.sleep(Duration::from_secs(1));
     assert_eq!(rig.read(48, 4).expect("it answers"), [0, 7]);
@@ -205,7 +205,7 @@ fn a_loss_of_power_that_a_failed_write_has_reported_stops_no_other() {
     rig.arrive().expect("nothing to settle");
     polled(&mut rig);
     let error = rig.write(82, 10, "1500").expect_err("its data memory is lost");
-    assert_eq!(cause(&error), "StateUnknown", "{error}");
+    assert_eq!(cause(&error), "state-unknown", "{error}");
     rig.clock.sleep(Duration::from_secs(3));
     rig.write(82, 10, "1500").expect("it was said");
 }
@@ -220,7 +220,7 @@ fn a_loss_of_power_after_a_write_is_another_one() {
     rig.write(82, 10, "1500").expect("the loss is known");
     lose_power(&rig);
     let error = rig.write(82, 10, "1600").expect_err("its values were lost again");
-    assert_eq!(cause(&error), "Gone", "{error}");
+    assert_eq!(cause(&error), "gone", "{error}");
 }
 
 #[test]
@@ -242,7 +242,7 @@ fn a_gauge_that_sealed_itself_is_opened_on_the_way_back() {
     });
     let changes = two_blocks(&rig);
     let error = rig.write_all(&changes).expect_err("it has lost its power");
-    assert_eq!(cause(&error), "RolledBack", "{error}");
+    assert_eq!(cause(&error), "rolled-back", "{error}");
     assert!(rig.sim.flash() == flash);
     assert_eq!(rig.get("seal"), "sealed");
 }
@@ -284,7 +284,7 @@ fn waiting(folder: &Folder) -> Rig {
 fn left_open_by_a_read(rig: &mut Rig) {
     rig.set("fault", &["drop-seal"; 4].join("; "));
     let error = rig.read(80, 53).expect_err("it cannot be sealed");
-    assert_eq!(cause(&error), "StateUnknown", "{error}");
+    assert_eq!(cause(&error), "state-unknown", "{error}");
     assert_eq!(rig.get("seal"), "unsealed");
 }
 
@@ -303,7 +303,7 @@ fn regression_a_seal_was_lost_while_a_write_waited_for_a_decision() {
             rig.start(&folder);
         }
         let error = rig.settle().expect_err("the write still waits");
-        assert_eq!(cause(&error), "Busy", "{error}");
+        assert_eq!(cause(&error), "busy", "{error}");
         assert_eq!(rig.get("seal"), "sealed");
         assert!(rig.sim.flash() == flash, "nothing is written");
         let owed = rig.dataflash.owed().expect("the write");

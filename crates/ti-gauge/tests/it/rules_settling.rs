@@ -37,7 +37,7 @@ impl Rig {
     fn is_undecided(&mut self, at: &str) {
         let (flash, resets) = (self.sim.flash(), self.get("resets"));
         let error = self.arrive().expect_err(at);
-        assert_eq!(cause(&error), "Busy", "{at}: {error}");
+        assert_eq!(cause(&error), "busy", "{at}: {error}");
         assert!(self.dataflash.owed().is_some_and(|owed| owed.needs_decision), "{at}: {error}");
         assert!(self.sim.flash() == flash && self.get("resets") == resets, "{at}: {error}");
     }
@@ -293,7 +293,7 @@ fn a_gauge_that_was_silent_for_long_may_be_another_one() {
             done
         });
         let error = rig.write_all(&changes).expect_err("it is half way");
-        assert_eq!(cause(&error), "StateUnknown", "{error}");
+        assert_eq!(cause(&error), "state-unknown", "{error}");
         assert!(rig.sim.flash() != old);
         if is_silent {
             rig.pause(60);
@@ -316,7 +316,7 @@ fn a_block_of_another_pack_is_noticed_before_it_is_written() {
     rig.calibrate(5);
     let flash = rig.sim.flash();
     let error = rig.write(104, 12, "1").expect_err("another pack");
-    assert_eq!(cause(&error), "Gone", "{error}");
+    assert_eq!(cause(&error), "gone", "{error}");
     assert!(rig.sim.flash() == flash);
 }
 
@@ -350,7 +350,7 @@ fn a_journal_that_is_there_is_not_replaced() {
         fs::write(&path, &text).expect("it can be written");
         bus.transfer(write, read)
     });
-    assert_eq!(cause(&rig.write(80, 53, "3100").expect_err("it is not settled")), "Busy");
+    assert_eq!(cause(&rig.write(80, 53, "3100").expect_err("it is not settled")), "busy");
     assert!(rig.sim.flash() == old && folder.text() == Some(journal));
 }
 

@@ -164,12 +164,12 @@ fn refusals_change_nothing() {
     let low: Set = |rig| rig.sim.set("voltage_mv", "2700").expect("a knob");
     let nothing: Set = |_| {};
     for (expected, prepare, at, text) in [
-        ("NotNow", low, (80, 53), "3100"),
-        ("OutOfRange", nothing, (104, 14), "0"),
-        ("OutOfRange", nothing, (64, 7), "0"),
-        ("OutOfRange", nothing, (68, 0), "4200"),
-        ("OutOfRange", nothing, (64, 0), "0x1161"),
-        ("NotPermitted", nothing, (112, 0), "0x12345678"),
+        ("not-now", low, (80, 53), "3100"),
+        ("out-of-range", nothing, (104, 14), "0"),
+        ("out-of-range", nothing, (64, 7), "0"),
+        ("out-of-range", nothing, (68, 0), "4200"),
+        ("out-of-range", nothing, (64, 0), "0x1161"),
+        ("not-permitted", nothing, (112, 0), "0x12345678"),
     ] {
         let mut rig = Rig::new("bq34z100-g1");
         prepare(&mut rig);
@@ -189,8 +189,8 @@ fn without_a_key_a_sealed_gauge_stays_sealed() {
         let mut rig = Rig::with("bq34z100-g1", keys, false);
         let before = rig.sim.flash();
         for _ in 0..3 {
-            assert_eq!(cause(&rig.write(80, 53, "3100").expect_err("no key")), "NotPermitted");
-            assert_eq!(cause(&rig.read(80, 53).expect_err("no key")), "NotPermitted");
+            assert_eq!(cause(&rig.write(80, 53, "3100").expect_err("no key")), "not-permitted");
+            assert_eq!(cause(&rig.read(80, 53).expect_err("no key")), "not-permitted");
         }
         assert!(rig.sim.flash() == before);
         let tries = rig.log().iter().filter(|line| *line == "; hidden").count();
@@ -207,8 +207,8 @@ fn a_value_that_was_not_stored_is_detected() {
         let before = rig.sim.flash();
         rig.sim.set("fault", fault).expect("a fault");
         let error = rig.write(80, 53, "3100").expect_err(fault);
-        assert_eq!(cause(&error), "RolledBack", "{fault}: {error}");
-        assert!(matches!(error.cause(), Cause::RolledBack(_)));
+        assert_eq!(cause(&error), "rolled-back", "{fault}: {error}");
+        assert!(matches!(error.cause(), Cause::RolledBack));
         assert!(error.to_string().contains(says), "{fault}: {error}");
         assert!(rig.sim.flash() == before, "{fault}: {error}");
         assert_eq!(rig.seal(), Seal::Sealed, "{fault}");
@@ -278,11 +278,11 @@ fn flat_parts_store_refuse_and_seal() {
         let before = rig.sim.flash();
         rig.sim.set("voltage_mv", "2799").expect("a knob");
         let error = rig.write(FLAT, at, text).expect_err("below the gate");
-        assert_eq!(cause(&error), "NotNow", "{chip}: {error}");
+        assert_eq!(cause(&error), "not-now", "{chip}: {error}");
         assert!(rig.sim.flash() == before);
         rig.sim.set("voltage_mv", "3500").expect("a knob");
         let error = rig.write(FLAT, gate, "3600").expect_err("above the voltage");
-        assert_eq!(cause(&error), "OutOfRange", "{chip}: {error}");
+        assert_eq!(cause(&error), "out-of-range", "{chip}: {error}");
         assert_eq!(rig.write(FLAT, at, text), Ok(STORED), "{chip}");
         assert_eq!(rig.write(FLAT, at, text), Ok(Outcome::Unchanged), "{chip}");
         assert_eq!(rig.read(FLAT, at), Ok(bytes), "{chip}");
@@ -291,7 +291,7 @@ fn flat_parts_store_refuse_and_seal() {
             rig.sim.set("fault", fault).expect("a fault");
             let before = rig.sim.flash();
             let error = rig.write(FLAT, gate, "2700").expect_err(fault);
-            assert!(matches!(error.cause(), Cause::RolledBack(_)), "{chip} {fault}: {error}");
+            assert!(matches!(error.cause(), Cause::RolledBack), "{chip} {fault}: {error}");
             assert!(rig.sim.flash() == before, "{chip} {fault}: {error}");
         }
     }
@@ -345,7 +345,7 @@ fn a_part_with_shifted_data_flash_is_not_written() {
         rig.sim.set("df_shift", "1").expect("a knob");
         let before = rig.sim.flash();
         let error = rig.write(FLAT, at, "6000").expect_err("another map");
-        assert!(matches!(error.cause(), Cause::Gone(_)), "{chip}: {error}");
+        assert!(matches!(error.cause(), Cause::Gone), "{chip}: {error}");
         assert!(rig.sim.flash() == before);
         assert_eq!(rig.seal(), Seal::Sealed, "{chip}");
     }
@@ -382,7 +382,7 @@ fn data_memory_needs_the_full_access_key() {
     let mut rig = Rig::with("bq27220", keys, false);
     let before = rig.sim.flash();
     let error = rig.write(FLAT, 0x929F, "1200").expect_err("a wrong key");
-    assert!(matches!(error.cause(), Cause::NotPermitted(_)), "{error}");
+    assert!(matches!(error.cause(), Cause::NotPermitted), "{error}");
     assert!(rig.sim.flash() == before);
     assert_eq!(rig.seal(), Seal::Sealed);
 }
@@ -394,7 +394,7 @@ fn firmware_2_02_on_the_data_flash_of_0_16_is_not_written() {
     rig.sim.set_flash(48, 30, b"\x01\x0bbq34z100-G1\x0bTexas Inst.\x04LION\x00\x00");
     let before = rig.sim.flash();
     let error = rig.write(48, 11, "1200").expect_err("another map");
-    assert!(matches!(error.cause(), Cause::Gone(_)), "{error}");
+    assert!(matches!(error.cause(), Cause::Gone), "{error}");
     assert!(rig.sim.flash() == before);
     assert_eq!(rig.seal(), Seal::Sealed);
 }

@@ -44,7 +44,7 @@ impl Sequence for Block {
                 Err(error) if failed => return Err(error),
                 Err(error) => {
                     failed = true;
-                    if matches!(error.cause(), Cause::Protocol(_)) {
+                    if matches!(error.cause(), Cause::Protocol) {
                         self.enable(gauge)?;
                     }
                 }
@@ -59,7 +59,7 @@ impl Sequence for Block {
             return Ok(first.window);
         }
         let why = format!("{}: the block reads differently when selected again", place.name(0));
-        Err(Error::new("", Cause::Protocol(why)).at(Step::ReadBlock))
+        Err(Error::new("", Cause::Protocol, why).at(Step::ReadBlock))
     }
 
     fn load_soon(&self, gauge: &mut Gauge, place: Window) -> Result<[u8; WINDOW]> {
@@ -86,7 +86,7 @@ impl Sequence for Block {
             Shown { echo, window } if echo == [place.subclass, block_of(place)?] => Ok(window),
             Shown { .. } => {
                 let why = format!("{}: the gauge does not echo the selection", place.name(0));
-                Err(Error::new("", Cause::Protocol(why)).at(Step::ReadBlock))
+                Err(Error::new("", Cause::Protocol, why).at(Step::ReadBlock))
             }
         }
     }
@@ -117,7 +117,7 @@ impl Sequence for Block {
             Statistics::count(&gauge.statistics.retries);
         }
         let why = format!("{}: the word reads differently each time", place.name(at));
-        Err(Error::new("", Cause::Protocol(why)).at(Step::ReadBlock))
+        Err(Error::new("", Cause::Protocol, why).at(Step::ReadBlock))
     }
 
     fn fills_window(&self) -> bool {
@@ -138,7 +138,7 @@ impl Sequence for Block {
     fn commit(&self, gauge: &mut Gauge, block: &Dirty) -> Result<()> {
         let sent = gauge.write_once(CHECKSUM, &[checksum(&block.new)]);
         gauge.wait(gauge.chip.access.commit);
-        sent.map_err(|bus| Error::new("BlockDataChecksum()", Cause::Bus(bus)).at(Step::WriteBlock))
+        sent.map_err(|bus| Error::bus("BlockDataChecksum()", bus).at(Step::WriteBlock))
     }
 
     fn finish(&self, gauge: &mut Gauge) -> Result<()> {
@@ -154,7 +154,7 @@ fn block_of(place: Window) -> Result<u8> {
     // Only a journal that was written for another kind of part can name one.
     u8::try_from(usize::from(place.base) / WINDOW).map_err(|_| {
         let why = format!("{}: there is no such block", place.name(0));
-        Error::new("", Cause::Invalid(why)).at(Step::ReadBlock)
+        Error::new("", Cause::Invalid, why).at(Step::ReadBlock)
     })
 }
 
@@ -191,12 +191,12 @@ fn read_window(gauge: &mut Gauge, place: Window) -> Result<(Shown, u8)> {
     if bytes[2 + WINDOW + 1] == MANUFACTURER_BLOCKS {
         let why =
             format!("{}: BlockDataControl() is 1, so the window does not show data flash", place.name(0));
-        return Err(Error::new("", Cause::Protocol(why)).at(Step::ReadBlock));
+        return Err(Error::new("", Cause::Protocol, why).at(Step::ReadBlock));
     }
     let (sum, reported) = (checksum(&window), bytes[2 + WINDOW]);
     if sum == reported {
         return Ok((Shown { echo: [bytes[0], bytes[1]], window }, sum));
     }
     let why = format!("{}: checksum is 0x{reported:02x}, the block adds up to 0x{sum:02x}", place.name(0));
-    Err(Error::new("", Cause::BadChecksum(why)).at(Step::ReadBlock))
+    Err(Error::new("", Cause::BadChecksum, why).at(Step::ReadBlock))
 }

@@ -139,7 +139,7 @@ impl CfgUpdate {
         }
         let (register, flag) = self.names;
         let why = format!("{flag} was not {} in time", if on { "set" } else { "cleared" });
-        Err(Error::new(register, Cause::TimedOut(why)))
+        Err(Error::new(register, Cause::TimedOut, why))
     }
 
     /// Like `wait_for`, but returns whether the mode was reached.

@@ -33,7 +33,7 @@ impl Sequence for Mac {
     fn load(&self, gauge: &mut Gauge, place: Window) -> Result<[u8; WINDOW]> {
         let mut outcome = load_once(gauge, place);
         // A bit error in the address made the gauge answer for another one.
-        let wrong = |error: &Error| matches!(error.cause(), Cause::BadChecksum(_) | Cause::Protocol(_));
+        let wrong = |error: &Error| matches!(error.cause(), Cause::BadChecksum | Cause::Protocol);
         if outcome.as_ref().is_err_and(wrong) {
             Statistics::count(&gauge.statistics.retries);
             outcome = load_once(gauge, place);
@@ -93,7 +93,7 @@ impl Sequence for Mac {
             let length = (run.len() + OVERHEAD) as u8;
             let sent = gauge.write_once(MAC_DATA_SUM, &[sum(address, &block.new[run]), length]);
             gauge.wait(gauge.chip.access.commit);
-            sent.map_err(|bus| Error::new("MACDataSum()", Cause::Bus(bus)).at(Step::WriteBlock))?;
+            sent.map_err(|bus| Error::bus("MACDataSum()", bus).at(Step::WriteBlock))?;
         }
         Ok(())
     }
@@ -117,7 +117,7 @@ fn request(gauge: &mut Gauge, place: Window) -> Result<()> {
     if !has_address(gauge.chip, place.base) {
         // A neighbour of the first or the last row, or what a journal of another kind of part names.
         let why = format!("{}: data flash has no such address", place.name(0));
-        return Err(Error::new("", Cause::Invalid(why)).at(Step::ReadBlock));
+        return Err(Error::new("", Cause::Invalid, why).at(Step::ReadBlock));
     }
     gauge.write(MAC, &place.base.to_le_bytes()).map_err(|error| error.at(Step::ReadBlock))
 }
@@ -144,13 +144,13 @@ fn read_answer(gauge: &mut Gauge, place: Window) -> Result<([u8; WINDOW], u8)> {
     read.map_err(at)?;
     let echo = u16::from_le_bytes([answer[0], answer[1]]);
     let (reported, length) = (answer[2 + WINDOW], usize::from(answer[2 + WINDOW + 1]));
-    let refuse = |cause: Cause| Err(Error::new("", cause).at(Step::ReadBlock));
+    let refuse = |cause, why: String| Err(Error::new("", cause, why).at(Step::ReadBlock));
     if echo != address {
         let why = format!("{}: the gauge echoes address 0x{echo:04x}", place.name(0));
-        return refuse(Cause::Protocol(why));
+        return refuse(Cause::Protocol, why);
     }
     if !(OVERHEAD..=OVERHEAD + WINDOW).contains(&length) {
-        return refuse(Cause::Protocol(format!("{}: MACDataLen() is {length}", place.name(0))));
+        return refuse(Cause::Protocol, format!("{}: MACDataLen() is {length}", place.name(0)));
     }
     let data = &answer[2..2 + length - OVERHEAD];
     let adds_up = sum(address, data);
@@ -159,7 +159,7 @@ fn read_answer(gauge: &mut Gauge, place: Window) -> Result<([u8; WINDOW], u8)> {
             "{}: MACDataSum() is 0x{reported:02x}, the data adds up to 0x{adds_up:02x}",
             place.name(0)
         );
-        return refuse(Cause::BadChecksum(why));
+        return refuse(Cause::BadChecksum, why);
     }
     // At the end of data flash the answer is shorter than a window; the missing bytes are never used.
     let mut window = [0; WINDOW];

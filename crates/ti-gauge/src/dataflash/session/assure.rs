@@ -141,24 +141,24 @@ impl Session {
             return Err(self.estranged(gauge, compared));
         }
         let why = "it falls silent again and again, so its pack cannot be compared with the one before";
-        Err(Error::new(gauge.chip.model, Cause::NotNow(why.into())).at(Step::Identify))
+        Err(Error::new(gauge.chip.model, Cause::NotNow, why).at(Step::Identify))
     }
 
     fn estranged(&mut self, gauge: &Gauge, compared: Match) -> Error {
-        let error = |cause| Error::new(gauge.chip.model, cause).at(Step::Identify);
+        let error = |cause, why: String| Error::new(gauge.chip.model, cause, why).at(Step::Identify);
         match compared {
             Match::Other(name) => {
                 self.pack.is_another = true;
                 let why = format!(
                     "{name} is not what it was a moment ago: another pack answers, and nothing was written to it"
                 );
-                error(Cause::Gone(why))
+                error(Cause::Gone, why)
             }
             Match::Certain | Match::Weak => {
                 self.pack.is_unsure = true;
                 let why = "it was away for a moment, and has the serial number and the calibration of every new pack, \
                            so it may be another one: nothing more was written";
-                error(Cause::NotNow(why.into()))
+                error(Cause::NotNow, why.into())
             }
         }
     }
@@ -174,7 +174,7 @@ impl Session {
         let mut moment = gauge.moment();
         let Some(Reference { identity, plan }) = &self.pack.pack else { return Ok((Match::Weak, moment)) };
         let now = match identify(gauge) {
-            Err(error) if matches!(error.cause(), Cause::Gone(_)) => {
+            Err(error) if matches!(error.cause(), Cause::Gone) => {
                 return Ok((Match::Other("the part".into()), moment));
             }
             now => now?,
@@ -236,7 +236,7 @@ impl Session {
                 Err(error) => Err(error),
             };
             // A break between the permission and the command; otherwise everything was tried.
-            if !outcome.as_ref().is_err_and(|error| matches!(error.cause(), Cause::NotNow(_))) {
+            if !outcome.as_ref().is_err_and(|error| matches!(error.cause(), Cause::NotNow)) {
                 break;
             }
         }
@@ -300,7 +300,7 @@ impl Session {
             }
         };
         self.pack.left_open = Some(why.clone());
-        Err(Error::new(gauge.chip.model, Cause::NotPermitted(why)).at(Step::Seal))
+        Err(Error::new(gauge.chip.model, Cause::NotPermitted, why).at(Step::Seal))
     }
 
     /// Whether another pack answers than that which was left open.
@@ -378,7 +378,7 @@ impl Session {
             Match::Other(name) => {
                 self.pack.is_another = true;
                 let why = format!("{name} is another one, so another pack answers, and this one may be open");
-                Err(Error::new(gauge.chip.model, Cause::Gone(why)).at(Step::Seal))
+                Err(Error::new(gauge.chip.model, Cause::Gone, why).at(Step::Seal))
             }
         }
     }
@@ -387,7 +387,7 @@ impl Session {
     fn is_known_to_open(&mut self, gauge: &mut Gauge) -> Result<bool> {
         if gauge.seal()? != Seal::FullAccess {
             match gauge.full_access() {
-                Err(error) if matches!(error.cause(), Cause::NotPermitted(_)) => return Ok(false),
+                Err(error) if matches!(error.cause(), Cause::NotPermitted) => return Ok(false),
                 opened => opened?,
             }
         }

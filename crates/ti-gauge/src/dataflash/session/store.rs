@@ -87,7 +87,7 @@ fn store_once(
 ) -> (Result<()>, Result<()>) {
     let committed = put(gauge, block, moment, commits);
     if let Err(error) = &committed
-        && matches!(error.cause(), Cause::NotNow(_))
+        && matches!(error.cause(), Cause::NotNow)
     {
         // What it shows is nothing that this commit has done.
         return (Err(error.clone()), Err(error.clone()));
@@ -106,7 +106,7 @@ pub(in crate::dataflash) fn put(
         sequence(gauge).fill(gauge, &piece)?;
         if !gauge.is_unbroken_since(moment) {
             let why = "the gauge was away for a moment before the block was programmed; try again";
-            return Err(Error::new("", Cause::NotNow(why.into())).at(Step::WriteBlock));
+            return Err(Error::new("", Cause::NotNow, why).at(Step::WriteBlock));
         }
         commits();
         Statistics::count(&gauge.statistics.flash_writes);

@@ -263,7 +263,7 @@ impl Rom {
             return Err(at_line(line, "this command is not executed by a sum; the file is cut short"));
         }
         if self.rows.is_empty() {
-            return Err(Error::new("", Cause::Invalid("it writes no data flash".into())));
+            return Err(Error::new("", Cause::Invalid, "it writes no data flash"));
         }
         if self.rows.len() != ROWS {
             return Err(cut_short(format_args!("{} rows of data flash instead of {ROWS}", self.rows.len())));
@@ -281,7 +281,7 @@ impl Rom {
         device_type: Option<u16>,
         firmware: Option<u16>,
     ) -> Result<(&'static Chip, &'static RomImage)> {
-        let invalid = |why: String| Err(Error::new("", Cause::Invalid(why)));
+        let invalid = |why: String| Err(Error::new("", Cause::Invalid, why));
         let chips = CHIPS.iter().copied().filter(|chip| told.is_none_or(|told| std::ptr::eq(*chip, told)));
         let known: Vec<_> = chips.filter_map(|chip| Some((chip, chip.rom_image.as_ref()?))).collect();
         let is_of = |chip: &Chip| {
