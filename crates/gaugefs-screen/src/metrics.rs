@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! `gaugefs metrics`: what Prometheus's node_exporter does not read of mounted gauges.
+//! `gaugefs metrics`: mounted gauges for Prometheus, and for NUT.
 
 use std::collections::HashMap;
 use std::io;
@@ -12,6 +12,7 @@ use std::time::{Duration, Instant};
 use clap::{Args, ValueEnum};
 use gauge_bus::clock::{Clock, RealClock};
 use gauge_bus::regular::Replace;
+use nix::errno::Errno;
 
 use gaugefs_client::follow;
 use gaugefs_client::mounts;
@@ -19,6 +20,7 @@ use gaugefs_host::error::{Error, Result};
 use gaugefs_host::output::{print_file, say, write_file};
 
 mod expected;
+mod nut;
 mod page;
 mod serve;
 
@@ -33,6 +35,9 @@ node_exporter's have it. docs/FLEET.md lists them.
 gaugefs_mount_up is 0 for a mount whose daemon does not answer, and for one that is gone although it
 is expected: by --expect, or else by a file in /etc/gaugefs. Another user's private mount has none.
 
+With --format nut it is one gauge, as NUT's driver dummy-ups reads it from a file: port = FILE in
+ups.conf, mode = dummy-loop. ups.status is empty while the gauge does not answer.
+
 Everything comes from the files of the mount, and causes no bus traffic. A user who may not read
 gauge/seal gets the seal of some parts only, and no poll interval.
 
@@ -40,17 +45,21 @@ Examples:
   gaugefs metrics
   gaugefs metrics --interval 30 -o /var/lib/prometheus/node-exporter/gaugefs.prom
   gaugefs metrics --listen 127.0.0.1:9947
-  gaugefs metrics --listen unix:/run/gaugefs-metrics.sock";
+  gaugefs metrics --listen unix:/run/gaugefs-metrics.sock
+  gaugefs metrics --format nut --interval 2 -o /run/gaugefs-nut/BAT0.seq /run/gauges/BAT0";
 
 /// The most threads that read one mount, for as many clients at once.
 const MOST: usize = 8;
 
-/// Print metrics of mounted gauges for Prometheus
+/// Print metrics of mounted gauges for Prometheus, or a gauge for NUT
 #[derive(Args, Debug)]
 #[command(after_help = METRICS)]
 pub struct Metrics {
-    /// Mount points [default: every mounted gaugefs]
+    /// Mount points [default: every mounted gaugefs]; with --format nut, the folder of a gauge
     mountpoints: Vec<PathBuf>,
+    /// Also print what node_exporter reads: capacity, voltage, current, temperature, cycles
+    #[arg(long)]
+    all: bool,
     /// Mount point, or name of a file in /etc/gaugefs, that is reported as down when it is gone [default:
     /// what the files in /etc/gaugefs name]
     #[arg(long, value_name = "PATH|NAME")]
@@ -70,31 +79,43 @@ pub struct Metrics {
     format: Option<Format>,
 }
 
-/// The text formats of Prometheus.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+#[derive(Clone, Copy, Debug, ValueEnum)]
 enum Format {
     #[value(name = "openmetrics")]
     OpenMetrics,
-    // The older one, which node_exporter's textfile collector reads.
+    // The older one of Prometheus, which node_exporter's textfile collector reads.
+    Text,
+    Nut,
+}
+
+/// The text formats of Prometheus.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Prometheus {
+    OpenMetrics,
     Text,
 }
 
 impl Metrics {
     pub(super) fn run(self) -> Result<ExitCode> {
-        let reader = Reader::new(self.mountpoints, &self.expect);
+        let reader = Reader::new(self.mountpoints, &self.expect, self.all);
         if let Some(address) = &self.listen {
             return serve::run(address, &reader);
         }
         let default = if self.output.is_some() { Format::Text } else { Format::OpenMetrics };
-        let format = self.format.unwrap_or(default);
-        let Some(file) = &self.output else {
-            print_file(reader.page(format).as_bytes())?;
-            return Ok(ExitCode::SUCCESS);
+        let page = || match self.format.unwrap_or(default) {
+            Format::OpenMetrics => Ok((reader.page(Prometheus::OpenMetrics), Ok(()))),
+            Format::Text => Ok((reader.page(Prometheus::Text), Ok(()))),
+            Format::Nut => reader.of_gauge(),
         };
         loop {
-            // The collector may read it at any moment.
-            write_file(file, reader.page(format).as_bytes(), Replace::Kept)?;
-            let Some(interval) = self.interval else { return Ok(ExitCode::SUCCESS) };
+            // A gauge that is gone is an error that the file shows as well.
+            let (text, is_there) = page()?;
+            match &self.output {
+                None => print_file(text.as_bytes())?,
+                // The collector may read it at any moment.
+                Some(file) => write_file(file, text.as_bytes(), Replace::Kept)?,
+            }
+            let Some(interval) = self.interval else { return is_there.map(|()| ExitCode::SUCCESS) };
             RealClock::new().sleep(interval);
         }
     }
@@ -107,14 +128,16 @@ struct Reader {
     mountpoints: Vec<PathBuf>,
     /// Those that ought to be there besides; none for what the configuration names.
     expected: Vec<PathBuf>,
+    /// Whether the metrics are also those of node_exporter.
+    all: bool,
     /// How many threads read each mount. One whose daemon hangs keeps them.
     threads: Mutex<HashMap<PathBuf, usize>>,
 }
 
 impl Reader {
-    fn new(mountpoints: Vec<PathBuf>, expect: &[PathBuf]) -> Arc<Self> {
+    fn new(mountpoints: Vec<PathBuf>, expect: &[PathBuf], all: bool) -> Arc<Self> {
         let expected = expect.iter().map(|word| expected::named(word)).collect();
-        Arc::new(Self { mountpoints, expected, threads: Mutex::default() })
+        Arc::new(Self { mountpoints, expected, all, threads: Mutex::default() })
     }
 
     /// The mounts of a page.
@@ -139,10 +162,31 @@ impl Reader {
         self.threads.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
+    fn page(self: &Arc<Self>, format: Prometheus) -> String {
+        let begun = Instant::now();
+        let mounts = self.read();
+        page::render(&mounts, begun.elapsed(), format, self.all)
+    }
+
+    /// The file of the one gauge for NUT, and whether the gauge is there.
+    fn of_gauge(self: &Arc<Self>) -> Result<(String, Result<()>)> {
+        let mut mounts = self.read();
+        let mut gauges = mounts.iter_mut().flat_map(|mount| mount.gauges.drain(..));
+        let gauge = gauges.next();
+        if gauges.next().is_some() {
+            let why = "there are several gauges, and NUT has a file for each; give the folder of one";
+            return Err(Error::host("", Errno::EINVAL, why));
+        }
+        let names: Vec<_> = self.mounts().iter().map(|path| path.display().to_string()).collect();
+        let is_there = gauge.is_some();
+        let gone =
+            || Error::host(names.join(", "), Errno::ENOENT, "no gauge answers there; ups.status is empty");
+        Ok((nut::render(gauge.as_ref()), is_there.then_some(()).ok_or_else(gone)))
+    }
+
     /// Reads all gauges. A mount of which nothing is heard for some seconds is reported as down, and is not read again
     /// while too many threads wait for it.
-    fn page(self: &Arc<Self>, format: Format) -> String {
-        let begun = Instant::now();
+    fn read(self: &Arc<Self>) -> Vec<Mount> {
         let all = self.mounts();
         let (sender, found) = mpsc::channel();
         for (number, path) in all.iter().cloned().enumerate() {
@@ -177,7 +221,7 @@ impl Reader {
                 Seen::End(up) => mounts[number].up = up,
             }
         }
-        page::render(&mounts, begun.elapsed(), format)
+        mounts
     }
 }
 
@@ -212,9 +256,11 @@ mod tests {
     #[test]
     fn a_mount_that_keeps_its_readers_gets_no_more_of_them() {
         let path = PathBuf::from("/no/such/mount");
-        let reader = Reader::new(vec![path.clone()], &[]);
+        let reader = Reader::new(vec![path.clone()], &[], false);
         let count = || reader.threads().get(&path).copied();
-        assert!(reader.page(Format::Text).contains("gaugefs_mount_up{mountpoint=\"/no/such/mount\"} 0\n"));
+        assert!(
+            reader.page(Prometheus::Text).contains("gaugefs_mount_up{mountpoint=\"/no/such/mount\"} 0\n")
+        );
         // The page is ready a moment before the thread has ended.
         let start = Instant::now();
         while count() != Some(0) {
@@ -222,7 +268,9 @@ mod tests {
             std::thread::yield_now();
         }
         reader.threads().insert(path.clone(), MOST);
-        assert!(reader.page(Format::Text).contains("gaugefs_mount_up{mountpoint=\"/no/such/mount\"} 0\n"));
+        assert!(
+            reader.page(Prometheus::Text).contains("gaugefs_mount_up{mountpoint=\"/no/such/mount\"} 0\n")
+        );
         assert_eq!(count(), Some(MOST));
     }
 }

@@ -342,7 +342,7 @@ fn metrics_are_printed_written_to_a_file_and_answered() {
         format!("gaugefs_mount_up{{mountpoint=\"{at}\"}} 1"),
         format!(
             "gaugefs_chip_info{of},model=\"bq34z100-G1\",serial_number=\"0001\",firmware=\"0x0016\",\
-             chem_id=\"0x0107\",technology=\"Unknown\"}} 1"
+             chem_id=\"0x0107\"}} 1"
         ),
         format!("gaugefs_present{of}}} 1"),
         format!("gaugefs_state_of_health_ratio{of}}} 1"),
@@ -423,6 +423,52 @@ fn metrics_are_printed_written_to_a_file_and_answered() {
 }
 
 #[test]
+fn a_gauge_is_written_for_nut_and_has_no_status_when_it_is_gone() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let at = mounted(&folder, "60");
+    let (gauge, file) = (format!("{at}/BAT0"), folder.file("BAT0.seq"));
+    let write = |gauge: &str| gaugefs(&["metrics", "--format", "nut", "-o", &file, gauge]);
+    let has = |wanted: &str| {
+        let text = fs::read_to_string(&file).expect("the file");
+        text.lines().any(|line| line == wanted)
+    };
+    // The folder of a gauge, or a mount of one.
+    for path in [&gauge, &at] {
+        write(path).done();
+        assert!(has("battery.charge: 60") && has("ups.status: OL"), "{path}");
+    }
+    let printed = gaugefs(&["metrics", "--format", "nut", &gauge]).done();
+    assert!(printed.contains("\nups.model: bq34z100-G1\n"), "{printed}");
+    set(&at, "load_ma", "500");
+    within(LONG, "it discharges", || {
+        write(&gauge).done();
+        has("ups.status: OB DISCHRG") && has("battery.current: -0.5")
+    });
+    let mut server =
+        Running::new(&folder, &["metrics", "--format", "nut", "--interval", "0.5", "-o", &file, &gauge]);
+    set(&at, "soc", "5");
+    within(LONG, "it is low", || has("ups.status: OB DISCHRG LB"));
+    set(&at, "power", "off");
+    within(LONG, "it is gone", || has("ups.status: \"\""));
+    assert!(has("battery.charge: \"\"") && !has("battery.charge: 5"));
+    server.child.kill().expect("it still runs");
+    server.ends();
+    let typo = folder.file("m/BAT7");
+    fs::remove_file(&file).expect("it was there");
+    write(&typo).failed(&[&typo, "no gauge answers there"]);
+    assert!(has("ups.status: \"\""));
+
+    let config = folder.file("two.toml");
+    fs::write(&config, "[[gauge]]\nsim = \"bq34110\"\n[[gauge]]\nsim = \"bq34110\"\n").expect("a file");
+    let two = folder.file("n");
+    gaugefs(&["mount", "--config", &config, &two]).done();
+    write(&two).failed(&["several gauges", "the folder of one"]);
+}
+
+#[test]
 fn regression_a_mount_that_is_gone_is_down_and_a_private_one_is_unknown() {
     if !can_mount() {
         return;
@@ -485,9 +531,11 @@ fn metrics_and_conditions_need_no_privilege() {
 #[test]
 fn the_units_and_scripts_beside_the_daemon_are_accepted() {
     let top = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let script = top.join("docs/fleet/gaugefs-alerts.openrc");
-    let checked = Command::new("sh").arg("-n").arg(script).status().expect("a shell");
-    assert!(checked.success());
+    for script in ["gaugefs-alerts.openrc", "gaugefs-mqtt"] {
+        let script = top.join("docs/fleet").join(script);
+        let checked = Command::new("sh").arg("-n").arg(script).status().expect("a shell");
+        assert!(checked.success());
+    }
     let folder = Folder::new();
     let place = |name: &str, file: &str| {
         let text = fs::read_to_string(top.join(name)).expect("a unit");
@@ -506,6 +554,8 @@ fn the_units_and_scripts_beside_the_daemon_are_accepted() {
         place(&format!("udev/{name}.service"), &format!("{name}.service"));
         units.push(folder.0.join(format!("{name}i2c-1.service")));
     }
+    place("docs/fleet/gaugefs-nut@.service", "gaugefs-nut@.service");
+    units.push(folder.0.join("gaugefs-nut@BAT0.service"));
     for name in ["gaugefs-events", "gaugefs-events@"] {
         place("udev/events.conf", &format!("{name}.service.d/10-confined.conf"));
     }

@@ -14,7 +14,7 @@ use jiff::Timestamp;
 use ti_gauge::chip::Chip;
 use ti_gauge::learning::Bits;
 
-use super::Format;
+use super::Prometheus;
 use gaugefs_client::condition::Texts;
 
 /// A mount, and its gauges as far as they have answered.
@@ -78,7 +78,7 @@ static METRICS: &[Metric] = &[
         name: "gaugefs_chip",
         kind: Kind::Info,
         unit: "",
-        help: "Part, firmware, chemistry and serial number.",
+        help: "Part, firmware, chemical ID and serial number.",
         series: info,
     },
     gauge("gaugefs_present", "", "Whether the gauge answers and has a battery.", |gauge| {
@@ -143,6 +143,36 @@ static METRICS: &[Metric] = &[
     ),
 ];
 
+/// What node_exporter reads as well.
+static ATTRIBUTES: &[Metric] = &[
+    Metric {
+        name: "gaugefs_technology",
+        kind: Kind::Info,
+        unit: "",
+        help: "The chemistry.",
+        // It may become known only when data flash is read: no other series has it as a label.
+        series: |gauge| {
+            let name = gauge.text("technology").filter(|name| *name != "Unknown");
+            name.map(|name| (vec![("technology", name.to_string())], 1.0)).into_iter().collect()
+        },
+    },
+    gauge("gaugefs_capacity_ratio", "ratio", "State of charge, 1 for a full pack.", |gauge| {
+        one(gauge.number("capacity").map(|percent| percent / 100.0))
+    }),
+    gauge("gaugefs_voltage_volts", "volts", "Voltage of the pack.", |gauge| {
+        one(gauge.number("voltage_now").map(|uv| uv / 1e6))
+    }),
+    gauge("gaugefs_current_amperes", "amperes", "Current, negative while discharging.", |gauge| {
+        one(gauge.number("current_now").map(|ua| ua / 1e6))
+    }),
+    gauge("gaugefs_temperature_celsius", "celsius", "Temperature of the pack.", |gauge| {
+        one(gauge.number("temp").map(|tenths| tenths / 10.0))
+    }),
+    gauge("gaugefs_cycles", "", "Cycles that the gauge has counted.", |gauge| {
+        one(gauge.number("cycle_count"))
+    }),
+];
+
 /// Bits of CONTROL_STATUS that concern learning.
 const LEARNING: [&str; 5] = ["QEN", "VOK", "RUP_DIS", "QMAX_UP", "RES_UP"];
 
@@ -175,16 +205,16 @@ fn one(value: Option<f64>) -> Vec<(Labels, f64)> {
 }
 
 impl Gauge {
-    fn text(&self, name: &str) -> Option<&str> {
+    pub(super) fn text(&self, name: &str) -> Option<&str> {
         self.texts.get(name).map(String::as_str)
     }
 
-    fn number(&self, name: &str) -> Option<f64> {
+    pub(super) fn number(&self, name: &str) -> Option<f64> {
         self.text(name)?.parse().ok().filter(|number: &f64| number.is_finite())
     }
 
     /// A file that holds 0 or 1.
-    fn flag(&self, name: &str) -> Option<f64> {
+    pub(super) fn flag(&self, name: &str) -> Option<f64> {
         self.number(name).filter(|flag| [0.0, 1.0].contains(flag))
     }
 
@@ -210,7 +240,6 @@ fn info(gauge: &Gauge) -> Vec<(Labels, f64)> {
         ("serial_number", "serial_number"),
         ("firmware", "gauge/firmware_version"),
         ("chem_id", "gauge/chem_id"),
-        ("technology", "technology"),
     ];
     let labels: Labels =
         files.iter().filter_map(|(label, file)| Some((*label, gauge.text(file)?.to_string()))).collect();
@@ -239,8 +268,8 @@ fn seal(gauge: &Gauge) -> Vec<(Labels, f64)> {
         .collect()
 }
 
-/// The whole page.
-pub(super) fn render(mounts: &[Mount], took: Duration, format: Format) -> String {
+/// The whole page; with `all`, also what node_exporter reads.
+pub(super) fn render(mounts: &[Mount], took: Duration, format: Prometheus, all: bool) -> String {
     let mut page = Page { text: String::new(), format };
     page.head("gaugefs_build", Kind::Info, "", "Version of the gaugefs that reads the mounts.");
     page.sample("gaugefs_build", Kind::Info, &[("version", env!("CARGO_PKG_VERSION").into())], 1.0);
@@ -256,7 +285,8 @@ pub(super) fn render(mounts: &[Mount], took: Duration, format: Format) -> String
         };
         page.sample("gaugefs_mount_up", Kind::Gauge, &[place(mount)], up);
     }
-    for metric in METRICS {
+    let attributes = if all { ATTRIBUTES } else { &[] };
+    for metric in METRICS.iter().chain(attributes) {
         let mut is_first = true;
         for mount in mounts {
             for gauge in &mount.gauges {
@@ -271,7 +301,7 @@ pub(super) fn render(mounts: &[Mount], took: Duration, format: Format) -> String
             }
         }
     }
-    if format == Format::OpenMetrics {
+    if format == Prometheus::OpenMetrics {
         page.text += "# EOF\n";
     }
     page.text
@@ -279,14 +309,14 @@ pub(super) fn render(mounts: &[Mount], took: Duration, format: Format) -> String
 
 struct Page {
     text: String,
-    format: Format,
+    format: Prometheus,
 }
 
 impl Page {
     /// In the older format, the metric has the name of its samples, there are no units, and what OpenMetrics calls an
     /// info is a gauge.
     fn head(&mut self, name: &str, kind: Kind, unit: &str, help: &str) {
-        let is_open = self.format == Format::OpenMetrics;
+        let is_open = self.format == Prometheus::OpenMetrics;
         let end = if is_open { "" } else { end(kind) };
         let kind = match kind {
             Kind::Counter => "counter",
@@ -348,7 +378,7 @@ mod tests {
     #[test]
     fn a_page_has_the_values_of_the_files_in_base_units() {
         let gone = Mount { path: "/gone".into(), up: Up::No, gauges: Vec::new() };
-        let page = render(&[mount(), gone], Duration::from_millis(12), Format::OpenMetrics);
+        let page = render(&[mount(), gone], Duration::from_millis(12), Prometheus::OpenMetrics, false);
         let of = "{mountpoint=\"/a\\\"b\",power_supply=\"BAT0\"";
         for line in [
             "gaugefs_mount_up{mountpoint=\"/gone\"} 0".to_string(),
@@ -399,8 +429,8 @@ mod tests {
             },
             Mount { path: "/private".into(), up: Up::Unknown, gauges: Vec::new() },
         ];
-        for format in [Format::OpenMetrics, Format::Text] {
-            let page = render(&all, Duration::ZERO, format);
+        for format in [Prometheus::OpenMetrics, Prometheus::Text] {
+            let page = render(&all, Duration::ZERO, format, true);
             for line in page.lines() {
                 let is_ours = ["gaugefs_", "# HELP gaugefs_", "# TYPE gaugefs_", "# UNIT gaugefs_", "# EOF"];
                 assert!(is_ours.iter().any(|ours| line.starts_with(ours)), "{line}");
@@ -416,8 +446,26 @@ mod tests {
     }
 
     #[test]
+    fn a_technology_that_becomes_known_begins_a_series_and_ends_none() {
+        let page = |technology: &str| {
+            let mut mount = mount();
+            for (name, text) in [("technology", technology), ("capacity", "60"), ("current_now", "-500000")] {
+                mount.gauges[0].texts.insert(name.into(), text.into());
+            }
+            render(&[mount], Duration::ZERO, Prometheus::Text, true)
+        };
+        let of = "mountpoint=\"/a\\\"b\",power_supply=\"BAT0\"";
+        let (before, after) = (page("Unknown"), page("Li-ion"));
+        let added: Vec<_> = after.lines().filter(|line| !before.contains(line)).collect();
+        assert!(before.lines().all(|line| after.contains(line)), "{after}");
+        assert_eq!(added.last(), Some(&&*format!("gaugefs_technology_info{{{of},technology=\"Li-ion\"}} 1")));
+        assert!(after.contains(&format!("gaugefs_capacity_ratio{{{of}}} 0.6\n")), "{after}");
+        assert!(after.contains(&format!("gaugefs_current_amperes{{{of}}} -0.5\n")), "{after}");
+    }
+
+    #[test]
     fn the_older_format_names_metrics_as_their_samples() {
-        let page = render(&[mount()], Duration::ZERO, Format::Text);
+        let page = render(&[mount()], Duration::ZERO, Prometheus::Text, false);
         let has = |line: &str| page.lines().any(|found| found == line);
         assert!(has("# TYPE gaugefs_failed_polls_total counter") && has("# TYPE gaugefs_chip_info gauge"));
         assert!(!page.contains("# UNIT") && !page.contains("# EOF"), "{page}");

@@ -16,7 +16,7 @@ use std::str::FromStr;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use super::{Format, MOST, Reader};
+use super::{MOST, Prometheus, Reader};
 use gauge_bus::clock::{Clock, RealClock};
 use gaugefs_host::error::{Error, Result};
 use gaugefs_host::output::say;
@@ -138,9 +138,9 @@ fn answer(client: &mut impl Connection, reader: &Arc<Reader>) -> io::Result<()> 
         ("GET", "/metrics") => {
             let is_open = request.to_ascii_lowercase().contains("application/openmetrics-text");
             let (format, kind) = if is_open {
-                (Format::OpenMetrics, "application/openmetrics-text; version=1.0.0; charset=utf-8")
+                (Prometheus::OpenMetrics, "application/openmetrics-text; version=1.0.0; charset=utf-8")
             } else {
-                (Format::Text, "text/plain; version=0.0.4; charset=utf-8")
+                (Prometheus::Text, "text/plain; version=0.0.4; charset=utf-8")
             };
             respond(client, "200 OK", kind, &reader.page(format))
         }
