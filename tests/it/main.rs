@@ -27,6 +27,8 @@ mod others;
 mod output;
 mod over;
 mod packaging;
+#[cfg(feature = "screen")]
+mod pages;
 mod production;
 mod program;
 mod readme;

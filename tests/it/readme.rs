@@ -5,7 +5,7 @@
 //! | numbers | produced by |
 //! | --- | --- |
 //! | parameters of each part, "eleven", "26 more", "thirty-five" | `parts_and_parameters_are_counted` |
-//! | what the simulated gauge of "Try it" shows | `the_first_example_prints_what_it_says` |
+//! | what its commands print | `pages::the_readme` |
 //! | commands | `every_command_is_in_the_default_build` |
 //! | exit codes | `exit_codes_are_those_of_the_commands` |
 //! | the table "How good is it", and the transfers of "Compared with others" | `benches/run`, which fails if a promise is broken; `each_figure_has_a_measurement` |
@@ -16,13 +16,10 @@
 
 use std::collections::BTreeSet;
 use std::fs;
-use std::path::Path;
-use std::process::Command;
-use std::time::{Duration, Instant};
 
 use ti_gauge::chip::{CHIPS, Chip, kernel};
 
-use super::room::{Folder, can_mount, gaugefs, readme, root, rows};
+use super::room::{gaugefs, readme, root, rows};
 
 fn first_number(text: &str) -> Option<usize> {
     let digits = text.trim_start_matches(|letter: char| !letter.is_ascii_digit());
@@ -46,53 +43,6 @@ fn parts_and_parameters_are_counted() {
     let all = Chip::all().count();
     assert!((34..=37).contains(&all), "{all} parts");
     assert!(readme().contains("some thirty-five of TI's, on I2C; eleven with data flash"));
-}
-
-/// The commands of the first example, and what the README shows below each.
-#[test]
-fn the_first_example_prints_what_it_says() {
-    if !can_mount() {
-        return;
-    }
-    let text = readme();
-    let block = text.split("$ cd /tmp/gauges/BAT0\n").nth(1).and_then(|text| text.split("$ cd - ").next());
-    let mut steps: Vec<(String, String)> = Vec::new();
-    for line in block.expect("the example").lines() {
-        match line.strip_prefix("$ ") {
-            Some(command) => steps.push((command.to_string(), String::new())),
-            None => steps.last_mut().expect("a command").1.push_str(&format!("{line}\n")),
-        }
-    }
-    assert!(steps.len() >= 9, "{steps:?}");
-    let folder = Folder::new();
-    let at = folder.file("m");
-    gaugefs(&["mount", "--sim", "bq34z100-g1", "--poll", "0.5", &at]).done();
-    let gauge = Path::new(&at).join("BAT0");
-    let run = |command: &str| {
-        let output = Command::new("bash").args(["-c", command]).current_dir(&gauge).output().expect("bash");
-        String::from_utf8(output.stdout).expect("text") + &String::from_utf8(output.stderr).expect("text")
-    };
-    // A shell without a terminal names itself and the line in an error, and a line of last_error has its time.
-    let plain = |text: &str| {
-        let lines = text.lines().map(|line| line.strip_prefix("bash: ").unwrap_or(line));
-        let lines = lines.map(|line| line.strip_prefix("line 1: ").unwrap_or(line));
-        let is_time = |word: &str| word.ends_with("Z:") && word.starts_with("20");
-        let lines = lines
-            .map(|line| line.split(' ').filter(|word| !is_time(word)).collect::<Vec<_>>().join(" ") + "\n");
-        lines.collect::<String>()
-    };
-    for (command, shown) in steps {
-        // What is measured has changed after a few polls; what is written is written once.
-        let writes = command.contains('>');
-        if !writes {
-            let start = Instant::now();
-            while plain(&run(&command)) != plain(&shown) && start.elapsed() < Duration::from_secs(30) {
-                std::thread::sleep(Duration::from_millis(100));
-            }
-        }
-        assert_eq!(plain(&run(&command)), plain(&shown), "{command}");
-    }
-    gaugefs(&["umount", &at]).done();
 }
 
 #[test]

@@ -8,6 +8,7 @@ mod commands;
 mod documents;
 mod mounted;
 mod scratch;
+mod session;
 
 pub(crate) use apart::drop_copied_mounts;
 pub(crate) use commands::{
@@ -17,3 +18,4 @@ pub(crate) use commands::{
 pub(crate) use documents::{TEXT, readme, root, rows, table};
 pub(crate) use mounted::{Mount, SimKnobs, errno, mapped, quiet, statistic};
 pub(crate) use scratch::{Connections, Folder, folder, folder_named, remove};
+pub(crate) use session::{Session, Step, steps};
