@@ -93,3 +93,13 @@ fn the_map_of_the_readme_has_every_page() {
         assert!(row.len() == 3 && row.iter().all(|cell| !cell.is_empty()), "{row:?}");
     }
 }
+
+/// A program that reads `error_details` has only the table to go by.
+#[test]
+fn every_reason_of_a_failure_is_documented() {
+    let page = read(&root().join("docs/COMMANDS.md"));
+    let rows = page.lines().skip_while(|line| *line != "| `reason` | fields |").skip(2);
+    let documented: Vec<_> =
+        rows.map_while(|row| row.strip_prefix("| `")?.split_once('`')).map(|(name, _)| name).collect();
+    assert_eq!(documented, ti_gauge::error::Reason::NAMES);
+}

@@ -37,6 +37,11 @@ impl Error {
         ti_gauge::error::Error::new(subject, cause, text).into()
     }
 
+    /// An error whose reason has facts.
+    pub fn of(subject: impl Into<String>, reason: Reason) -> Self {
+        ti_gauge::error::Error::of(subject, reason).into()
+    }
+
     /// An error of the host: a file, a folder, a mount; with the remedy.
     pub fn host(subject: impl Into<String>, errno: Errno, text: impl Into<String>) -> Self {
         ti_gauge::error::Error::host(subject, errno.into(), text).into()
@@ -117,7 +122,7 @@ impl Error {
 
     /// What a program is told of it.
     pub fn details(&self) -> Details {
-        Details { errno: self.errno(), facts: self.inner.facts() }
+        Details::of(&self.inner)
     }
 }
 
@@ -128,11 +133,20 @@ pub struct Details {
     facts: Vec<(&'static str, Fact)>,
 }
 
+impl Details {
+    fn of(error: &ti_gauge::error::Error) -> Self {
+        Self { errno: Errno::from_raw(error.errno()), facts: error.facts() }
+    }
+
+    fn fields(&self) -> impl Iterator<Item = (&'static str, Value)> {
+        let errno = ("errno", format!("{:?}", self.errno).into());
+        std::iter::once(errno).chain(self.facts.iter().map(|(name, fact)| (*name, json(fact))))
+    }
+}
+
 impl Serialize for Details {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        let errno = ("errno", Value::from(format!("{:?}", self.errno)));
-        let facts = self.facts.iter().map(|(name, fact)| (*name, json(fact)));
-        serializer.collect_map(std::iter::once(errno).chain(facts))
+        serializer.collect_map(self.fields())
     }
 }
 
@@ -142,6 +156,11 @@ fn json(fact: &Fact) -> Value {
         Fact::Number(number) => (*number).into(),
         Fact::Text(text) => (**text).into(),
         Fact::Place(place) => Place::from(*place).to_string().into(),
+        Fact::Failure(error) => {
+            let text = ("error", text::printable(&error.to_string()).into());
+            let fields = std::iter::once(text).chain(Details::of(error).fields().collect::<Vec<_>>());
+            Value::Object(fields.map(|(name, value)| (name.to_string(), value)).collect())
+        }
     }
 }
 

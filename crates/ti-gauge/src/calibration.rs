@@ -12,7 +12,7 @@ use std::time::Duration;
 use crate::chip::{Calibration, Chip, Offset, Role, Word};
 use crate::codec;
 use crate::dataflash::{BEGINS, Change, DataFlash, Extras, Outcome, Place, Row};
-use crate::error::{Cause, Error, Result, Step};
+use crate::error::{Cause, Error, Reason, Result, Step};
 use crate::gauge::{Gauge, agreed};
 use crate::notation;
 use crate::unit;
@@ -368,7 +368,7 @@ impl Task<'_> {
             Err(error) => error,
         };
         (self.tell)(&format!("putting {name} {was} back"));
-        self.put_back(&olds, &error)
+        self.put_back(&olds, error)
     }
 
     /// The value after the gauge itself may have changed it, in its own time.
@@ -412,7 +412,7 @@ impl Task<'_> {
     }
 
     /// Writes old offsets back after a measurement that has failed.
-    fn put_back(&mut self, olds: &[(Row, Value)], error: &Error) -> Result<String> {
+    fn put_back(&mut self, olds: &[(Row, Value)], error: Error) -> Result<String> {
         let show = |((_, parameter), old): &(Row, Value)| {
             format!("{} {}", parameter.name, notation::render(parameter.kind, old))
         };
@@ -427,13 +427,12 @@ impl Task<'_> {
         }
         match self.dataflash.undo_measured(self.gauge) {
             Ok(()) => {
-                let why = format!("{error}; the old value was restored and verified: {was}");
-                Err(Error::new("", Cause::RolledBack, why))
+                let what = format!("the old value was restored and verified: {was}");
+                Err(Error::of("", Reason::RolledBack { failed: error, what }))
             }
-            Err(second) => {
-                let why =
-                    format!("{error}; then {second}: the gauge may have stored other values than {was}");
-                Err(Error::new("", Cause::StateUnknown, why))
+            Err(then) => {
+                let what = format!("the gauge may have stored other values than {was}");
+                Err(Error::of("", Reason::NotRestored { failed: error, then, what }))
             }
         }
     }

@@ -145,35 +145,60 @@ pub enum Fact {
     Text(Cow<'static, str>),
     /// A place in data flash: the id of its subclass, or [`FLAT`](crate::chip::FLAT), and an offset in bytes.
     Place((u8, u16)),
+    /// Another failure.
+    Failure(Error),
 }
 
-impl From<u16> for Fact {
-    fn from(number: u16) -> Self {
-        Self::Number(number.into())
+/// What the field of a reason is for a program.
+trait Told {
+    fn fact(&self) -> Fact;
+
+    /// The failure that led to this one, if the field is one.
+    fn failure(&self) -> Option<&Error> {
+        None
     }
 }
 
-impl From<i64> for Fact {
-    fn from(number: i64) -> Self {
-        Self::Number(number)
+impl Told for u16 {
+    fn fact(&self) -> Fact {
+        Fact::Number((*self).into())
     }
 }
 
-impl From<&'static str> for Fact {
-    fn from(text: &'static str) -> Self {
-        Self::Text(text.into())
+impl Told for i64 {
+    fn fact(&self) -> Fact {
+        Fact::Number(*self)
     }
 }
 
-impl From<String> for Fact {
-    fn from(text: String) -> Self {
-        Self::Text(text.into())
+impl Told for String {
+    fn fact(&self) -> Fact {
+        Fact::Text(self.clone().into())
     }
 }
 
-/// Makes [`Reason`] of one row for each failure: its name for a program, its cause, the facts about it, and its text.
+impl Told for &'static str {
+    fn fact(&self) -> Fact {
+        Fact::Text((*self).into())
+    }
+}
+
+impl Told for Error {
+    fn fact(&self) -> Fact {
+        Fact::Failure(self.clone())
+    }
+
+    fn failure(&self) -> Option<&Error> {
+        Some(self)
+    }
+}
+
+/// Makes [`Reason`] of one row for each failure: its facts, and words that only its text needs; its name for a program and
+/// its cause; and the text.
 macro_rules! reasons {
-    ($($(#[doc = $doc:literal])+ $variant:ident { $($field:ident: $type:ty),+ } $name:literal, $cause:ident, $($text:expr),+;)+) => {
+    ($($(#[doc = $doc:literal])+
+        $variant:ident { $($fact:ident: $type:ty),* $(; $($word:ident: $kind:ty),+)? }
+        $name:literal, $cause:ident, $($text:expr),+;)+) => {
         /// Why something failed.
         #[derive(Clone, Debug, PartialEq, Eq)]
         #[non_exhaustive]
@@ -182,17 +207,24 @@ macro_rules! reasons {
             Text(Cause, Cow<'static, str>),
             /// A transfer on the bus.
             Bus(BusError),
-            $($(#[doc = $doc])+ $variant { $(#[doc = concat!("The fact `", stringify!($field), "`.")] $field: $type),+ },)+
+            $($(#[doc = $doc])+ $variant {
+                $(#[doc = concat!("The fact `", stringify!($fact), "`.")] $fact: $type,)*
+                $($(#[doc = concat!("Words of the text: ", stringify!($word), ".")] $word: $kind,)+)?
+            },)+
         }
 
         impl Reason {
-            /// Its name for a program, its cause, and the facts by their names.
-            fn row(&self) -> (Option<&'static str>, Cause, Vec<(&'static str, Fact)>) {
+            /// The names of those that have facts.
+            pub const NAMES: &[&str] = &[$($name),+];
+
+            /// Its name for a program, its cause, the facts by their names, and the failure that led to this one.
+            fn row(&self) -> (Option<&'static str>, Cause, Vec<(&'static str, Fact)>, Option<&Error>) {
                 match self {
-                    Self::Text(cause, _) => (None, *cause, Vec::new()),
-                    Self::Bus(bus) => (None, Cause::Bus(*bus), Vec::new()),
-                    $(Self::$variant { $($field),+ } => {
-                        (Some($name), Cause::$cause, vec![$((stringify!($field), $field.clone().into())),+])
+                    Self::Text(cause, _) => (None, *cause, Vec::new(), None),
+                    Self::Bus(bus) => (None, Cause::Bus(*bus), Vec::new(), None),
+                    $(Self::$variant { $($fact,)* .. } => {
+                        let facts = vec![$((stringify!($fact), $fact.fact())),*];
+                        (Some($name), Cause::$cause, facts, None$(.or($fact.failure()))*)
                     })+
                 }
             }
@@ -203,7 +235,11 @@ macro_rules! reasons {
                 match self {
                     Self::Text(_, text) => f.write_str(text),
                     Self::Bus(bus) => bus.fmt(f),
-                    $(Self::$variant { $($field),+ } => write!(f, $($text),+),)+
+                    $(Self::$variant { $($fact,)* $($($word),+)? } => {
+                        // A fact need not be in the text.
+                        $(_ = $fact;)*
+                        write!(f, $($text),+)
+                    })+
                 }
             }
         }
@@ -212,14 +248,62 @@ macro_rules! reasons {
 
 // Nothing that a user wrote is among the facts: it may be a key that was meant for another file.
 reasons! {
-    /// A value is outside of what is allowed, in that unit.
+    /// A value is outside of what is allowed.
     OutOfRange { least: String, greatest: String, unit: &'static str } "out-of-range", OutOfRange,
         "the value is outside {least} to {greatest}{}{unit}", if unit.is_empty() { "" } else { " " };
     /// A value would do harm.
-    Unsafe { number: i64, least: i64, why: &'static str } "unsafe", OutOfRange, "{number} is below {least}: {why}";
-    /// The gauge's supply is outside of what the part works from, in mV.
+    Unsafe { number: i64, least: i64; why: &'static str } "unsafe", OutOfRange, "{number} is below {least}: {why}";
+    /// The supply of the gauge is outside of what the part works from, in mV.
     Supply { value: u16, least: u16, greatest: u16 } "supply-voltage", NotNow,
         "{value} mV, and the part works from {least} to {greatest} mV: charge the cell, or check its connection";
+    /// The gauge programs no flash at this voltage, in mV.
+    FlashVoltage { value: i64, least: i64; compared: String, place: String, remedy: String } "flash-voltage", NotNow,
+        "the gauge measures {value} mV{compared} and stores nothing below {least} mV ({place}){remedy}";
+    /// A mode is on in which nothing is written.
+    Mode { word: u16; what: &'static str, remedy: &'static str } "mode", Busy, "set in 0x{word:04x}: {what}; {remedy}";
+    /// The checksum of a block does not fit its bytes.
+    Checksum { found: u16, expected: u16; of: &'static str } "checksum", BadChecksum,
+        "{of} is 0x{found:02x}, the block adds up to 0x{expected:02x}";
+    /// What was written reads otherwise.
+    Mismatch { read: u16, wrote: u16; place: String } "mismatch", Protocol, "{place} reads 0x{read:02x}, wrote 0x{wrote:02x}";
+    /// Too many blocks were programmed within the last hour.
+    Wear { blocks: i64, greatest: i64, seconds: i64 } "wear", NotNow,
+        "{blocks} blocks were programmed within the last hour; the limit is {greatest}, because flash wears out: the next \
+         write may come in {} min {} s; --writes-per-hour sets another limit", seconds / 60, seconds % 60;
+    /// A key is needed and not known.
+    NoKey { key: &'static str; before: &'static str, file: String } "no-key", NotPermitted,
+        "{before}; put it into {file} and mount again";
+    /// The gauge did not take a key.
+    KeyRefused { key: &'static str; what: String } "key-refused", NotPermitted, "{what}";
+    /// Another part answers than the one of the table.
+    OtherPart { expected: u16, found: u16 } "other-part", Gone,
+        "device type is 0x{found:04x}, not 0x{expected:04x}: another part answers; mount it anew";
+    /// Another pack answers than the one whose values were read: a word that tells packs apart is another one.
+    OtherPack { expected: u16, found: u16; what: String } "other-pack", Gone,
+        "{what} is 0x{found:04x} and was 0x{expected:04x} when its values were read: another pack answers; check its \
+         values before you write";
+    /// The part is none that a table describes, or not the one that was named.
+    WrongPart { device_type: u16, firmware: u16, hardware: u16; what: String } "wrong-part", Gone,
+        "device type 0x{device_type:04x}, firmware 0x{firmware:04x}, hardware 0x{hardware:04x}: {what}";
+    /// A write failed, and was undone.
+    RolledBack { failed: Error; what: String } "rolled-back", RolledBack, "{failed}; {what}";
+    /// A write failed, and the way back did, too.
+    NotRestored { failed: Error, then: Error; what: String } "not-restored", StateUnknown, "{failed}; then {then}: {what}";
+    /// A change of keys failed, and which key the gauge takes is not certain.
+    KeyUnknown { failed: Error; what: String } "key-unknown", StateUnknown, "{failed}; {what}";
+    /// An interrupted write could not be settled.
+    NotSettled { failed: Error } "not-settled", StateUnknown, "{failed}: data flash contents unknown";
+    /// A write failed because the gauge lost its power, and its RAM with it.
+    PowerLost { failed: Error } "power-lost", StateUnknown,
+        "{failed}; the gauge has lost its power, and its data memory with it";
+    /// What was asked for was done, and the seal state that the gauge was found in was not restored.
+    NotClosed { seal: &'static str, failed: Error } "not-closed", StateUnknown,
+        "done and verified, but restoring the {seal} state failed: {failed}";
+    /// Something failed, and the seal state that the gauge was found in was not restored.
+    FailedOpen { failed: Error, seal: &'static str, then: Error } "failed-open", StateUnknown,
+        "{failed}; then restoring the {seal} state failed: {then}";
+    /// Calibration mode could not be left.
+    Calibrating { failed: Error } "calibrating", StateUnknown, "the gauge may still be in calibration mode: {failed}";
 }
 
 /// One failure: subject, step and reason.
@@ -368,12 +452,12 @@ impl Error {
     /// What is known of it, by names for a program.
     pub fn facts(&self) -> Vec<(&'static str, Fact)> {
         let Inner { step, reason, register, place, owed, .. } = &*self.0;
-        let (name, cause, own) = reason.row();
+        let (name, cause, own, _) = reason.row();
         let more = [
-            ("cause", Some(cause.name().into())),
-            ("step", step.map(|step| step.as_str().into())),
-            ("reason", name.map(Fact::from)),
-            ("register", register.clone().map(Fact::from)),
+            ("cause", Some(cause.name().fact())),
+            ("step", step.map(|step| step.as_str().fact())),
+            ("reason", name.map(|name| name.fact())),
+            ("register", register.as_ref().map(Told::fact)),
             ("place", place.map(Fact::Place)),
             ("owed", owed.then_some(Fact::Yes)),
         ];
@@ -398,7 +482,7 @@ impl error::Error for Error {
         match (&self.0.host, &self.0.reason) {
             (Some(host), _) => Some(&*host.0),
             (None, Reason::Bus(bus)) => Some(bus),
-            (None, _) => None,
+            (None, reason) => reason.row().3.map(|failed| failed as _),
         }
     }
 }
@@ -434,13 +518,13 @@ mod tests {
         assert_eq!(error.to_string(), "Cell Terminate Voltage: check: the value is outside 1000 to 3700 mV");
         assert_eq!(error.errno(), Errno::RANGE.raw_os_error());
         let facts = [
-            ("cause", "out-of-range".into()),
-            ("step", "check".into()),
-            ("reason", "out-of-range".into()),
+            ("cause", "out-of-range".fact()),
+            ("step", "check".fact()),
+            ("reason", "out-of-range".fact()),
             ("place", Fact::Place((80, 53))),
-            ("least", "1000".into()),
-            ("greatest", "3700".into()),
-            ("unit", "mV".into()),
+            ("least", "1000".fact()),
+            ("greatest", "3700".fact()),
+            ("unit", "mV".fact()),
         ];
         assert_eq!(error.facts(), facts);
     }
@@ -455,5 +539,8 @@ mod tests {
         let source = host.source().expect("the host").downcast_ref::<io::Error>().expect("its error");
         assert_eq!((source.raw_os_error(), host.errno()), (Some(28), 28));
         assert!(Error::new("seal", Cause::Invalid, "x").source().is_none());
+        let undone = Error::of("", Reason::RolledBack { failed: bus.clone(), what: "undone".into() });
+        assert_eq!(undone.source().expect("what failed").downcast_ref(), Some(&bus));
+        assert_eq!(undone.to_string(), format!("{bus}; undone"));
     }
 }

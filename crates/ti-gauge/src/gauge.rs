@@ -13,7 +13,7 @@ use std::time::Duration;
 
 pub use crate::chip::Answers;
 use crate::chip::{Chip, Scheme, SealStatus};
-use crate::error::{Cause, Error, Result, Step};
+use crate::error::{Cause, Error, Reason, Result, Step};
 use crate::keys::{Keys, Name, Secret, wipe_words};
 use gauge_bus::clock::Clock;
 use gauge_bus::trace::Event;
@@ -635,10 +635,7 @@ impl Gauge {
         if found == expected {
             return Ok(());
         }
-        let why = format!(
-            "device type is 0x{found:04x}, not 0x{expected:04x}: another part answers; mount it anew"
-        );
-        Err(Error::new(self.chip.model, Cause::Gone, why).at(Step::Identify))
+        Err(Error::of(self.chip.model, Reason::OtherPart { expected, found }).at(Step::Identify))
     }
 
     /// Reads the seal state.
@@ -753,14 +750,18 @@ impl Gauge {
     /// pause, as TI advises, and then never again: a refused key is not sent in a loop. Two cases are no refusal
     /// of the key: the gauge has accepted it before, or a transfer failed in between.
     pub fn unseal(&mut self) -> Result<()> {
-        let refuse = |why: String| Error::new(self.chip.model, Cause::NotPermitted, why).at(Step::Unseal);
-        let place = self.key_file.clone();
+        let file = self.key_file.to_string();
+        let refuse = |reason| Error::of(self.chip.model, reason).at(Step::Unseal);
+        let refused = |what: &str| {
+            let what = format!("{what}; put the right one into {file} and mount again");
+            refuse(Reason::KeyRefused { key: Name::Unseal.as_str(), what })
+        };
         let Some(key) = self.key(Name::Unseal) else {
-            return Err(refuse(format!("SEALED, and no key is given; put it into {place} and mount again")));
+            let before = "SEALED, and no key is given";
+            return Err(refuse(Reason::NoKey { key: Name::Unseal.as_str(), before, file }));
         };
         if self.refused {
-            let why = "SEALED, and the key was refused before";
-            return Err(refuse(format!("{why}; put the right one into {place} and mount again")));
+            return Err(refused("SEALED, and the key was refused before"));
         }
         let failures = self.failures;
         if self.takes(&key, Seal::Unsealed)? {
@@ -771,9 +772,7 @@ impl Gauge {
             return Err(Error::new(self.chip.model, Cause::NotNow, why).at(Step::Unseal));
         }
         self.refused = true;
-        let why =
-            format!("SEALED, and the gauge refused the key; put the right one into {place} and mount again");
-        Err(Error::new(self.chip.model, Cause::NotPermitted, why).at(Step::Unseal))
+        Err(refused("SEALED, and the gauge refused the key"))
     }
 
     /// Whether the gauge that is there is known to have the unseal key: it has accepted it, and nothing has happened
@@ -805,19 +804,19 @@ impl Gauge {
 
     /// Goes from UNSEALED to FULL ACCESS and confirms it.
     pub fn full_access(&mut self) -> Result<()> {
-        let refuse = |why: String| Error::new(self.chip.model, Cause::NotPermitted, why).at(Step::Unseal);
+        let refuse = |reason| Error::of(self.chip.model, reason).at(Step::Unseal);
         if !self.chip.security.full_access {
-            return Err(refuse("this part has no FULL ACCESS".into()));
+            return Err(refuse(Reason::Text(Cause::NotPermitted, "this part has no FULL ACCESS".into())));
         }
-        let (key, place) = (self.key(Name::FullAccess), self.key_file.clone());
-        let key = key.ok_or_else(|| {
-            refuse(format!("no full-access key is given; put it into {place} and mount again"))
-        })?;
+        let name = Name::FullAccess.as_str();
+        let Some(key) = self.key(Name::FullAccess) else {
+            let before = "no full-access key is given";
+            return Err(refuse(Reason::NoKey { key: name, before, file: self.key_file.to_string() }));
+        };
         if self.takes(&key, Seal::FullAccess)? {
             return Ok(());
         }
-        Err(Error::new(self.chip.model, Cause::NotPermitted, "the gauge refused the full-access key")
-            .at(Step::Unseal))
+        Err(refuse(Reason::KeyRefused { key: name, what: "the gauge refused the full-access key".into() }))
     }
 
     /// Sends a key, once more after a pause if it was refused, and returns whether the state followed.

@@ -11,7 +11,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use crate::chip::{CHIPS, Chip, Recognised, Role, SIBLINGS, Sibling, Tier, recognise};
-use crate::error::{Cause, Error, Result, Step};
+use crate::error::{Cause, Error, Reason, Result, Step};
 use crate::gauge::{Answers, Gauge};
 use crate::keys::Keys;
 use crate::registers::{Registers, bursts};
@@ -243,34 +243,36 @@ fn questions(chip: &Chip) -> Questions {
     (chip.identity.answer, ["HW_VERSION", "CHEM_ID", "DM_CODE"].map(code))
 }
 
+impl Answers {
+    /// What is wrong with a part that answers so.
+    pub fn wrong_part(&self, what: String) -> Reason {
+        let Self { device_type, firmware_version: firmware, hardware_version: hardware, .. } = *self;
+        Reason::WrongPart { device_type, firmware, hardware, what }
+    }
+}
+
 /// The chip at an address that the user has named.
 pub fn find(subject: &str, target: &Target<'_>) -> Result<&'static Chip> {
-    let failed = |cause, why: String| Err(Error::new(subject, cause, why).at(Step::Identify));
+    let failed = |reason| Err(Error::of(subject, reason).at(Step::Identify));
+    let gone = |why: String| failed(Reason::Text(Cause::Gone, why.into()));
     let plausible = candidates(target).map_err(|error| error.within(subject))?;
     if plausible.is_empty() {
-        return failed(Cause::Gone, STRANGE.into());
+        return gone(STRANGE.into());
     }
     let who = identify(&plausible, target).map_err(|error| error.within(subject))?;
     let chips = if who.chips.is_empty() && who.sibling.is_none() { &who.unproven } else { &who.chips };
     match (&chips[..], who.sibling) {
         ([one], _) => Ok(one),
         ([], Some(Sibling { like: Some(chip), .. })) => Ok(chip),
-        ([], Some(sibling)) => {
-            failed(Cause::Gone, format!("it is a {}, which gaugefs does not support", sibling.name))
-        }
+        ([], Some(sibling)) => gone(format!("it is a {}, which gaugefs does not support", sibling.name)),
         ([], None) => {
-            let Answers { device_type, firmware_version, hardware_version, .. } = who.answers;
-            failed(
-                Cause::Gone,
-                format!(
-                    "device type 0x{device_type:04x}, firmware 0x{firmware_version:04x}, hardware \
-                 0x{hardware_version:04x}: unknown part; `gaugefs chips` lists the known ones"
-                ),
-            )
+            let what = "unknown part; `gaugefs chips` lists the known ones";
+            failed(who.answers.wrong_part(what.into()))
         }
         (several, _) => {
             let names: Vec<_> = several.iter().map(|chip| chip.name).collect();
-            failed(Cause::Invalid, format!("it may be any of {}; choose with --chip", names.join(", ")))
+            let why = format!("it may be any of {}; choose with --chip", names.join(", "));
+            failed(Reason::Text(Cause::Invalid, why.into()))
         }
     }
 }

@@ -149,13 +149,8 @@ fn check_identity(chip: &'static Chip, answers: &Answers) -> Result<Option<Limit
         }
         Recognised::Unknown => "unknown part".to_string(),
     };
-    let Answers { device_type, firmware_version, hardware_version, .. } = answers;
-    let why = format!(
-        "device type 0x{device_type:04x}, firmware 0x{firmware_version:04x}, hardware \
-         0x{hardware_version:04x}: {found}; refusing to mount it as a {}",
-        chip.model
-    );
-    Err(Error::new(chip.model, Cause::Gone, why).at(Step::Identify))
+    let what = format!("{found}; refusing to mount it as a {}", chip.model);
+    Err(Error::of(chip.model, answers.wrong_part(what)).at(Step::Identify))
 }
 
 #[cfg(test)]

@@ -11,7 +11,7 @@ use super::window::{Dirty, Window};
 use super::{Change, DataFlash, Place};
 use crate::chip::{Gate, Parameter, Role, Safe, Scheme, Word};
 use crate::codec::{self, WINDOW};
-use crate::error::{Cause, Error, Result, Step};
+use crate::error::{Cause, Error, Reason, Result, Step};
 use crate::gauge::{Gauge, agreed};
 use crate::value::Value;
 
@@ -71,14 +71,14 @@ impl DataFlash {
         };
         // The number of cells is left out: should it count, the gauge stores nothing and the write fails.
         let now = Setting { limit: limit.into(), divider: divider.into(), external: false, cells: 1 };
-        let Some(shut) = now.shut(gate, voltage_mv.into()) else { return Ok(()) };
+        let remedy = || format!(": charge the pack{}", remedy(gate));
+        let Some(shut) = now.shut(gate, voltage_mv.into(), remedy) else { return Ok(()) };
         if calibration_enabled(gauge)? {
             return Ok(());
         }
         // It is read again before the next write.
         self.now.may_have_changed();
-        let why = format!("{shut}: charge the pack{}", remedy(gate));
-        Err(Error::new("", Cause::NotNow, why).at(Step::Check))
+        Err(Error::of("", shut).at_place(gate.limit).at(Step::Check))
     }
 
     /// Checks that the gate stays open with all changes of the transaction, and after each of their blocks, and
@@ -133,8 +133,8 @@ impl DataFlash {
         // No source says that Voltage() follows a new divider before somebody calibrates, so with the limit as it is
         // flash has to stay open if it does not.
         let only_divider = before.limit == after.limit && before.external == after.external;
-        let stays =
-            (only_divider && before.divider != after.divider).then(|| after.shut(gate, low.into())).flatten();
+        let shut = |now: &Setting| now.shut(gate, low.into(), String::new).map(|shut| shut.to_string());
+        let stays = (only_divider && before.divider != after.divider).then(|| shut(&after)).flatten();
         if let Some(shut) = before.shut_after(&after, gate, low, high).or(stays) {
             let why = format!(
                 "with this write {shut}, so flash would be shut for good: write all values of the divider together, \
@@ -145,7 +145,7 @@ impl DataFlash {
         // The gauge may measure anew after each block, or not before the reset.
         let shut = |stored: usize| {
             let next = setting(stored);
-            before.shut_after(&next, gate, low, high).or_else(|| next.shut(gate, low.into()))
+            before.shut_after(&next, gate, low, high).or_else(|| shut(&next))
         };
         let shut = (1..dirty.len()).find_map(shut);
         if let Some(shut) = shut
@@ -214,7 +214,7 @@ impl Setting {
 
     /// Why the gate is shut at a Voltage(). Every way in which the documents let the gauge compare must open it,
     /// and no division rounds.
-    fn shut(&self, gate: &Gate, voltage_mv: i64) -> Option<String> {
+    fn shut(&self, gate: &Gate, voltage_mv: i64, remedy: impl FnOnce() -> String) -> Option<Reason> {
         let Self { limit, divider, .. } = *self;
         let cells = self.cells.max(1);
         let scaled = gate.cell_divider.map(i64::from).filter(|cell| voltage_mv * cell < limit * divider);
@@ -224,10 +224,8 @@ impl Setting {
             Some(cell) => format!(", {} mV at a Voltage Divider of {cell},", voltage_mv * cell / divider),
             None => return None,
         };
-        let place = Place::from(gate.limit);
-        Some(format!(
-            "the gauge measures {voltage_mv} mV{compared} and stores nothing below {limit} mV ({place})"
-        ))
+        let place = Place::from(gate.limit).to_string();
+        Some(Reason::FlashVoltage { value: voltage_mv, least: limit, compared, place, remedy: remedy() })
     }
 
     /// Why the gate is shut with the values `after`, from the lowest and the highest Voltage() with these.
@@ -259,7 +257,7 @@ impl Setting {
                 return Some(format!("Voltage() would be {high} mV, which it cannot show"));
             }
         }
-        after.shut(gate, low)
+        after.shut(gate, low, String::new).map(|shut| shut.to_string())
     }
 }
 

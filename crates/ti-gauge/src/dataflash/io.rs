@@ -8,7 +8,7 @@ use super::schemes::sequence;
 use super::window::{Dirty, Window, holds_keys, locate};
 use crate::chip::Subclass;
 use crate::codec::WINDOW;
-use crate::error::{Cause, Error, Result, Step};
+use crate::error::{Cause, Error, Reason, Result, Step};
 use crate::gauge::{Gauge, Seal};
 
 /// Looks at a block that was just committed, and the time between them. Programming takes up to 250 ms, during
@@ -166,10 +166,11 @@ fn compare(block: &Dirty, stored: &[u8; WINDOW]) -> Result<()> {
 
 fn mismatch(block: &Dirty, stored: &[u8; WINDOW], at: usize) -> Error {
     let place = block.place.name(at);
-    let why = if block.differs(stored, &block.old).is_none() {
-        format!("{place}: the gauge acknowledged the write and stored nothing")
+    let reason = if block.differs(stored, &block.old).is_none() {
+        let why = format!("{place}: the gauge acknowledged the write and stored nothing");
+        Reason::Text(Cause::Protocol, why.into())
     } else {
-        format!("{place} reads 0x{:02x}, wrote 0x{:02x}", stored[at], block.new[at])
+        Reason::Mismatch { read: stored[at].into(), wrote: block.new[at].into(), place }
     };
-    Error::new("", Cause::Protocol, why).at(Step::Verify)
+    Error::of("", reason).at(Step::Verify)
 }

@@ -12,7 +12,7 @@ use super::session::{RESTORES, Session, put, reads_wrong, store};
 use super::state::has_lost_memory;
 use super::window::{Dirty, Window};
 use crate::codec::{Bytes, WINDOW};
-use crate::error::{Cause, Error, Result, Step};
+use crate::error::{Cause, Error, Reason, Result, Step};
 use crate::gauge::Gauge;
 
 /// Between two looks that show whether a byte moves by itself. Gauges measure once a second.
@@ -277,17 +277,16 @@ pub(super) fn converge(
     session.go_back(gauge);
     if !job.was_lost && has_lost_memory(gauge).unwrap_or(false) {
         session.forget_mode();
-        let why = format!("{error}; the gauge has lost its power, and its data memory with it");
-        return Landed::Unknown(Error::new("", Cause::StateUnknown, why));
+        return Landed::Unknown(Error::of("", Reason::PowerLost { failed: error }));
     }
     match job.bring(gauge, session, Side::Old, false) {
         Ok(()) => {
-            let why = format!("{error}; the old value was restored and verified");
-            Landed::Back(Error::new("", Cause::RolledBack, why))
+            let what = "the old value was restored and verified".into();
+            Landed::Back(Error::of("", Reason::RolledBack { failed: error, what }))
         }
-        Err(second) => {
-            let why = format!("{error}; then {second}: data flash contents unknown");
-            Landed::Unknown(Error::new("", Cause::StateUnknown, why))
+        Err(then) => {
+            let what = "data flash contents unknown".into();
+            Landed::Unknown(Error::of("", Reason::NotRestored { failed: error, then, what }))
         }
     }
 }

@@ -37,7 +37,7 @@ use crate::authentication::{self, LENGTH, Order};
 use crate::chip::{Chip, FLAT, KeyBlock, KeyOrder, KeyStorage, Kind};
 use crate::codec::Bytes;
 use crate::codec::WINDOW;
-use crate::error::{Cause, Error, Result, Step};
+use crate::error::{Cause, Error, Reason, Result, Step};
 use crate::gauge::{DEFAULT_FULL_ACCESS, Gauge, Seal};
 use crate::journal::{Identity, KEYS_WRITTEN, KeyPlan, Plan};
 use crate::keys::{KeyChange, Name, Secret, wipe_stack};
@@ -476,7 +476,7 @@ impl<'a> Task<'a> {
             && let Some(plan) = session.entry.as_ref().and_then(|entry| entry.plan.clone())
             && let Err(second) = restore_rows(gauge, session, &plan)
         {
-            error = Error::new("", Cause::StateUnknown, format!("{error}; but {second}"));
+            error = Error::of("", Reason::KeyUnknown { failed: error, what: format!("but {second}") });
         }
         dataflash.unfinished = Some(unfinished);
         Err(error)
@@ -837,8 +837,8 @@ impl<'a> Task<'a> {
             }
             let mut touched = 0;
             if self.put_back(gauge, unfinished, &mut touched).is_ok() {
-                let why = format!("{error}; the old key was restored, and the gauge takes it");
-                return Error::new("", Cause::RolledBack, why);
+                let what = "the old key was restored, and the gauge takes it".into();
+                return Error::of("", Reason::RolledBack { failed: error.clone(), what });
             }
             if touched > 0 {
                 known = Worked::Neither;
@@ -873,10 +873,8 @@ impl<'a> Task<'a> {
             }
         };
         let way = way_out(&[*name]);
-        let why = format!(
-            "{error}; {known}; this mount undoes the change when it can, as long as it runs; or {way}"
-        );
-        Error::new("", Cause::StateUnknown, why)
+        let what = format!("{known}; this mount undoes the change when it can, as long as it runs; or {way}");
+        Error::of("", Reason::KeyUnknown { failed: error.clone(), what })
     }
 
     /// Whether nobody may be able to open the gauge again once it is SEALED: what it keeps is no key that was tried.

@@ -276,11 +276,8 @@ impl DataFlash {
 
     fn same(&mut self, chip: &Chip, what: &str, expected: u16, other: Option<u16>) -> Result<()> {
         let Some(other) = other else { return Ok(()) };
-        let why = format!(
-            "{what} is 0x{other:04x} and was 0x{expected:04x} when its values were read: another pack answers; check \
-             its values before you write"
-        );
-        let error = Error::new(chip.model, Cause::Gone, why).at(Step::Identify);
+        let reason = Reason::OtherPack { expected, found: other, what: what.into() };
+        let error = Error::of(chip.model, reason).at(Step::Identify);
         self.doubt(&error);
         Err(error)
     }
@@ -481,8 +478,8 @@ fn off(mode: &Mode, word: u16) -> Result<()> {
     if word & mode.mask == 0 {
         return Ok(());
     }
-    let why = format!("set in 0x{word:04x}: {}; {}", mode.what, mode.remedy);
-    Err(Error::new(mode.name, Cause::Busy, why).at(Step::Check))
+    let reason = Reason::Mode { word, what: mode.what, remedy: mode.remedy };
+    Err(Error::of(mode.name, reason).at(Step::Check))
 }
 
 /// A gauge that does not answer may have been left in ROM mode by a flash programmer.

@@ -9,7 +9,7 @@ use gauge_bus::BusError;
 use super::calmode;
 use super::schemes::sequence;
 use crate::chip::{Bit, Calibration};
-use crate::error::{Cause, Error, Result, Step};
+use crate::error::{Cause, Error, Reason, Result, Step};
 use crate::gauge::{Gauge, Moment, SEAL_LAG, Seal};
 
 mod assure;
@@ -155,10 +155,8 @@ impl Session {
     /// Leaves calibration mode, if a session has entered it.
     pub(super) fn leave_calibration(&mut self, gauge: &mut Gauge) -> Result<()> {
         let Some(calibration) = self.calibrating else { return Ok(()) };
-        let left = calmode::leave(gauge, calibration).map_err(|error| {
-            let why = format!("the gauge may still be in calibration mode: {error}");
-            Error::new("", Cause::StateUnknown, why).at(Step::Restore)
-        });
+        let left = calmode::leave(gauge, calibration)
+            .map_err(|failed| Error::of("", Reason::Calibrating { failed }).at(Step::Restore));
         if left != Ok(false) {
             // The gauge may have been unsealed for it.
             self.now = None;
@@ -302,7 +300,7 @@ impl Session {
         let left = |data: bool, error: &Error| {
             (!recorded).then(|| Left { data, why: error.to_string(), is_new, certain })
         };
-        let found = self.found.as_str();
+        let seal = self.found.as_str();
         match (outcome, finished.and(closed)) {
             (Err(error), Ok(())) => {
                 let is_owed = unknown || self.pack.has_come(gauge) && self.found == Seal::Sealed;
@@ -310,18 +308,16 @@ impl Session {
                 (Err(error), left)
             }
             (Ok(done), Ok(())) => (Ok(done), None),
-            (Ok(_), Err(error)) => {
-                let why = format!("done and verified, but restoring the {found} state failed: {error}");
-                let error = Error::new("", Cause::StateUnknown, why);
+            (Ok(_), Err(failed)) => {
+                let error = Error::of("", Reason::NotClosed { seal, failed });
                 let owed = unfinished || self.found == Seal::Sealed;
                 let left = if owed { left(unfinished, &error) } else { None };
                 (Err(error), left)
             }
             // The gauge does not answer, and nothing was sent that could have changed its state.
             (Err(first), Err(_)) if self.now == Some(self.found) => (Err(first), None),
-            (Err(first), Err(second)) => {
-                let why = format!("{first}; then restoring the {found} state failed: {second}");
-                let error = Error::new("", Cause::StateUnknown, why);
+            (Err(failed), Err(then)) => {
+                let error = Error::of("", Reason::FailedOpen { failed, seal, then });
                 let data = unknown || unfinished;
                 let left = if data || self.found == Seal::Sealed { left(data, &error) } else { None };
                 (Err(error), left)

@@ -3,7 +3,7 @@
 //! What has become of an interrupted write.
 
 use super::session::reads_wrong;
-use crate::error::{Cause, Error, Step};
+use crate::error::{Error, Reason, Step};
 
 /// The outcome of a look at a gauge with something to settle.
 pub(super) enum Verdict {
@@ -20,6 +20,7 @@ pub(super) enum Verdict {
 
 /// What is not back. If it was stored and reads otherwise, trying again programs it again.
 pub(super) fn unrestored(error: Error) -> Error {
-    let unknown = Error::new("", Cause::StateUnknown, format!("{error}: data flash contents unknown"));
-    if reads_wrong(&error) { unknown.at(Step::Restore) } else { unknown }
+    let is_stored = reads_wrong(&error);
+    let unknown = Error::of("", Reason::NotSettled { failed: error });
+    if is_stored { unknown.at(Step::Restore) } else { unknown }
 }

@@ -7,7 +7,7 @@ use std::collections::VecDeque;
 use std::time::Duration;
 
 use super::DataFlash;
-use crate::error::{Cause, Error, Result, Step};
+use crate::error::{Error, Reason, Result, Step};
 use crate::gauge::{Gauge, Statistics};
 
 /// The period over which blocks are counted.
@@ -66,13 +66,8 @@ impl Wear {
         });
         let Some((at, _)) = frees.filter(|_| spent >= u64::from(limit)) else { return Ok(()) };
         let seconds = (*at + HOUR - now).as_secs() + 1;
-        let why = format!(
-            "{spent} blocks were programmed within the last hour; the limit is {limit}, because flash wears \
-             out: the next write may come in {} min {} s; --writes-per-hour sets another limit",
-            seconds / 60,
-            seconds % 60
-        );
-        Err(Error::new("data flash", Cause::NotNow, why).at(Step::Check))
+        let reason = Reason::Wear { blocks: spent as i64, greatest: limit.into(), seconds: seconds as i64 };
+        Err(Error::of("data flash", reason).at(Step::Check))
     }
 }
 

@@ -6,7 +6,7 @@
 use super::{FIRST_LOOK, NEXT_LOOK, SECOND_LOOK, Sequence, look_soon, look_twice, settle, wait_until};
 use crate::codec::{WINDOW, checksum};
 use crate::dataflash::window::{Dirty, Window};
-use crate::error::{Cause, Error, Result, Step};
+use crate::error::{Cause, Error, Reason, Result, Step};
 use crate::gauge::{Gauge, Statistics};
 
 /// DataFlashClass(); DataFlashBlock() follows it.
@@ -197,6 +197,6 @@ fn read_window(gauge: &mut Gauge, place: Window) -> Result<(Shown, u8)> {
     if sum == reported {
         return Ok((Shown { echo: [bytes[0], bytes[1]], window }, sum));
     }
-    let why = format!("{}: checksum is 0x{reported:02x}, the block adds up to 0x{sum:02x}", place.name(0));
-    Err(Error::new("", Cause::BadChecksum, why).at(Step::ReadBlock))
+    let reason = Reason::Checksum { found: reported.into(), expected: sum.into(), of: "checksum" };
+    Err(Error::of(place.name(0), reason).at(Step::ReadBlock))
 }

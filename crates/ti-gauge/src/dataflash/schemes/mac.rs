@@ -7,7 +7,7 @@ use super::{Sequence, look_soon, look_twice, settle};
 use crate::codec::{WINDOW, checksum};
 use crate::dataflash::window::{Dirty, Window};
 use crate::dataflash::window::{has_address, holds_keys};
-use crate::error::{Cause, Error, Result, Step};
+use crate::error::{Cause, Error, Reason, Result, Step};
 use crate::gauge::{Gauge, Statistics};
 
 /// ManufacturerAccessControl(); MACData() follows it.
@@ -144,22 +144,22 @@ fn read_answer(gauge: &mut Gauge, place: Window) -> Result<([u8; WINDOW], u8)> {
     read.map_err(at)?;
     let echo = u16::from_le_bytes([answer[0], answer[1]]);
     let (reported, length) = (answer[2 + WINDOW], usize::from(answer[2 + WINDOW + 1]));
-    let refuse = |cause, why: String| Err(Error::new("", cause, why).at(Step::ReadBlock));
+    let refuse = |reason| Err(Error::of(place.name(0), reason).at(Step::ReadBlock));
     if echo != address {
-        let why = format!("{}: the gauge echoes address 0x{echo:04x}", place.name(0));
-        return refuse(Cause::Protocol, why);
+        let why = format!("the gauge echoes address 0x{echo:04x}");
+        return refuse(Reason::Text(Cause::Protocol, why.into()));
     }
     if !(OVERHEAD..=OVERHEAD + WINDOW).contains(&length) {
-        return refuse(Cause::Protocol, format!("{}: MACDataLen() is {length}", place.name(0)));
+        return refuse(Reason::Text(Cause::Protocol, format!("MACDataLen() is {length}").into()));
     }
     let data = &answer[2..2 + length - OVERHEAD];
     let adds_up = sum(address, data);
     if adds_up != reported {
-        let why = format!(
-            "{}: MACDataSum() is 0x{reported:02x}, the data adds up to 0x{adds_up:02x}",
-            place.name(0)
-        );
-        return refuse(Cause::BadChecksum, why);
+        return refuse(Reason::Checksum {
+            found: reported.into(),
+            expected: adds_up.into(),
+            of: "MACDataSum()",
+        });
     }
     // At the end of data flash the answer is shorter than a window; the missing bytes are never used.
     let mut window = [0; WINDOW];
