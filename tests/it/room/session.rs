@@ -195,7 +195,8 @@ impl Session {
     fn here(&self, line: &str) -> String {
         let line = line.replace("cargo run --release -- ", "gaugefs ").replace("sudo ", "");
         let bus = if line.starts_with("gaugefs mount ") { &self.sim } else { "--bus /dev/i2c-999" };
-        let mut line = line.replace("--bus /dev/i2c-1", bus).replace(" --group i2c", "");
+        let line = line.replace(" --group i2c", "").replace("127.0.0.1:9947", "127.0.0.1:0");
+        let mut line = line.replace("--bus /dev/i2c-1", bus);
         if line.starts_with("gaugefs mount ") && line.contains("--sim ") && !line.contains("--poll ") {
             line += " --poll 0.5";
         }
@@ -211,7 +212,7 @@ impl Session {
     fn run(&self, line: &str, ended: bool, is_it: impl Fn(&str) -> bool) -> (i32, String) {
         let here = self.here(line);
         let (printed, place) = (self.file(".printed"), self.file(".place"));
-        let words = if ended { "timeout --signal=INT 2 " } else { "" };
+        let words = if ended { "timeout --signal=INT --kill-after=10 2 " } else { "" };
         let script = format!(
             "exec >\"$FOLDER/.printed\" 2>&1; [ ! -e \"$FOLDER/.place\" ] || . \"$FOLDER/.place\"\n{words}{here}\n\
              code=$?; printf 'cd %q; cd %q' \"${{OLDPWD:-$PWD}}\" \"$PWD\" >\"$FOLDER/.place\"; exit $code"
@@ -298,7 +299,10 @@ impl Session {
             Step::Run { line, .. } if lacks(line) => {}
             Step::Run { line, code, prints, ended } => {
                 let is_it = |printed: &str| prints.is_empty() || alike(printed, prints);
+                let start = Instant::now();
                 let (exit, printed) = self.run(line, *ended, is_it);
+                // Shown if the test fails.
+                eprintln!("{:5.1} s  {line}", start.elapsed().as_secs_f32());
                 self.ran += 1;
                 // What these two print depends on the machine.
                 if line.starts_with("gaugefs doctor") {
