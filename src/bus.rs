@@ -4,7 +4,7 @@
 //!
 //! The crate `i2c-server` answers the calls of programs, and the simulated gauges are its targets. The calls come through
 //! a FUSE file ([`file`]), at a path, or in the `/dev` of a command that is run ([`namespace`]), without privilege, or through a device of [`cuse`]; or the kernel
-//! makes them, on an adapter that is plugged into it ([`vhci`]). The arguments of a call are
+//! makes them, on an adapter that is plugged into it ([`device`]). The arguments of a call are
 //! in the memory of the calling program, which is read and written there ([`caller`]).
 
 use std::collections::BTreeSet;
@@ -40,15 +40,15 @@ use ti_gauge::probe::ROM_ADDRESS;
 mod asked;
 mod caller;
 mod cuse;
+mod device;
 mod file;
 mod namespace;
 mod rights;
-mod vhci;
 
 pub(crate) use cuse::Cuse;
+pub(crate) use device::Vhci;
 use file::Access;
 pub(crate) use namespace::become_command;
-pub(crate) use vhci::Vhci;
 
 /// The source of the mount, as mountinfo shows it.
 const SOURCE: &str = "gaugefs-sim";

@@ -29,3 +29,4 @@ pub mod daemon;
 pub mod fs;
 pub mod fuse;
 mod report;
+mod vhci;

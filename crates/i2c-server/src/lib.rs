@@ -7,6 +7,8 @@
 //! bytes, I2C_SMBUS, I2C_FUNCS, I2C_SLAVE, I2C_SLAVE_FORCE, I2C_TENBIT, I2C_PEC, I2C_RETRIES, I2C_TIMEOUT, and plain
 //! reads and writes, for callers of 64 and of 32 bits, with the kernel's limits and error numbers.
 //!
+//! [`usb`] answers the kernel instead, which makes an adapter of it to which its own drivers bind.
+//!
 //! It opens no device. Whoever carries the calls, a FUSE file for instance, gives their arguments to a [`Client`], one for
 //! each open file, and access to the memory of the calling process as a [`Memory`]. All clients share one [`Adapter`].
 //! Whatever a client sends, the others are not disturbed: an argument is read as a whole before anything is sent, and the
@@ -76,6 +78,7 @@ mod client;
 mod message;
 mod request;
 mod smbus;
+pub mod usb;
 
 pub use adapter::{Adapter, Target};
 pub use client::{Client, Outcome};

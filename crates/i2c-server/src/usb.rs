@@ -1,41 +1,28 @@
 // SPDX-License-Identifier: MIT
 
-//! `gaugefs sim --device`: the bus as an adapter of the kernel, to which drivers bind.
+//! An adapter for the kernel: an i2c-tiny-usb, as USB/IP carries it.
 //!
-//! The kernel's `vhci_hcd` takes the other end of a socket for a USB device (USB/IP, `Documentation/usb/usbip_protocol.rst`),
-//! here an i2c-tiny-usb, whose driver in the kernel makes an adapter of it (`drivers/i2c/busses/i2c-tiny-usb.c`). All
-//! requests are control transfers. Only root may plug it in; serving it takes no right.
+//! The kernel's `vhci_hcd` takes the other end of a socket for a USB device (`Documentation/usb/usbip_protocol.rst`), here an
+//! i2c-tiny-usb, whose driver in the kernel makes an adapter of it (`drivers/i2c/busses/i2c-tiny-usb.c`). All requests are
+//! control transfers. Only root may plug the socket in; serving it takes no right.
 
-use std::fs;
-use std::io::{ErrorKind, Read, Write};
-use std::os::fd::AsRawFd;
-use std::os::unix::net::UnixStream;
-use std::path::{Path, PathBuf};
-use std::process::{Command, ExitCode, Stdio};
-use std::time::{Duration, Instant};
+use std::io::{Error, ErrorKind, Read, Result, Write};
 
-use i2c_server::{Adapter, Client, Errno, FUNCTIONS, MAX_LENGTH, Message, Request};
-use nix::sys::signal::SigSet;
-use nix::unistd::geteuid;
+use rustix::io::Errno;
 
-use super::{rights, spawn};
-use crate::error::{Cause, Error, Result};
-use crate::output::{print, say};
-use gauge_bus::regular;
+use crate::adapter::Adapter;
+use crate::client::Client;
+use crate::message::{MAX_LENGTH, Message};
+use crate::request::{MAX_MESSAGES, Request};
+use crate::smbus::FUNCTIONS;
 
-/// The host controller.
-const CONTROLLER: &str = "/sys/devices/platform/vhci_hcd.0";
-const MODULES: [&str; 2] = ["vhci-hcd", "i2c-tiny-usb"];
-/// How long the kernel may take from the plug to the adapter.
-const PATIENCE: Duration = Duration::from_secs(20);
+/// USB_SPEED_FULL, the speed at which the device is plugged in.
+pub const SPEED: u32 = 2;
 
 /// Vendor and product of an i2c-tiny-usb, by which its driver knows it.
 const IDS: [u8; 4] = [0x03, 0x04, 0x31, 0xc6];
 /// Number, text: vendor, product, serial number.
 const STRINGS: [&str; 3] = ["gaugefs", "simulated I2C bus", "1"];
-/// USB_SPEED_FULL.
-const SPEED: u32 = 2;
-
 // Commands of USB/IP.
 const SUBMIT: u32 = 1;
 const UNLINK: u32 = 2;
@@ -46,109 +33,15 @@ const HEAD: usize = 48;
 /// Most bytes of a control transfer, as its length has 16 bits.
 const LONGEST: usize = 0xffff;
 
-/// An adapter that is plugged in, and not yet served.
-#[derive(Debug)]
-pub(crate) struct Vhci {
-    socket: UnixStream,
-    port: u32,
-}
-
-impl Vhci {
-    /// Plugs an adapter into the kernel, and gives up root's rights (see [`rights::give_up`]).
-    pub(crate) fn plug(state: Option<&Path>) -> Result<Self> {
-        let failed = |what: &str, error: &std::io::Error| Error::io("--device", what, error);
-        if !geteuid().is_root() {
-            let why = "only root may plug an adapter into the kernel; run this with sudo, which is given up afterwards, or use \
-                       a PATH, which needs no root";
-            return Err(Error::new("--device", Cause::NotPermitted, why));
-        }
-        // What is there already is left alone; what cannot be loaded is missing below.
-        let _ = Command::new("modprobe").arg("-a").args(MODULES).stderr(Stdio::null()).status();
-        let status = regular::read_text(&Path::new(CONTROLLER).join("status"), regular::SYSTEM).map_err(|error| {
-            let what = "the kernel has no vhci_hcd; load its modules (sudo modprobe -a vhci-hcd i2c-tiny-usb), or use a PATH, \
-                        which needs none";
-            failed(what, &error)
-        })?;
-        let Some(port) = free_port(&status) else {
-            let why = "all ports of vhci_hcd are taken; detach one (usbip detach), or end another `gaugefs sim --device`";
-            return Err(Error::new("--device", Cause::Busy, why));
-        };
-        let (socket, theirs) = UnixStream::pair().map_err(|error| failed("cannot make a socket", &error))?;
-        // The number of the device on its bus, which is anybody's choice.
-        let number = 0x0001_0002 + port;
-        let line = format!("{port} {} {number} {SPEED}", theirs.as_raw_fd());
-        fs::write(Path::new(CONTROLLER).join("attach"), line)
-            .map_err(|error| failed("vhci_hcd refuses the adapter", &error))?;
-        rights::give_up(state)?;
-        Ok(Self { socket, port })
-    }
-
-    /// Serves the adapter until a signal ends this process, which unplugs it.
-    pub(crate) fn serve(self, adapter: &Adapter, signals: SigSet, what: &str) -> Result<ExitCode> {
-        let Self { socket, port } = self;
-        spawn("signals", move || {
-            if signals.wait().is_ok() {
-                std::process::exit(0);
-            }
-        })?;
-        let what = what.to_string();
-        spawn("adapter", move || match find(Path::new("/sys/class/i2c-dev"), port, PATIENCE) {
-            Some(node) => drop(print(&format!("{what} at {}\n", node.display()))),
-            None => say(format_args!(
-                "warning: --device: the kernel has made no adapter of it; is its driver there? sudo modprobe i2c-tiny-usb"
-            )),
-        })?;
-        serve(socket, adapter)?;
-        Ok(ExitCode::SUCCESS)
-    }
-}
-
-/// A port of the controller for devices of full speed that nothing is plugged into: `status` has a line for each, of which
-/// `hs 0003 004 ...` is number 3 and free.
-fn free_port(status: &str) -> Option<u32> {
-    const FREE: &str = "004";
-    status.lines().find_map(|line| {
-        let mut words = line.split_ascii_whitespace();
-        let (hub, port, state) = (words.next()?, words.next()?, words.next()?);
-        (hub == "hs" && state == FREE).then(|| port.parse().ok()).flatten()
-    })
-}
-
-/// The node of the adapter at that port, once the kernel has made it.
-fn find(class: &Path, port: u32, patience: Duration) -> Option<PathBuf> {
-    let start = Instant::now();
-    // The device is N-P of the controller: bus N, port P of its hub, from 1 on.
-    let is_at_port = |name: &str| {
-        name.split_once('-')
-            .is_some_and(|(bus, at)| bus.parse::<u32>().is_ok() && at == (port + 1).to_string())
-    };
-    let is_ours = |device: &Path| {
-        let mut parts = device.components().map(|part| part.as_os_str().to_string_lossy());
-        parts.by_ref().any(|part| part == "vhci_hcd.0") && parts.any(|part| is_at_port(&part))
-    };
-    loop {
-        let found =
-            fs::read_dir(class).into_iter().flatten().flatten().find(|entry| {
-                fs::canonicalize(entry.path().join("device")).is_ok_and(|device| is_ours(&device))
-            });
-        if let Some(entry) = found {
-            return Some(Path::new("/dev").join(entry.file_name()));
-        }
-        if start.elapsed() > patience {
-            return None;
-        }
-        std::thread::sleep(Duration::from_millis(100));
-    }
-}
-
 fn u32_at(bytes: &[u8], at: usize) -> u32 {
     bytes.get(at..).and_then(|rest| rest.first_chunk()).map_or(0, |field| u32::from_be_bytes(*field))
 }
 
-/// Answers the kernel until it lets go of the device.
-fn serve(mut socket: UnixStream, adapter: &Adapter) -> Result<()> {
-    let failed = |error: std::io::Error| Error::io("vhci_hcd", "cannot be spoken to", &error);
-    let wrong = |what: &str| Err(Error::host("vhci_hcd", nix::errno::Errno::EPROTO, what));
+/// Answers the kernel at the other end of a socket until it lets go of the device.
+///
+/// An error is the socket's, or `InvalidData` for what is no request of USB/IP, after which nothing can be understood.
+pub fn serve(mut socket: impl Read + Write, adapter: &Adapter) -> Result<()> {
+    let wrong = |what: &str| Err(Error::new(ErrorKind::InvalidData, what));
     let mut device = Device::default();
     let mut head = [0; HEAD];
     loop {
@@ -157,7 +50,7 @@ fn serve(mut socket: UnixStream, adapter: &Adapter) -> Result<()> {
             Err(error) if matches!(error.kind(), ErrorKind::UnexpectedEof | ErrorKind::ConnectionReset) => {
                 return Ok(());
             }
-            Err(error) => return Err(failed(error)),
+            Err(error) => return Err(error),
         }
         let (code, sequence) = (u32_at(&head, 0), u32_at(&head, 4));
         let (is_in, endpoint, length) =
@@ -167,7 +60,7 @@ fn serve(mut socket: UnixStream, adapter: &Adapter) -> Result<()> {
             SUBMIT if length > LONGEST => return wrong("it sends more than a control transfer holds"),
             SUBMIT => {
                 let mut data = vec![0; if is_in { 0 } else { length }];
-                socket.read_exact(&mut data).map_err(failed)?;
+                socket.read_exact(&mut data)?;
                 let setup = Setup::new(head[40..].first_chunk().expect("eight bytes"));
                 // There is no endpoint but that of control transfers.
                 let outcome = if endpoint == 0 { device.control(adapter, &setup, &data) } else { Err(Stall) };
@@ -178,7 +71,7 @@ fn serve(mut socket: UnixStream, adapter: &Adapter) -> Result<()> {
                         (RET_SUBMIT, 0, answer.len())
                     }
                     Ok(_) => (RET_SUBMIT, 0, length),
-                    Err(Stall) => (RET_SUBMIT, -nix::libc::EPIPE, 0),
+                    Err(Stall) => (RET_SUBMIT, -Errno::PIPE.raw_os_error(), 0),
                 }
             }
             // Every request has been answered before the next one is read.
@@ -194,7 +87,7 @@ fn serve(mut socket: UnixStream, adapter: &Adapter) -> Result<()> {
         match socket.write_all(&reply) {
             Ok(()) => {}
             Err(error) if error.kind() == ErrorKind::BrokenPipe => return Ok(()),
-            Err(error) => return Err(failed(error)),
+            Err(error) => return Err(error),
         }
     }
 }
@@ -240,13 +133,23 @@ enum Status {
 
 impl Device {
     /// Carries out a control transfer: what is to be read, if anything is.
-    fn control(&mut self, adapter: &Adapter, setup: &Setup, data: &[u8]) -> Result<Vec<u8>, Stall> {
+    fn control(
+        &mut self,
+        adapter: &Adapter,
+        setup: &Setup,
+        data: &[u8],
+    ) -> std::result::Result<Vec<u8>, Stall> {
         const VENDOR: u8 = 0x40;
         const KIND: u8 = 0x60;
         if setup.kind & KIND == VENDOR { self.vendor(adapter, setup, data) } else { standard(setup) }
     }
 
-    fn vendor(&mut self, adapter: &Adapter, setup: &Setup, data: &[u8]) -> Result<Vec<u8>, Stall> {
+    fn vendor(
+        &mut self,
+        adapter: &Adapter,
+        setup: &Setup,
+        data: &[u8],
+    ) -> std::result::Result<Vec<u8>, Stall> {
         const ECHO: u8 = 0;
         const GET_FUNC: u8 = 1;
         const SET_DELAY: u8 = 2;
@@ -277,13 +180,13 @@ impl Device {
         setup: &Setup,
         data: &[u8],
         is_last: bool,
-    ) -> Result<Vec<u8>, Stall> {
+    ) -> std::result::Result<Vec<u8>, Stall> {
         /// I2C_M_DMA_SAFE, which i2c-dev sets: it is about the kernel's own memory.
         const DMA_SAFE: u16 = 0x0200;
         let (is_read, flags) = (setup.value & 1 != 0, setup.value & !DMA_SAFE);
         let data = if is_read { vec![0; setup.length] } else { data.to_vec() };
         // A transfer has 42 messages at most; a driver of the kernel may send longer ones than a program.
-        if data.len() > MAX_LENGTH || self.waiting.len() > i2c_server::MAX_MESSAGES {
+        if data.len() > MAX_LENGTH || self.waiting.len() > MAX_MESSAGES {
             self.waiting.clear();
             return Err(Stall);
         }
@@ -306,7 +209,7 @@ impl Device {
 }
 
 /// Requests that every USB device answers (USB 2.0, 9.4).
-fn standard(setup: &Setup) -> Result<Vec<u8>, Stall> {
+fn standard(setup: &Setup) -> std::result::Result<Vec<u8>, Stall> {
     const GET_STATUS: u8 = 0;
     const CLEAR_FEATURE: u8 = 1;
     const SET_FEATURE: u8 = 3;
@@ -322,7 +225,7 @@ fn standard(setup: &Setup) -> Result<Vec<u8>, Stall> {
     }
 }
 
-fn descriptor(value: u16) -> Result<Vec<u8>, Stall> {
+fn descriptor(value: u16) -> std::result::Result<Vec<u8>, Stall> {
     const DEVICE: u8 = 1;
     const CONFIGURATION: u8 = 2;
     const STRING: u8 = 3;
@@ -353,17 +256,17 @@ fn descriptor(value: u16) -> Result<Vec<u8>, Stall> {
 
 #[cfg(test)]
 mod tests {
+    use std::os::unix::net::UnixStream;
     use std::thread::{self, JoinHandle};
 
-    use i2c_server::Target;
-
     use super::*;
+    use crate::adapter::Target;
 
     /// A target that keeps what it is written, and answers with that.
     struct Echo(Vec<u8>);
 
     impl Target for Echo {
-        fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), Errno> {
+        fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> std::result::Result<(), Errno> {
             if !write.is_empty() {
                 self.0 = write.to_vec();
             }
@@ -445,14 +348,14 @@ mod tests {
         assert_eq!(kernel.get(0x80, 6, 0x0200, 0, 255).1.len(), 18);
         assert_eq!(kernel.get(0x80, 6, 0x0300, 0, 255).1, [4, 3, 9, 4]);
         assert_eq!(kernel.get(0x80, 6, 0x0301, 0, 255).1, b"\x10\x03g\0a\0u\0g\0e\0f\0s\0");
-        assert_eq!(kernel.get(0x80, 6, 0x0304, 0, 255), (-nix::libc::EPIPE, vec![]));
+        assert_eq!(kernel.get(0x80, 6, 0x0304, 0, 255), (-Errno::PIPE.raw_os_error(), vec![]));
         assert_eq!(kernel.get(0xc0, 1, 0, 0, 4).1, (FUNCTIONS as u32).to_le_bytes());
         // Another endpoint is not there.
         kernel.send(SUBMIT, [1, 1, 8], [0; 8], &[]);
-        assert_eq!(kernel.answer(RET_SUBMIT, true), (-nix::libc::EPIPE, vec![]));
+        assert_eq!(kernel.answer(RET_SUBMIT, true), (-Errno::PIPE.raw_os_error(), vec![]));
         kernel.send(UNLINK, [0, 0, 0], [0; 8], &[]);
         assert_eq!(kernel.answer(RET_UNLINK, false).0, 0);
-        assert_eq!(kernel.ends(), Ok(()));
+        kernel.ends().expect("it ends");
     }
 
     #[test]
@@ -479,9 +382,9 @@ mod tests {
         assert_eq!(kernel.put(5, 0, 0x55, &[0x66]), 0);
         assert_eq!(kernel.get(0xc0, 7, 1, 0x55, 1), (0, vec![0x09]));
         // Flags that are not offered, and more than a message holds.
-        assert_eq!(kernel.put(7, 0x10, 0x55, &[1]), -nix::libc::EPIPE);
-        assert_eq!(kernel.put(7, 0, 0x55, &[1; MAX_LENGTH + 1]), -nix::libc::EPIPE);
-        assert_eq!(kernel.ends(), Ok(()));
+        assert_eq!(kernel.put(7, 0x10, 0x55, &[1]), -Errno::PIPE.raw_os_error());
+        assert_eq!(kernel.put(7, 0, 0x55, &[1; MAX_LENGTH + 1]), -Errno::PIPE.raw_os_error());
+        kernel.ends().expect("it ends");
     }
 
     #[test]
@@ -502,28 +405,6 @@ mod tests {
             kernel.send(SUBMIT, [1, 0, 4], setup, &[]);
             assert!(kernel.answer(RET_SUBMIT, true).1.len() <= 4);
         }
-        assert_eq!(kernel.ends(), Ok(()));
-    }
-
-    #[test]
-    fn a_free_port_and_its_adapter_are_found() {
-        let status = "hub port sta spd dev      sockfd local_busid\n\
-                      hs  0000 006 002 00010002 000003 1-1\nhs  0001 004 000 00000000 000000 0-0\n\
-                      ss  0008 004 000 00000000 000000 0-0\n";
-        assert_eq!(free_port(status), Some(1));
-        assert_eq!(free_port("hub port sta\nss  0008 004 000\n"), None);
-        let folder = std::env::temp_dir().join(format!("gaugefs-vhci-{}", std::process::id()));
-        let class = folder.join("class");
-        for (name, place) in
-            [("i2c-3", "vhci_hcd.0/usb9/9-1/9-1:1.0/i2c-3"), ("i2c-4", "vhci_hcd.0/usb9/9-2/9-2:1.0/i2c-4")]
-        {
-            let device = folder.join("devices").join(place);
-            fs::create_dir_all(&device).expect("a folder");
-            fs::create_dir_all(class.join(name)).expect("a folder");
-            std::os::unix::fs::symlink(&device, class.join(name).join("device")).expect("a link");
-        }
-        let found = |port| find(&class, port, Duration::ZERO);
-        assert_eq!((found(1), found(2)), (Some("/dev/i2c-4".into()), None));
-        fs::remove_dir_all(&folder).expect("removed");
+        kernel.ends().expect("it ends");
     }
 }
