@@ -2,7 +2,7 @@
 
 //! The life of a mount: open the gauges, poll each once, mount, say so, wait for the end, unmount.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 
 use nix::unistd::{getegid, geteuid};
@@ -21,6 +21,7 @@ pub(crate) mod knobs;
 pub mod log;
 pub(crate) mod look;
 pub mod mountpoint;
+pub(crate) mod node;
 pub(crate) mod preflight;
 mod report;
 pub mod service;
@@ -58,7 +59,9 @@ pub(crate) fn run(setup: Setup, mode: Mode) -> Result<()> {
     let covered = mountpoint::covered(&mountpoint)?;
     let taken = covered.as_ref().map(Covered::names).unwrap_or_default();
     let names = names(&setup.gauges, &taken);
-    if let Some(first) = preflight::mount(&setup, &names, &taken, mode == Mode::Service).into_iter().next() {
+    if let Some(first) =
+        preflight::mount(&setup, &names, covered.as_ref(), mode == Mode::Service).into_iter().next()
+    {
         return Err(first);
     }
     let Setup { mount, gauges, configured } = setup;
@@ -81,6 +84,8 @@ pub(crate) fn run(setup: Setup, mode: Mode) -> Result<()> {
     };
     let scales = names.iter().cloned().zip(gauges.iter().map(GaugeOptions::scales));
     let mut scales: HashMap<String, Scales> = scales.collect();
+    let batteries = names.iter().zip(&gauges).filter(|(_, gauge)| gauge.kernel_node);
+    let batteries: HashSet<String> = batteries.map(|(name, _)| name.clone()).collect();
     let named = names.into_iter().zip(gauges.iter().map(GaugeOptions::setup));
     let gauges: Vec<Ready> = if configured {
         let (gauges, lines) = opening.many(named.collect())?;
@@ -92,7 +97,13 @@ pub(crate) fn run(setup: Setup, mode: Mode) -> Result<()> {
 
     let handles: Vec<Handle> = gauges.iter().map(|gauge| gauge.handle.clone()).collect();
     let (mut entries, mut nodes, mut locks, mut logged) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
-    for Ready { name, handle, sim, what, lock, node } in gauges {
+    let mut wanted = Vec::new();
+    for (gauge, Ready { name, handle, sim, what, lock, node }) in (0..).zip(gauges) {
+        if batteries.contains(&name) {
+            node::check_chip(&name, handle.chip())?;
+            let interval = handle.published().interval;
+            wanted.push(node::Wanted { gauge, name: name.clone(), interval });
+        }
         nodes.extend(node.map(|node| (node, handle.clone())));
         logged.push((what, format!("{}/{name}", mountpoint.display())));
         let scales = scales.remove(&name).unwrap_or_default();
@@ -109,6 +120,11 @@ pub(crate) fn run(setup: Setup, mode: Mode) -> Result<()> {
     };
     let access = Access { uid, gid: mount.group.unwrap_or(gid), group: mount.group.is_some() };
     let tree = Arc::new(Fs::new(entries, access).with_mains(mains).overlay(covered));
+    let offer = (!wanted.is_empty()).then(node::Offer::new).transpose()?;
+    let batteries = offer.as_ref().map(|offer| offer.serve(&tree, &signal, wanted)).transpose()?;
+    if let Some(offer) = offer.as_ref().filter(|_| mode != Mode::Service) {
+        offer.plug()?;
+    }
     let how = fuse::Options {
         private: mount.private,
         shared: mount.group.is_some(),
@@ -145,6 +161,9 @@ pub(crate) fn run(setup: Setup, mode: Mode) -> Result<()> {
         Mode::Service => {}
     }
     mounted.wait();
+    if let Some(batteries) = batteries {
+        batteries.end();
+    }
     shutdown.reach(Phase::Ending);
     mountpoint::unmake();
     let ended = finish(&handles);

@@ -35,6 +35,7 @@ mod place;
 mod raw;
 mod root;
 mod sim_dir;
+mod smart_battery;
 mod supply;
 mod transaction;
 
@@ -49,6 +50,9 @@ pub use mains::MainsItem;
 use root::Root;
 pub use root::free_name;
 pub use sim_dir::SimItem;
+pub(crate) use smart_battery::{
+    ADDRESS as BATTERY_ADDRESS, SmartBattery, Told, obstacle as battery_obstacle,
+};
 use supply::Supply;
 pub use supply::SupplyItem;
 

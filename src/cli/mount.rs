@@ -9,7 +9,7 @@ use clap::{ArgGroup, Args};
 
 use super::align;
 use crate::config::{At, GaugeOptions, Given, MountOptions, Setup, names, standard_input};
-use crate::daemon::{self, Mode, background, preflight, service};
+use crate::daemon::{self, Mode, background, node, preflight, service};
 use crate::error::Result;
 use crate::output::{print, say};
 
@@ -92,7 +92,9 @@ fn of_one_gauge() -> impl Iterator<Item = &'static str> {
 
 impl Attach {
     pub(super) fn run(self) -> Result<ExitCode> {
-        service::attach(self.pid, &self.mount.setup()?)?;
+        let setup = self.mount.setup()?;
+        service::attach(self.pid, &setup)?;
+        node::attach(self.pid, &setup)?;
         Ok(ExitCode::SUCCESS)
     }
 }

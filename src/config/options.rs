@@ -49,6 +49,7 @@ pub(crate) struct GaugeOptions {
     pub(crate) poll: Option<Duration>,
     pub(crate) energy: bool,
     pub(crate) absolute_current: bool,
+    pub(crate) kernel_node: bool,
     pub(crate) current_scale: Option<f64>,
     pub(crate) voltage_scale: Option<f64>,
     pub(crate) energy_scale: Option<f64>,
@@ -275,6 +276,17 @@ impl Options for GaugeOptions {
             heading: SHOWN,
             at: ANY_MOUNTED,
             sample: "2.5",
+            ..Opt::NEW
+        },
+        Opt {
+            name: "kernel-node",
+            effect: Effect::Switch(|to, on| to.kernel_node = on),
+            doc: "Offer the gauge to the kernel as a Smart Battery too: a battery of the system's for every program, with \
+                  events; needs root, or a service, and the kernel's vhci-hcd, i2c-tiny-usb and sbs-battery",
+            more: "Its name is sbs-N-000b. A desktop acts on it as on any battery: it also turns the machine off for a \
+                   simulated gauge that is empty.",
+            heading: SHOWN,
+            at: ANY_MOUNTED,
             ..Opt::NEW
         },
         Opt {

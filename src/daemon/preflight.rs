@@ -12,7 +12,7 @@ use std::sync::Arc;
 use nix::errno::Errno;
 use nix::unistd::{Gid, Group, User, getegid, geteuid, getgroups};
 
-use super::{log, mountpoint};
+use super::{log, mountpoint, node};
 use crate::config::{MountOptions, Setup};
 use crate::error::{Cause, Error, Result};
 use crate::fs::Covered;
@@ -24,10 +24,16 @@ const DEVICE: &str = "/dev/fuse";
 const CONFIGURATION: &str = "/etc/fuse.conf";
 /// Its line that lets ordinary users open their mounts to others.
 const SHARED: &str = "user_allow_other";
-/// The problems of the mount as a whole, whatever its gauges are. `names` are those of the gauges, `taken` those of the
-/// kernel's supplies that it would cover. A service is mounted by `service::attach`, which has privileges of its own.
-pub(super) fn mount(setup: &Setup, names: &[String], taken: &[String], is_service: bool) -> Vec<Error> {
+/// The problems of the mount as a whole, whatever its gauges are. `names` are those of the gauges, `covered` the kernel's
+/// supplies that it would cover. A service is mounted by `service::attach`, which has privileges of its own.
+pub(super) fn mount(
+    setup: &Setup,
+    names: &[String],
+    covered: Option<&Covered>,
+    is_service: bool,
+) -> Vec<Error> {
     let Setup { mount, gauges, .. } = setup;
+    let taken = covered.map(Covered::names).unwrap_or_default();
     let mut found: Vec<Result<()>> = Vec::new();
     if !is_service {
         found.extend([group(mount), can_mount()]);
@@ -35,8 +41,13 @@ pub(super) fn mount(setup: &Setup, names: &[String], taken: &[String], is_servic
     found.extend(mount.log.as_deref().map(log::check));
     // Nothing is written there without a write to a gauge.
     found.extend(mount.state_dir.as_deref().filter(|_| !mount.read_only).map(journal_dir::check));
-    found.push(super::mains_name(mount, names, taken).map(drop));
+    found.push(super::mains_name(mount, names, &taken).map(drop));
     found.push(distinct(setup));
+    let batteries = names.iter().zip(gauges).filter(|(_, gauge)| gauge.kernel_node);
+    found.extend(batteries.map(|(name, gauge)| {
+        let chip = gauge.source().chip();
+        node::check(name, chip, covered.is_some(), is_service || geteuid().is_root())
+    }));
     found.extend(gauges.iter().map(|gauge| gauge.setup().check_trace()));
     found.into_iter().filter_map(Result::err).collect()
 }
@@ -54,7 +65,7 @@ pub(crate) fn check(setup: &Setup) -> (Vec<String>, Vec<Error>) {
     });
     let taken = covered.as_ref().map(Covered::names).unwrap_or_default();
     let names = super::names(&setup.gauges, &taken);
-    found.extend(mount(setup, &names, &taken, false));
+    found.extend(mount(setup, &names, covered.as_ref(), false));
     found.extend(device().err());
     for (name, gauge) in names.iter().zip(&setup.gauges) {
         found.extend(needs_of(name, &gauge.setup(), &mountpoint).into_iter().map(|error| error.within(name)));

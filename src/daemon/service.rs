@@ -87,21 +87,42 @@ pub fn detach() -> Result<()> {
 
 /// A copy of a process's descriptor of `/dev/fuse`.
 pub(crate) fn device_of(pid: i32) -> Result<OwnedFd> {
-    let process = format!("process {pid}");
-    let refuse = |error: std::io::Error| Error::io(&process, "cannot take its /dev/fuse", &error);
-    let number = Pid::from_raw(pid).ok_or_else(|| refuse(Errno::ESRCH.into()))?;
-    let holder = pidfd_open(number, PidfdFlags::empty()).map_err(|errno| refuse(errno.into()))?;
     let fuse =
         |status: &fs::Metadata| status.file_type().is_char_device() && status.rdev() == makedev(MAJOR, MINOR);
+    let found = descriptor_of(pid, DEVICE, fuse, |_| true)?;
+    found.ok_or_else(|| {
+        Error::host(
+            format!("process {pid}"),
+            Errno::ENOENT,
+            "it serves no mount: it has not opened /dev/fuse",
+        )
+    })
+}
+
+/// A copy of the descriptor of a process that is wanted: by what it refers to, and then by the copy itself. `what` it is.
+pub(super) fn descriptor_of(
+    pid: i32,
+    what: &str,
+    may_be: impl Fn(&fs::Metadata) -> bool,
+    is_it: impl Fn(&OwnedFd) -> bool,
+) -> Result<Option<OwnedFd>> {
+    let refuse = |error: std::io::Error| {
+        Error::io(format!("process {pid}"), &format!("cannot take its {what}"), &error)
+    };
+    let number = Pid::from_raw(pid).ok_or_else(|| refuse(Errno::ESRCH.into()))?;
+    let holder = pidfd_open(number, PidfdFlags::empty()).map_err(|errno| refuse(errno.into()))?;
     for entry in fs::read_dir(format!("/proc/{pid}/fd")).map_err(refuse)?.flatten() {
         let Some(descriptor) = entry.file_name().to_str().and_then(|name| name.parse().ok()) else {
             continue;
         };
         // Not by the name of the link, which is one of the process's own namespace.
-        if fs::metadata(entry.path()).is_ok_and(|status| fuse(&status)) {
-            let taken = pidfd_getfd(&holder, descriptor, PidfdGetfdFlags::empty());
-            return taken.map_err(|errno| refuse(errno.into()));
+        if fs::metadata(entry.path()).is_ok_and(|status| may_be(&status)) {
+            let taken = pidfd_getfd(&holder, descriptor, PidfdGetfdFlags::empty())
+                .map_err(|errno| refuse(errno.into()))?;
+            if is_it(&taken) {
+                return Ok(Some(taken));
+            }
         }
     }
-    Err(Error::host(process, Errno::ENOENT, "it serves no mount: it has not opened /dev/fuse"))
+    Ok(None)
 }

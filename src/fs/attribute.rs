@@ -133,7 +133,7 @@ static ATTRIBUTES: &[Row] = &[
 ];
 
 /// The kernel's names for chemistries, by the short names that Smart Battery Data has for them.
-const CHEMISTRIES: [(&str, &str); 7] = [
+pub(super) const CHEMISTRIES: [(&str, &str); 7] = [
     ("LION", "Li-ion"),
     ("LIPO", "Li-poly"),
     ("LIP", "Li-poly"),
@@ -188,7 +188,7 @@ impl Reading<'_> {
 
     /// A measured value: none without a battery, none before the gauge has measured, and no current of a primary
     /// cell outside of GAUGE_START and GAUGE_STOP.
-    fn value(&self, role: Role) -> Option<i64> {
+    pub(super) fn value(&self, role: Role) -> Option<i64> {
         let snapshot = self.snapshot.filter(|snapshot| snapshot.is_valid && self.is_present())?;
         // What the gauge measures, whatever is in its data memory.
         let is_measured = matches!(role, Role::VoltageNow | Role::CurrentNow | Role::CurrentAvg | Role::Temp);
@@ -205,12 +205,12 @@ impl Reading<'_> {
     }
 
     /// A register in that fraction of the unit of its role, without the rest, as in the kernel's driver.
-    fn steps(&self, role: Role, fraction: i64) -> Option<i64> {
+    pub(super) fn steps(&self, role: Role, fraction: i64) -> Option<i64> {
         Some(self.chip.register(role)?.in_unit(self.value(role)?, fraction))
     }
 
     /// A register in thousandths of a unit, in millionths of it.
-    fn micro(&self, role: Role, kind: Kind) -> Option<i64> {
+    pub(super) fn micro(&self, role: Role, kind: Kind) -> Option<i64> {
         Some((self.steps(role, 1000)? as f64 * self.scale(kind)?).round() as i64)
     }
 
@@ -245,13 +245,13 @@ impl Reading<'_> {
         Some(((number * 1000) as f64 * self.scale(kind)?).round() as i64)
     }
 
-    fn design_voltage(&self, role: Role) -> Option<i64> {
+    pub(super) fn design_voltage(&self, role: Role) -> Option<i64> {
         let millivolts = self.stored_number(role).filter(|&millivolts| millivolts > 0)?;
         self.scaled(millivolts * self.cells()?, Kind::Voltage)
     }
 
     /// From a register, or from data flash where the part has no such register.
-    fn charge_full_design(&self) -> Option<i64> {
+    pub(super) fn charge_full_design(&self) -> Option<i64> {
         match self.chip.register(Role::ChargeFullDesign) {
             Some(_) => self.micro(Role::ChargeFullDesign, Kind::Charge),
             None => self.scaled(self.stored_number(Role::ChargeFullDesign)?, Kind::Charge),
@@ -260,7 +260,7 @@ impl Reading<'_> {
 
     /// The voltage that the pack is to be charged with. No document says whether that of a gauge for several cells is a
     /// cell's: it is, unless it is far above the cell's in data flash.
-    fn charge_voltage(&self) -> Option<i64> {
+    pub(super) fn charge_voltage(&self) -> Option<i64> {
         let reading = self.micro(Role::ChargeVoltage, Kind::Voltage)?;
         let cells = self.cells()?;
         if cells == 1 {
@@ -271,12 +271,12 @@ impl Reading<'_> {
     }
 
     /// The date that data flash holds; none while that is 0 or another one that does not exist.
-    fn manufactured(&self) -> Option<[i64; 3]> {
+    pub(super) fn manufactured(&self) -> Option<[i64; 3]> {
         date::of(self.stored_number(Role::ManufactureDate)?)
     }
 
     /// The chemistry that data flash holds, if the kernel has a name for it.
-    fn technology(&self) -> &'static str {
+    pub(super) fn technology(&self) -> &'static str {
         let Some(Value::Text(chemistry)) = self.stored(Role::Technology) else { return self.chip.technology };
         let names = CHEMISTRIES.iter().find(|(short, _)| chemistry.eq_ignore_ascii_case(short.as_bytes()));
         names.map_or(self.chip.technology, |(_, name)| name)
@@ -292,7 +292,7 @@ impl Reading<'_> {
 
     /// The register that `time_to_empty_now` shows. Parts with a single one compute it with the average current; it is
     /// shown there too, as by the kernel's driver.
-    fn time_to_empty_now(&self) -> Option<Role> {
+    pub(super) fn time_to_empty_now(&self) -> Option<Role> {
         self.first_of([Role::TimeToEmptyNow, Role::TimeToEmptyAvg])
     }
 
@@ -323,7 +323,7 @@ impl Reading<'_> {
 
     /// The register that `current_now` shows. Parts with a single current register average it. Monitors
     /// look for `current_now`, so the average is shown there too, as by the kernel's driver.
-    fn current_now(&self) -> Option<Role> {
+    pub(super) fn current_now(&self) -> Option<Role> {
         self.first_of([Role::CurrentNow, Role::CurrentAvg])
     }
 
@@ -354,7 +354,7 @@ impl Reading<'_> {
     }
 
     /// A register in minutes, of which 65535 means that there is no such time.
-    fn seconds(&self, role: Role) -> Option<i64> {
+    pub(super) fn seconds(&self, role: Role) -> Option<i64> {
         self.value(role).filter(|&minutes| minutes != 0xffff).map(|minutes| minutes * 60)
     }
 
@@ -422,11 +422,11 @@ impl Reading<'_> {
 
     /// In the order of the kernel's driver, which knows no voltages. `Dead` is a pack below the final threshold; in the
     /// driver it already is one below the first, which is `Low` in `capacity_level`.
-    fn health(&self) -> Option<&'static str> {
+    pub(super) fn health(&self) -> Option<&'static str> {
         self.first_set(&health(&self.chip.condition), "Good")
     }
 
-    fn capacity_level(&self) -> Option<&'static str> {
+    pub(super) fn capacity_level(&self) -> Option<&'static str> {
         self.first_set(&level(&self.chip.condition), "Normal")
     }
 
