@@ -37,7 +37,6 @@ use gaugefs_client::mounts;
 use gaugefs_host::signals;
 use ti_gauge::probe::ROM_ADDRESS;
 
-mod asked;
 mod caller;
 mod cuse;
 mod device;

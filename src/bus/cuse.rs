@@ -13,10 +13,11 @@ use std::process::ExitCode;
 use std::sync::Arc;
 
 use i2c_server::Adapter;
+use i2c_server::fuse::{HEAD, message, u32_at, u64_at};
 use nix::sys::signal::SigSet;
 use nix::unistd::{read, write};
 
-use super::file::{self, Access, HEAD, u32_at, u64_at};
+use super::file::{self, Access};
 use super::{rights, spawn};
 use crate::error::{Cause, Error, Result};
 use crate::fuse::single::MAX_WRITE;
@@ -112,7 +113,7 @@ fn begin(device: &OwnedFd, name: &str) -> Result<()> {
         .collect();
     body.resize(72, 0);
     body.extend(format!("DEVNAME={name}\0").bytes());
-    let answer = file::message(u64_at(request, 8), Ok(body));
+    let answer = message(u64_at(request, 8), Ok(body));
     write(device, &answer).map(drop).map_err(|errno| failed("the kernel refuses the device", errno))
 }
 

@@ -9,7 +9,7 @@
 //!
 //! [`usb`] answers the kernel instead, which makes an adapter of it to which its own drivers bind.
 //!
-//! It opens no device. Whoever carries the calls, a FUSE file for instance, gives their arguments to a [`Client`], one for
+//! It opens no device. Whoever carries the calls, a FUSE file for instance ([`fuse`] reads its requests), gives their arguments to a [`Client`], one for
 //! each open file, and access to the memory of the calling process as a [`Memory`]. All clients share one [`Adapter`].
 //! Whatever a client sends, the others are not disturbed: an argument is read as a whole before anything is sent, and the
 //! bus is held for no longer than the transfer takes.
@@ -75,6 +75,7 @@
 
 mod adapter;
 mod client;
+pub mod fuse;
 mod message;
 mod request;
 mod smbus;

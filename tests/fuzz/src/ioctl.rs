@@ -36,7 +36,8 @@ impl Memory for Caller {
 }
 
 /// A target that answers with what it was written last, and whether it was reached.
-struct Echo(Vec<u8>);
+#[derive(Default)]
+pub(crate) struct Echo(Vec<u8>);
 
 impl Target for Echo {
     fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), Errno> {
@@ -56,7 +57,7 @@ pub(crate) fn run(input: &[u8]) {
     let number = u32::from_le_bytes([head[1], head[2], head[3], head[4]]);
     let argument = u64::from_le_bytes(head[5..].try_into().expect("eight bytes"));
     let mut caller = Caller(rest.to_vec());
-    let adapter = Adapter::new().with(0x55, Echo(Vec::new()));
+    let adapter = Adapter::new().with(0x55, Echo::default());
     let mut client = Client::default();
     let set = |client: &mut Client, number, argument| {
         client.ioctl(&adapter, number, argument, Width::Bits64, &mut Caller(Vec::new())).expect("accepted");

@@ -12,6 +12,7 @@ use std::path::PathBuf;
 mod bus;
 mod command;
 mod disk;
+mod fuse;
 mod image;
 mod ioctl;
 mod journal;
@@ -20,6 +21,7 @@ mod name;
 mod replay;
 mod script;
 mod transaction;
+mod usb;
 mod value;
 
 /// Something that parses.
@@ -51,6 +53,8 @@ pub const TARGETS: &[Target] = &[
     Target { name: "command-line", run: command::options, slice: 300 },
     Target { name: "bus", run: bus::run, slice: 500 },
     Target { name: "ioctl", run: ioctl::run, slice: 2000 },
+    Target { name: "fuse", run: fuse::run, slice: 2000 },
+    Target { name: "usb", run: usb::run, slice: 2000 },
 ];
 
 impl Target {

@@ -244,4 +244,6 @@ targets! {
     command_line "command-line"
     bus "bus"
     ioctl "ioctl"
+    fuse "fuse"
+    usb "usb"
 }
