@@ -76,28 +76,54 @@ pub enum Job {
     },
 }
 
-/// Carries out a job. Each step is told before it is done; the text that is returned says what was reached.
+/// What a job has reached.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Reached {
+    /// It in words.
+    pub text: String,
+    /// What was measured before and after.
+    pub measured: Vec<Measured>,
+}
+
+/// A quantity before and after a calibration.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Measured {
+    /// The register or the parameter.
+    pub name: &'static str,
+    /// Its unit; empty for none.
+    pub unit: &'static str,
+    /// What it has to show; `None` where that is not known.
+    pub wanted: Option<f64>,
+    /// What it was: the mean of the readings.
+    pub before: f64,
+    /// What it is: the mean of the readings.
+    pub after: f64,
+}
+
+/// Carries out a job. Each step is told before it is done.
 pub fn run(
     dataflash: &mut DataFlash,
     gauge: &mut Gauge,
     job: &Job,
     waited: Duration,
     tell: &mut dyn FnMut(&str),
-) -> Result<String> {
+) -> Result<Reached> {
     let Some(calibration) = gauge.chip.calibration else {
         return Err(not_documented(gauge.chip));
     };
     let began = gauge.clock.now();
     if *job == Job::Leave {
         tell("leaving calibration mode");
-        return dataflash.leave_calibration(gauge, waited).map(|was_on| match was_on {
-            true => "calibration mode was on; it is off now".into(),
-            false => "calibration mode was off already".into(),
-        });
+        let text = match dataflash.leave_calibration(gauge, waited)? {
+            true => "calibration mode was on; it is off now",
+            false => "calibration mode was off already",
+        };
+        return Ok(Reached { text: text.into(), ..Reached::default() });
     }
     dataflash.ready(gauge, waited)?;
-    let mut task = Task { dataflash, gauge, calibration, asked: began.saturating_sub(waited), tell };
-    match *job {
+    let asked = began.saturating_sub(waited);
+    let mut task = Task { dataflash, gauge, calibration, asked, measured: Vec::new(), tell };
+    let text = match *job {
         Job::BoardOffset => task.offset(&calibration.board_offset),
         Job::CcOffset => task.offset(&calibration.cc_offset),
         Job::Voltage(actual) => task.voltage(actual),
@@ -105,7 +131,8 @@ pub fn run(
         Job::Temperature(actual) => task.temperature(actual),
         Job::BringUp { cells, divider, voltage_mv } => task.bring_up(cells, divider, voltage_mv),
         Job::Leave => Ok(String::new()),
-    }
+    }?;
+    Ok(Reached { text, measured: task.measured })
 }
 
 /// Whether a gauge is in calibration mode, from its CONTROL_STATUS.
@@ -155,6 +182,7 @@ struct Task<'a> {
     gauge: &'a mut Gauge,
     calibration: &'static Calibration,
     asked: Duration,
+    measured: Vec<Measured>,
     tell: &'a mut dyn FnMut(&str),
 }
 
@@ -243,6 +271,7 @@ impl Task<'_> {
         let waited = self.waited();
         let extras = Extras { calibrate, accept: Some(&mut accept), ..Extras::default() };
         let outcome = self.dataflash.write_with(self.gauge, &changes, extras, waited)?;
+        self.note(target, before, after);
         if outcome == Outcome::Unchanged {
             return Ok(format!("{name}: {}: the calibration is right as it is", before.show(unit)));
         }
@@ -253,6 +282,12 @@ impl Task<'_> {
             after.show(unit),
             list.join(", "),
         ))
+    }
+
+    fn note(&mut self, target: Target, before: Readings, after: Readings) {
+        let (name, unit) = naming(self.gauge.chip, target.role);
+        let wanted = Some(target.wanted);
+        self.measured.push(Measured { name, unit, wanted, before: before.mean, after: after.mean });
     }
 
     fn voltage(&mut self, actual: f64) -> Result<String> {
@@ -353,6 +388,11 @@ impl Task<'_> {
                     let why = format!("measured and stored, but then {error}; {name} was {was}");
                     Error::new("", Cause::StateUnknown, why)
                 })?;
+                self.note(target, before, after);
+                if let (Value::Int(old), Value::Int(new)) = (&olds[0].1, &new) {
+                    let (before, after) = (*old as f64, *new as f64);
+                    self.measured.push(Measured { name, unit: "", wanted: None, before, after });
+                }
                 return Ok(format!(
                     "{name} {was} -> {}; Current(): {} before, {} after",
                     notation::render(kind, &new),

@@ -320,6 +320,12 @@ impl DataFlash {
         self.write_with(gauge, changes, Extras::default(), waited)
     }
 
+    /// Makes every check of a write of these changes, and programs nothing. The gauge is unsealed for it, and sealed
+    /// again.
+    pub fn try_write(&mut self, gauge: &mut Gauge, changes: &[Change], waited: Duration) -> Result<()> {
+        self.write_with(gauge, changes, Extras { only_check: true, ..Extras::default() }, waited).map(drop)
+    }
+
     /// Writes a saved configuration again to a gauge whose data memory is RAM and was lost: `lost` says so, or the gauge's
     /// flag, or a parameter with another value that the gauge does not rewrite itself. Otherwise nothing is written, and
     /// what the gauge has learned stays. Quick where a doubt costs no more than a second look: what is stored there does
@@ -490,6 +496,9 @@ impl DataFlash {
             Some(_) => log::warn!("{}: this write ends a learning cycle", gauge.chip.name),
             None => {}
         }
+        if extras.only_check {
+            return Ok(Outcome::Unchanged);
+        }
         let reset = changes.iter().any(|change| change.kind(gauge.chip) == Kind::Reset);
         // A loss of power takes all of RAM, and disturbs no row beside the one that is written.
         let neighbours = if extras.soon { Vec::new() } else { self.neighbours(gauge, &dirty)? };
@@ -643,6 +652,8 @@ pub(crate) struct Extras<'a> {
     pub(crate) calibrate: bool,
     /// After the reset: if this fails, the old values go back. The write has to need a reset.
     pub(crate) accept: Option<Accept<'a>>,
+    /// End before anything is recorded or programmed.
+    pub(crate) only_check: bool,
 }
 
 impl Place {

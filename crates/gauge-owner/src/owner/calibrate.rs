@@ -2,6 +2,8 @@
 
 //! Calibration in the owner's thread, which does not poll meanwhile.
 
+use std::sync::Arc;
+
 use super::operation::Asked;
 use super::{Owner, operations};
 use crate::error::{Cause, Error, Result};
@@ -11,7 +13,8 @@ impl Owner {
     /// Carries out a calibration. Its steps are published before they are done.
     pub(super) fn calibrate(&mut self, job: Job, asked: Asked) -> Result<()> {
         let begun = self.gauge.clock.now();
-        self.shared.publish(|published| published.calibration = "".into());
+        self.shared
+            .publish(|published| (published.calibration, published.measured) = ("".into(), Arc::default()));
         if self.dataflash.owed().is_some() {
             self.pay();
         }
@@ -28,7 +31,9 @@ impl Owner {
         };
         let outcome = calibration::run(&mut self.dataflash, &mut self.gauge, &job, waited, &mut tell);
         if let Ok(reached) = &outcome {
-            tell(reached);
+            tell(&reached.text);
+            let measured = reached.measured.clone().into();
+            self.shared.publish(|published| published.measured = measured);
         }
         let outcome = self.noted(outcome);
         self.forget_dataflash();

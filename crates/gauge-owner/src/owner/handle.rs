@@ -16,6 +16,7 @@ use super::{Attempt, Done, Operation, Origin, Report, Settings};
 use crate::error::{Error, Result};
 use gauge_bus::clock::Clock;
 use ti_gauge::authentication::{Message, Order};
+use ti_gauge::calibration::Measured;
 use ti_gauge::chip::{Chip, Limited, Parameter, Register, Subclass};
 use ti_gauge::codec;
 use ti_gauge::dataflash::{Change, Place};
@@ -84,6 +85,8 @@ pub struct Published {
     pub learned: Arc<str>,
     /// The steps of the last calibration, and what it has reached; empty for none.
     pub calibration: Arc<str>,
+    /// What the last calibration has measured; empty for none.
+    pub measured: Arc<[Measured]>,
     /// The last report that somebody has asked for.
     pub report: Option<Arc<Report>>,
 }
@@ -180,6 +183,7 @@ impl Shared {
             settling: "".into(),
             learned: "".into(),
             calibration: "".into(),
+            measured: Arc::default(),
             report: None,
         };
         Self {

@@ -32,6 +32,13 @@ pub static READ: Operation<Vec<usize>, Vec<Arc<[u8]>>> =
 pub static WRITE: Operation<Vec<Change>> =
     Operation::new("write", Owner::write).attempting(|changes| Attempt::Write(places(changes)));
 
+/// Makes every check of a write, and programs nothing.
+pub static CHECK: Operation<Vec<Change>> = Operation::new("check", |owner, changes: Vec<Change>, asked| {
+    let outcome = owner.dataflash.try_write(&mut owner.gauge, &changes, asked.waited);
+    Ok(owner.noted(outcome)?)
+})
+.attempting(|changes| Attempt::Write(places(changes)));
+
 /// Goes to a seal state.
 pub static SEAL: Operation<Seal> = Operation::new("seal", Owner::go_to).parsed_by(words::seal);
 

@@ -5,14 +5,25 @@
 use std::time::Duration;
 
 use gauge_bus::clock::Clock;
-use ti_gauge::calibration::{Job, run};
+use ti_gauge::calibration::{self, Job};
 use ti_gauge::dataflash::{DataFlash, Decision, Limits};
 use ti_gauge::error::Result;
-use ti_gauge::gauge::Seal;
+use ti_gauge::gauge::{Gauge, Seal};
 
 use crate::rig::{Rig, cause};
 use crate::room::programs;
 use crate::room::{Folder, host, restart};
+
+/// What a job reaches, in words.
+fn run(
+    dataflash: &mut DataFlash,
+    gauge: &mut Gauge,
+    job: &Job,
+    waited: Duration,
+    tell: &mut dyn FnMut(&str),
+) -> Result<String> {
+    calibration::run(dataflash, gauge, job, waited, tell).map(|reached| reached.text)
+}
 
 /// A board, and a calibration of it.
 struct Case {
@@ -102,9 +113,14 @@ fn a_divider_is_calibrated_to_what_a_meter_shows() {
     let mut rig = Rig::new("bq34z100-g1");
     rig.sim.set("noise_mv", "3").expect("a knob");
     // 3855 mV with 5000: the meter shows 2 % more.
-    let text = run(&mut rig.dataflash, &mut rig.gauge, &Job::Voltage(3932.0), Duration::ZERO, &mut |_| {})
+    let job = Job::Voltage(3932.0);
+    let reached = calibration::run(&mut rig.dataflash, &mut rig.gauge, &job, Duration::ZERO, &mut |_| {})
         .expect("no fault");
+    let (text, measured) = (reached.text, &reached.measured[..]);
     assert!(text.contains("the error was -7"), "{text}");
+    let [measured] = measured else { panic!("{measured:?}") };
+    assert_eq!((measured.name, measured.unit, measured.wanted), ("Voltage()", "mV", Some(3932.0)));
+    assert!((measured.before - 3855.0).abs() < 4.0 && (measured.after - 3932.0).abs() < 5.0, "{measured:?}");
     let divider = rig.read(104, 14).expect("it can be read");
     let divider = u16::from_be_bytes([divider[0], divider[1]]);
     assert!((5095..=5105).contains(&divider), "{divider}");
