@@ -37,6 +37,7 @@ mod mounted;
 mod names;
 mod probe;
 mod program;
+mod records;
 mod report;
 mod rescue;
 mod set;
@@ -72,6 +73,7 @@ enum Command {
     Sim(sim::Sim),
     Probe(probe::Probe),
     Program(program::Program),
+    Records(records::Show),
     Rescue(rescue::Rescue),
     Chips(chips::Chips),
     Report(report::Report),
@@ -128,6 +130,7 @@ impl Command {
             Self::SimInside(command) => command.run(),
             Self::Probe(command) => command.run(),
             Self::Program(command) => command.run(),
+            Self::Records(command) => command.run(),
             Self::Rescue(command) => command.run(),
             Self::Chips(command) => command.run(),
             Self::Report(command) => command.run(),

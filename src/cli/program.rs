@@ -32,7 +32,8 @@ asked for.
 The record has a line of JSON for each pack that is begun and one for its outcome, and each pack's
 complete image before and after is beside it. If something stops the station in the middle of a
 pack, its next start records that this pack has failed. A record that is removed, replaced or
-changed while the station runs ends it: no serial number is given without the record.
+changed while the station runs ends it: no serial number is given without the record. `gaugefs
+records` shows what is in it.
 
 Ctrl-C ends the station after the pack that is being programmed; a second one ends it at once.
 Exit code 0: all packs have passed, 1: one has not passed, an earlier run has left one unfinished,

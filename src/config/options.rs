@@ -613,10 +613,28 @@ impl Options for StationOptions {
         number("voltage", |to, text| put(&mut to.voltage, values::pack_voltage(text)), "15420"),
         number("current", |to, text| put(&mut to.current, values::meter_current(text)), "-2000"),
         number("temperature", |to, text| put(&mut to.temperature, values::celsius(text)), "23.5"),
+        number("voltage-tolerance", |to, text| put(&mut to.voltage_tolerance, values::tolerance(text)), "5"),
+        number("current-tolerance", |to, text| put(&mut to.current_tolerance, values::tolerance(text)), "5"),
+        number(
+            "temperature-tolerance",
+            |to, text| put(&mut to.temperature_tolerance, values::tolerance(text)),
+            "0.5",
+        ),
+        number("offset-tolerance", |to, text| put(&mut to.offset_tolerance, values::tolerance(text)), "2"),
+        switch("label", |to, on| to.label = on),
+        text("label-parameter", |to, text| put(&mut to.label_parameter, Ok(text.into())), "'48/12'"),
+        Opt {
+            name: "exec",
+            effect: Effect::Words("CMD", |word| Ok(word.into()), |to, words| to.exec = words),
+            sample: "['true', 'x']",
+            ..OF_STATION
+        },
         switch("seal", |to, on| to.seal = Some(on)),
         file("new-key-file", |to| &mut to.new_key_file),
         text("seen", |to, text| put(&mut to.seen, values::one_of(text, SEEN)), "'redo'"),
         text("unsettled", |to, text| put(&mut to.unsettled, values::one_of(text, UNSETTLED)), "'discard'"),
+        number("stop-after-failures", |to, text| put(&mut to.stop_after_failures, values::count(text)), "3"),
+        switch("confirm-first", |to, on| to.confirm_first = on),
         number("packs", |to, text| put(&mut to.packs, values::count(text)), "2"),
     ];
 }

@@ -122,6 +122,12 @@ pub(crate) fn meter_current(text: &str) -> Result<f64, String> {
     shown(text, "mA", |milliamperes| (100.0..=1_000_000.0).contains(&milliamperes.abs()))
 }
 
+/// How much a measured value may be off, in its unit.
+pub(super) fn tolerance(text: &str) -> Result<f64, String> {
+    let number = text.trim().parse().ok().filter(|number: &f64| number.is_finite() && *number >= 0.0);
+    number.ok_or_else(|| "expected a number from 0 on".into())
+}
+
 /// A temperature, in degrees Celsius.
 pub(crate) fn celsius(text: &str) -> Result<f64, String> {
     let degrees = text.parse().ok().or_else(|| unit::measured(text, "°C"));

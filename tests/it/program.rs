@@ -81,8 +81,15 @@ fn packs_on_two_buses_are_programmed_and_recognised() {
             image.entries.iter().find(|entry| entry.parameter.name == "Serial Number").expect("it has one");
         assert_eq!(serial.text(), line["serial"].as_str().expect("a number"));
     }
+    let record = folder.file("line1.jsonl");
+    let shown = gaugefs(&["records", &record]).done();
+    assert!(shown.starts_with("day ") && shown.lines().any(|line| line.starts_with("all ")), "{shown}");
+    let table = gaugefs(&["records", "--csv", &record]).done();
+    assert!(table.starts_with("number,time,station,slot,") && table.lines().count() == 3, "{table}");
     // The same files are the same packs.
     let said = run(1);
+    let reasons = gaugefs(&["records", "--by", "reason", &record]).done();
+    assert!(reasons.lines().any(|line| line.starts_with("1 ") && line.contains("  reading  ")), "{reasons}");
     assert_eq!(said.matches("it was programmed before as serial number 0x000").count(), 2, "{said}");
 }
 

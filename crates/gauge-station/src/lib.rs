@@ -74,4 +74,4 @@ mod station;
 
 pub use options::{Options, Refused, Seen, SerialFrom, Unsettled};
 pub use setup::Setup;
-pub use station::{Plan, Scanner, Screen, run};
+pub use station::{By, Failures, Plan, RecordGroup, Records, Scanner, Screen, Sign, Totals, run};

@@ -63,6 +63,14 @@ pub struct Options {
     pub current: Option<f64>,
     /// Calibrate Temperature() to that many degrees Celsius.
     pub temperature: Option<f64>,
+    /// What Voltage() may be off after its calibration or the bring-up, in mV.
+    pub voltage_tolerance: Option<f64>,
+    /// What Current() may be off after its calibration, in mA.
+    pub current_tolerance: Option<f64>,
+    /// What Temperature() may be off after its calibration, in K.
+    pub temperature_tolerance: Option<f64>,
+    /// What Current() may show without a current after the calibration of an offset, in mA.
+    pub offset_tolerance: Option<f64>,
 
     /// Leave the packs sealed; by default true.
     pub seal: Option<bool>,
@@ -72,6 +80,16 @@ pub struct Options {
     pub seen: Option<Seen>,
     /// How to treat an interrupted write that may have been another pack's; by default refuse.
     pub unsettled: Option<Unsettled>,
+    /// Ask for a label of each pack.
+    pub label: bool,
+    /// The parameter that holds it; by default it is in the record only.
+    pub label_parameter: Option<String>,
+    /// Program to run at each outcome, with its arguments; none if that is empty.
+    pub exec: Vec<String>,
+    /// End the station after that many failures in a row; by default it goes on.
+    pub stop_after_failures: Option<u64>,
+    /// Wait after the first pack of a run until somebody has confirmed that it is right.
+    pub confirm_first: bool,
     /// How many simulated packs come one after the other; by default 1.
     pub packs: Option<u32>,
 }
@@ -147,12 +165,37 @@ impl Options {
         if self.serial.is_none() && self.serial_parameter.is_some() {
             return refuse("serial-parameter", "set serial too");
         }
+        if self.label_parameter.is_some() && !self.label {
+            return refuse("label-parameter", "set label = true too");
+        }
+        let offset = self.board_offset || self.cc_offset;
+        let tolerances = [
+            (
+                "voltage-tolerance",
+                self.voltage_tolerance,
+                self.voltage.or(self.pack_voltage).is_some(),
+                "voltage",
+            ),
+            ("current-tolerance", self.current_tolerance, self.current.is_some(), "current"),
+            ("temperature-tolerance", self.temperature_tolerance, self.temperature.is_some(), "temperature"),
+            ("offset-tolerance", self.offset_tolerance, offset, "board-offset or cc-offset"),
+        ];
+        for (key, tolerance, is_used, needed) in tolerances {
+            match tolerance {
+                Some(_) if !is_used => return refuse(key, &format!("set {needed} too")),
+                Some(number) if !number.is_finite() || number < 0.0 => {
+                    return refuse(key, "it must not be negative");
+                }
+                _ => {}
+            }
+        }
         match (self.cells, self.divider, self.pack_voltage) {
             (Some(0), ..) => refuse("cells", "a pack has at least one"),
             (Some(_), None, _) => refuse("cells", "set divider too"),
             (None, Some(_), _) => refuse("divider", "set cells too"),
             (None, None, Some(_)) => refuse("pack-voltage", "set cells and divider too"),
             _ if self.packs == Some(0) => refuse("packs", "at least 1"),
+            _ if self.stop_after_failures == Some(0) => refuse("stop-after-failures", "at least 1"),
             _ => Ok(()),
         }
     }

@@ -5,6 +5,7 @@
 //! `pack` is the way of one pack, `target` what it is asked to have, `record` the file that says what became of each,
 //! and `serial` gives the numbers. Each bus has a thread of its own; the record is what they share.
 
+use std::fmt;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -32,18 +33,27 @@ use gauge_owner::{GaugeSetup, Settings, journal_dir, key_file};
 use gaugefs_host::input;
 use ti_gauge::notation;
 
+mod desk;
+mod exec;
+mod first;
 mod pack;
 mod record;
+mod records;
 mod serial;
 mod slot;
+mod tally;
 mod target;
 #[cfg(test)]
 mod tests;
 
+use desk::Desk;
+use first::First;
 use record::{Entry, Event, Record};
-pub use serial::Scanner;
+pub use records::{By, Failures, Group as RecordGroup, Records};
 use serial::Serials;
 use slot::Place;
+use tally::Tally;
+pub use tally::Totals;
 
 /// Time between two looks for a pack. The watchdog of some gauges resets them after more than two reads a second.
 const LOOK: Duration = Duration::from_millis(600);
@@ -69,6 +79,7 @@ pub fn run(
             scope.spawn(move || station.run(&place.bench, &mut *place.slot));
         }
     });
+    station.sum_up();
     Ok(station.all_passed())
 }
 
@@ -87,12 +98,55 @@ trait Slot: Send {
     }
 }
 
+/// The source of typed or scanned lines. `None` at their end.
+pub trait Scanner: Send {
+    /// Asks for a line. The text says for what.
+    fn line(&mut self, what: &str) -> Option<String>;
+}
+
 /// Shows people what happens.
 pub trait Screen: Send + Sync {
     /// The outcome of a pack, one line.
     fn outcome(&self, line: &str);
-    /// Tells somebody what to do.
+    /// Tells somebody what to do, or what the station is doing.
     fn prompt(&self, line: &str);
+    /// What a slot shows from now on, with a line about it.
+    fn sign(&self, _slot: &str, _sign: Sign, _what: &str) {}
+    /// The outcomes of this run so far.
+    fn totals(&self, _totals: &Totals) {}
+}
+
+/// What a slot shows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Sign {
+    /// A pack may be connected.
+    Connect,
+    /// Somebody has to do something, or to wait until another slot's question is answered.
+    Ask,
+    /// The pack must not be removed.
+    Busy,
+    /// The pack has passed, and may be taken off.
+    Pass,
+    /// It has not.
+    Fail,
+    /// No pack is begun here any more.
+    Over,
+}
+
+/// How far a pack is that must not be removed.
+#[derive(Clone, Debug, PartialEq, Eq)]
+struct Progress {
+    /// From 1 on.
+    step: usize,
+    steps: usize,
+    name: &'static str,
+}
+
+impl fmt::Display for Progress {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { step, steps, name } = self;
+        write!(f, "programming, do not remove ({step} of {steps}: {name})")
+    }
 }
 
 /// One place of a station at which packs are connected.
@@ -116,12 +170,16 @@ struct Station {
     serials: Serials,
     disk: Arc<dyn Disk>,
     record: Mutex<Record>,
-    screen: Box<dyn Screen>,
+    desk: Desk,
     who: String,
     /// Packs that may still be begun.
     left: AtomicU64,
     failures: AtomicU64,
+    tally: Mutex<Tally>,
+    first: First,
     stops: Arc<AtomicBool>,
+    /// No further pack is begun.
+    halted: AtomicBool,
 }
 
 /// A station's file and its image, checked without a gauge or a record.
@@ -132,6 +190,7 @@ pub struct Plan {
     image_name: String,
     image_sum: String,
     serial_row: Option<Row>,
+    label_row: Option<Row>,
     date_row: Option<Row>,
     date: Option<Date>,
     keys: Vec<(Keys, Option<Keys>)>,
@@ -182,6 +241,7 @@ impl Plan {
         let station = &setup.options;
         station.check().map_err(of_key)?;
         let serial_row = serial::row(chip, station)?;
+        let label_row = serial::label_row(chip, station)?;
         let lots =
             [("pack-lot", "Pack Lot Code", station.pack_lot), ("pcb-lot", "PCB Lot Code", station.pcb_lot)];
         for (key, parameter, number) in lots {
@@ -197,7 +257,7 @@ impl Plan {
         if date_row.is_some_and(|(_, row)| !row.is_date()) {
             return Err(invalid("date", format!("how a {} stores it is not known", chip.model)));
         }
-        for row in [station.serial.and(serial_row), date_row].into_iter().flatten() {
+        for row in [station.serial.and(serial_row), label_row, date_row].into_iter().flatten() {
             if row.0.kind == Kind::Security {
                 return Err(invalid(
                     "serial-parameter",
@@ -233,15 +293,9 @@ impl Plan {
             Ok((keys, new))
         });
         let keys = keys.collect::<Result<Vec<_>>>()?;
-        let plan = Self { setup, image, image_name, image_sum, serial_row, date_row, date, keys };
+        let plan = Self { setup, image, image_name, image_sum, serial_row, label_row, date_row, date, keys };
         // What a list holds is checked as well.
-        struct Nobody;
-        impl Scanner for Nobody {
-            fn line(&mut self, _: &str) -> Option<String> {
-                None
-            }
-        }
-        Serials::of(&plan.setup.options, plan.serial_row, Box::new(Nobody))?;
+        Serials::of(&plan.setup.options, plan.serial_row)?;
         Ok(plan)
     }
 
@@ -375,7 +429,8 @@ impl Station {
         if let Some(date) = plan.date {
             pack::day(date, &pack::today(), record.last())?;
         }
-        let serials = Serials::of(&plan.setup.options, plan.serial_row, scanner)?;
+        let serials = Serials::of(&plan.setup.options, plan.serial_row)?;
+        let slots = plan.setup.gauges.iter().map(|(name, _)| name.clone()).collect();
         let account = || User::from_uid(geteuid()).ok().flatten().map(|user| user.name);
         // Buses often belong to root, and the person is somebody else.
         let user = std::env::var("SUDO_USER").ok().or_else(account).unwrap_or_default();
@@ -387,10 +442,13 @@ impl Station {
             serials,
             disk,
             record: Mutex::new(record),
-            screen,
+            desk: Desk::new(screen, scanner, slots),
             left: AtomicU64::new(packs.unwrap_or(u64::MAX)),
             failures: AtomicU64::new(0),
+            tally: Mutex::default(),
+            first: First::default(),
             stops,
+            halted: AtomicBool::new(false),
         })
     }
 
@@ -410,10 +468,12 @@ impl Station {
             let why =
                 format!("the station was stopped while it programmed this pack; {state}; program it again");
             let why = text::printable(&why);
-            let entry = Entry { event: Event::Fail, time: self.time(), reason: Some(why), ..entry };
+            let step = Some("interrupted".into());
+            let mut entry = Entry { event: Event::Fail, time: self.time(), step, reason: Some(why), ..entry };
+            self.hand_over(&mut entry);
             record.append(&entry)?;
             self.failures.fetch_add(1, Ordering::SeqCst);
-            self.screen.outcome(&line(&entry));
+            self.desk.outcome(&entry.gauge, false, &line(&entry), &self.tally().totals);
         }
         Ok(())
     }
@@ -426,8 +486,12 @@ impl Station {
         format!("{:.0}", Timestamp::now())
     }
 
+    fn tally(&self) -> MutexGuard<'_, Tally> {
+        self.tally.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
     fn prompt(&self, bench: &str, what: &str) {
-        self.screen.prompt(&text::printable(&format!("{bench}: {what}")));
+        self.desk.prompt(bench, what);
     }
 
     fn is_stopping(&self) -> bool {
@@ -466,10 +530,12 @@ impl Station {
         entry.time = self.time();
         // It is read back, and printed as one line.
         entry.reason = entry.reason.map(|reason| text::printable(&reason));
+        let was_told = self.hand_over(&mut entry);
         let mut record = self.record();
         if let Err(error) = record.append(&entry) {
             let reason = entry.reason.take().map_or(String::new(), |reason| format!("{reason}; "));
             entry.event = Event::Fail;
+            entry.step.get_or_insert_with(|| "record".into());
             entry.reason = Some(text::printable(&format!("{reason}{error}")));
             if record.is_broken()
                 && let Err(error) = record.supersede(&entry)
@@ -479,11 +545,47 @@ impl Station {
             }
         }
         drop(record);
-        if entry.event != Event::Pass {
+        if was_told && entry.event != Event::Pass {
+            // It was told that the pack has passed.
+            self.hand_over(&mut entry);
+        }
+        let has_passed = entry.event == Event::Pass;
+        if !has_passed {
             self.failures.fetch_add(1, Ordering::SeqCst);
         }
-        self.screen.outcome(&line(&entry));
+        let mut tally = self.tally();
+        tally.count(&entry);
+        let totals = tally.totals.clone();
+        drop(tally);
+        self.desk.outcome(&entry.gauge, has_passed, &line(&entry), &totals);
+        if self.plan.setup.options.stop_after_failures.is_some_and(|most| totals.in_a_row >= most)
+            && !self.halted.swap(true, Ordering::SeqCst)
+        {
+            let (count, step) = (totals.in_a_row, entry.step.as_deref().unwrap_or("start"));
+            self.desk.tell(&format!(
+                "failures in a row: {count}, the last one at {step}: the station ends; find the reason before the next pack"
+            ));
+        }
         entry
+    }
+
+    /// Gives an outcome to the program that the station's file names. An outcome that it does not take is a failure.
+    /// Returns whether it has taken a PASS.
+    fn hand_over(&self, entry: &mut Entry) -> bool {
+        let has_passed = entry.event == Event::Pass;
+        let Err(error) = exec::run(&self.plan.setup.options.exec, entry) else { return has_passed };
+        let reason = entry.reason.take().map_or(String::new(), |reason| format!("{reason}; "));
+        entry.event = Event::Fail;
+        entry.step.get_or_insert_with(|| exec::EXEC.into());
+        entry.reason = Some(text::printable(&format!("{reason}{error}")));
+        false
+    }
+
+    /// Prints what the run comes to.
+    fn sum_up(&self) {
+        for line in self.tally().totals.lines() {
+            self.desk.tell(&line);
+        }
     }
 
     /// Whether no pack has failed.
@@ -498,17 +600,22 @@ impl Station {
             self.failures.fetch_add(1, Ordering::SeqCst);
             self.prompt(&bench.name, &error.to_string());
         }
+        self.desk.sign(&bench.name, Sign::Over, "no further pack");
     }
 
     fn packs(&self, bench: &Bench, slot: &mut dyn Slot) {
         let mut what = "connect a pack";
-        while !self.is_over() && self.wait(bench, slot, true, what) && self.take() {
+        while !self.is_over() && self.wait(bench, slot, true, what) && self.may_begin(slot) && self.take() {
             if let Err(error) = self.record().check() {
                 self.failures.fetch_add(1, Ordering::SeqCst);
                 return self.prompt(&bench.name, &error.to_string());
             }
-            pack::program(self, bench, slot);
+            let entry = pack::program(self, bench, slot);
             slot.done();
+            if !self.first.is_done() && !self.confirm(&entry) {
+                self.failures.fetch_add(1, Ordering::SeqCst);
+                self.halted.store(true, Ordering::SeqCst);
+            }
             what = "connect the next pack";
             if self.is_over() || !self.wait(bench, slot, false, "take the pack off") {
                 return;
@@ -517,7 +624,50 @@ impl Station {
     }
 
     fn is_over(&self) -> bool {
-        self.is_stopping() || self.left.load(Ordering::SeqCst) == 0 || self.record().is_broken()
+        self.is_stopping()
+            || self.halted.load(Ordering::SeqCst)
+            || self.left.load(Ordering::SeqCst) == 0
+            || self.record().is_broken()
+    }
+
+    /// Whether a pack may be begun. With `confirm-first` there is only one until one has been confirmed.
+    fn may_begin(&self, slot: &dyn Slot) -> bool {
+        if !self.plan.setup.options.confirm_first {
+            return true;
+        }
+        while !self.is_over() {
+            if self.first.may_begin() {
+                return true;
+            }
+            slot.clock().sleep(LOOK);
+        }
+        false
+    }
+
+    /// Asks whether the first pack of the run is right. Returns whether the station may go on.
+    fn confirm(&self, entry: &Entry) -> bool {
+        // There is nothing to go on with.
+        if !self.plan.setup.options.confirm_first || self.left.load(Ordering::SeqCst) == 0 {
+            return true;
+        }
+        if entry.event != Event::Pass {
+            self.first.has_failed();
+            return true;
+        }
+        let what = "the first pack of this run has passed; check it, then type yes to go on, or no to end";
+        let answer = self.desk.ask(&entry.gauge, what, |line| match line.to_lowercase().as_str() {
+            "yes" | "y" => Ok(true),
+            "no" | "n" => Ok(false),
+            _ => Err("that is neither yes nor no".into()),
+        });
+        let is_right = answer.unwrap_or_else(|error| {
+            self.prompt(&entry.gauge, &error.to_string());
+            false
+        });
+        if is_right {
+            self.first.is_confirmed();
+        }
+        is_right
     }
 
     /// Takes one of the packs that may still be begun.
@@ -537,6 +687,9 @@ impl Station {
                     steady = 0;
                     if !std::mem::replace(&mut told, true) {
                         self.prompt(&bench.name, what);
+                        if there {
+                            self.desk.sign(&bench.name, Sign::Connect, what);
+                        }
                     }
                 }
             }
@@ -553,16 +706,21 @@ impl Station {
 
 /// The line that people see.
 fn line(entry: &Entry) -> String {
-    let serial = entry.serial.as_ref().map_or(String::new(), |serial| format!(" serial {serial}"));
+    let serial = match (&entry.serial, &entry.scanned) {
+        (Some(serial), Some(scanned)) => format!(" serial {scanned} ({serial})"),
+        (Some(serial), None) => format!(" serial {serial}"),
+        (None, _) => String::new(),
+    };
+    let label = entry.label.as_ref().map_or(String::new(), |label| format!(" {label}"));
     let number = entry.number;
     let line = match (&entry.event, &entry.reason) {
         (Event::Pass, _) => {
             let seconds = entry.seconds.unwrap_or_default();
-            format!("PASS {}{serial} (pack {number}, {seconds:.1} s)", entry.gauge)
+            format!("PASS {}{label}{serial} (pack {number}, {seconds:.1} s)", entry.gauge)
         }
         (_, reason) => {
             let reason = reason.as_deref().unwrap_or("unknown");
-            format!("FAIL {}{serial} (pack {number}): {reason}", entry.gauge)
+            format!("FAIL {}{label}{serial} (pack {number}): {reason}", entry.gauge)
         }
     };
     text::printable(&line)

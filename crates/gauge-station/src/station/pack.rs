@@ -17,11 +17,14 @@ use ti_gauge::date;
 use ti_gauge::image::{Group, Image, toml};
 use ti_gauge::journal;
 use ti_gauge::keys::{KeyChange, Name};
+use ti_gauge::text;
 use ti_gauge::value::Value;
 
-use super::record::{Entry, Event};
+use super::exec::EXEC;
+use super::record::{Entry, Event, Measured, Record};
+use super::serial::Serials;
 use super::target::{self, Flash, Place};
-use super::{Bench, Slot, Station, serial};
+use super::{Bench, Progress, Sign, Slot, Station, serial};
 use crate::error::{Cause, Error, Result};
 use crate::options::{Date, Seen, Unsettled};
 use gauge_owner::{Direct, Seal, Settings, Startup, operations as op};
@@ -42,6 +45,9 @@ const FIRST_DAY: &str = "2026-01-01";
 /// How much of a load may be missing.
 const LOAD_TOLERANCE: f64 = 0.25;
 
+/// Longest label, in characters.
+const LONGEST_LABEL: usize = 64;
+
 /// A pack on its way.
 struct Task<'a> {
     station: &'a Station,
@@ -54,6 +60,56 @@ struct Task<'a> {
     transfers: u64,
     /// The gauge was opened with the new keys.
     has_new_keys: bool,
+    /// The present step.
+    step: Step,
+    /// Those at which the pack must not be removed.
+    busy: Vec<Step>,
+}
+
+/// A step on the way of a pack.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Step {
+    Identify,
+    Settle,
+    Read,
+    Scan,
+    Check,
+    BringUp,
+    Image,
+    Calibrate,
+    Keys,
+    Verify,
+    Exec,
+}
+
+impl Step {
+    /// Its name, which is also that of a failure there.
+    fn name(self) -> &'static str {
+        match self {
+            Self::Identify => "identification",
+            Self::Settle => "settling",
+            Self::Read => "reading",
+            Self::Scan => "scan",
+            Self::Check => "checks",
+            Self::BringUp => "bring-up",
+            Self::Image => "image",
+            Self::Calibrate => "calibration",
+            Self::Keys => "keys",
+            Self::Verify => "verification",
+            Self::Exec => EXEC,
+        }
+    }
+}
+
+/// What a pack gets besides the image.
+#[derive(Default)]
+struct Given {
+    /// The serial number that somebody has scanned.
+    serial: Option<Value>,
+    /// The label, where the pack keeps it.
+    label: Option<Value>,
+    /// The one that it keeps.
+    own: Option<String>,
 }
 
 /// Programs the pack that is connected, and records the outcome, which is returned.
@@ -76,6 +132,8 @@ pub(super) fn program(station: &Station, bench: &Bench, slot: &mut dyn Slot) -> 
         begun: false,
         transfers: 0,
         has_new_keys: false,
+        step: Step::Identify,
+        busy: Vec::new(),
     };
     match task.run(slot) {
         Ok(()) => task.entry.event = Event::Pass,
@@ -108,18 +166,55 @@ impl Task<'_> {
     }
 
     fn run(&mut self, slot: &mut dyn Slot) -> Result<()> {
+        self.at(Step::Identify);
         self.open(slot)?;
+        self.at(Step::Settle);
         self.settle_before(slot)?;
+        self.at(Step::Read);
         let before = self.first_look(slot)?;
+        let readings = self.readings();
         // Only an open gauge shows that a journal waits for it.
+        self.at(Step::Settle);
         self.settle_before(slot)?;
-        let asked = self.begin(&before)?;
-        if self.gauge.handle.published().seal == Seal::Unsealed {
+        self.at(Step::Scan);
+        let given = self.scan(&before)?;
+        self.at(Step::Check);
+        let is_new_board = self.needs_bring_up(&before)?;
+        self.busy = self.busy_steps(is_new_board);
+        // The first record of this pack, so that nothing is touched on a full disk.
+        self.entry.before = Some(self.save(&before.image(), "before")?);
+        let mut asked = None;
+        let is_unsealed = self.gauge.handle.published().seal == Seal::Unsealed;
+        if is_new_board || is_unsealed {
+            // No write can be checked before it is brought up, or before its key has been tried. It has no serial number
+            // until then.
+            target::changes(&self.wanted(&before, &given)?, &before, self.bench.allow_unproven())?;
+            self.record_begun(|_, _| Ok(()))?;
+        } else {
+            asked = Some(self.begin(&before, &given)?);
+        }
+        if is_unsealed {
             // A write may end with a reset, which seals it: the key has to be tried before.
             self.seal()?;
         }
-        let brought_up = self.bring_up(&before)?;
-        let programmed = self.import(&asked, brought_up.as_ref().unwrap_or(&before))?;
+        let mut now = None;
+        if is_new_board {
+            self.at(Step::BringUp);
+            now = Some(self.bring_up()?);
+        }
+        let now = now.as_ref().unwrap_or(&before);
+        let asked = match asked {
+            Some(asked) => asked,
+            None => {
+                self.at(Step::Check);
+                self.begin(now, &given)?
+            }
+        };
+        self.at(Step::Image);
+        let programmed = self.import(&asked, now)?;
+        if !self.station.jobs().is_empty() {
+            self.at(Step::Calibrate);
+        }
         let calibrated = self.calibrate(slot)?;
         let expected = match calibrated.is_empty() {
             true => programmed,
@@ -129,7 +224,11 @@ impl Task<'_> {
                 flash
             }
         };
+        if self.bench.new_keys.is_some() {
+            self.at(Step::Keys);
+        }
         self.change_keys()?;
+        self.at(Step::Verify);
         self.seal()?;
         // Everything once more: what is sealed has to have all of it.
         let last = self.look()?;
@@ -146,7 +245,37 @@ impl Task<'_> {
             .unwrap_or("after")
             .replace(|letter: char| !letter.is_ascii_alphanumeric(), "_");
         self.entry.after = Some(self.save(&last.image(), &name)?);
+        self.note_readings(readings);
+        if !self.station.plan.setup.options.exec.is_empty() {
+            self.at(Step::Exec);
+        }
         Ok(())
+    }
+
+    /// Goes to a step, and shows it where the pack must not be removed.
+    fn at(&mut self, step: Step) {
+        self.step = step;
+        let (desk, name) = (&self.station.desk, &self.bench.name);
+        match self.busy.iter().position(|busy| *busy == step) {
+            Some(at) => {
+                let progress = Progress { step: at + 1, steps: self.busy.len(), name: step.name() };
+                desk.progress(name, &progress);
+            }
+            None => desk.sign(name, Sign::Busy, step.name()),
+        }
+    }
+
+    /// The steps at which this pack must not be removed.
+    fn busy_steps(&self, is_new_board: bool) -> Vec<Step> {
+        let steps = [
+            (Step::BringUp, is_new_board),
+            (Step::Image, true),
+            (Step::Calibrate, !self.station.jobs().is_empty()),
+            (Step::Keys, self.bench.new_keys.is_some()),
+            (Step::Verify, true),
+            (Step::Exec, !self.station.plan.setup.options.exec.is_empty()),
+        ];
+        steps.into_iter().filter(|(_, is_there)| *is_there).map(|(step, _)| step).collect()
     }
 
     /// Identifies the pack.
@@ -243,8 +372,10 @@ impl Task<'_> {
         };
         self.gauge.check_erased()?;
         self.entry.serial_before = self.station.plan.serial_row.and_then(|row| flash.text(row));
+        let fingerprint = flash.fingerprint();
+        self.entry.found = Some(fingerprint.clone());
         let record = self.station.record();
-        if let Some(seen) = record.seen(&flash.fingerprint()) {
+        if let Some(seen) = record.seen(&fingerprint) {
             self.entry.seen = Some(seen.number);
             if self.station.plan.setup.options.seen.unwrap_or_default() == Seen::Refuse {
                 let serial = seen
@@ -324,86 +455,171 @@ impl Task<'_> {
         }
     }
 
-    /// Gives the pack its serial number, and records that it is begun. Returns what it is asked to have.
-    fn begin(&mut self, before: &Flash) -> Result<Image> {
+    /// Asks for what somebody has to scan.
+    fn scan(&mut self, before: &Flash) -> Result<Given> {
         let station = self.station;
         let own = self.entry.seen.and_then(|_| self.entry.serial_before.clone());
-        let scanned = match station.plan.serial_row {
-            Some(row) => station.serials.scan(row, &self.bench.name, |value| {
-                let shown = serial::shown(row, value);
-                let record = station.record();
-                let taken = record.passed(&shown).or(record.under_way(&shown));
-                taken.filter(|_| own.as_ref() != Some(&shown)).map(|pack| taken_by(&shown, pack))
-            })?,
-            None => None,
-        };
-        if scanned.is_some() {
-            // The pack may have been swapped while the operator scanned.
-            self.look()?.check_same(before, &[])?;
+        let mut given = Given { own, ..Given::default() };
+        if station.plan.setup.options.label {
+            given.label = self.scan_label()?;
         }
-        // The first record of this pack, so that nothing is touched on a full disk.
-        self.entry.before = Some(self.save(&before.image(), "before")?);
-        let mut record = station.record();
+        let row = station.plan.serial_row.filter(|_| station.serials.are_scanned());
+        let Some(row) = row else {
+            // The pack may have been exchanged while the operator scanned.
+            return match self.entry.label.clone() {
+                None => Ok(given),
+                Some(label) => self.is_still(before, &label).map(|()| given),
+            };
+        };
+        let own = &given.own;
+        let (value, line) = station.desk.ask(&self.bench.name, "scan the serial number", |line| {
+            let value = Serials::scanned(row, line)?;
+            let shown = serial::shown(row, &value);
+            if let Some(own) = own.as_ref().filter(|own| **own != shown) {
+                return Err(format!(
+                    "{line} is for another pack: the one that is there has the serial number {own}"
+                ));
+            }
+            let record = station.record();
+            let taken = record.passed(&shown).or(record.under_way(&shown));
+            match taken.filter(|_| own.is_none()) {
+                Some(pack) => Err(taken_by(&shown, pack)),
+                None => Ok((value, line.to_string())),
+            }
+        })?;
+        let shown = serial::shown(row, &value);
+        station.prompt(&self.bench.name, &format!("{line} ({shown})"));
+        self.entry.scanned = Some(line).filter(|line| *line != shown);
+        given.serial = Some(value);
+        self.is_still(before, &shown).map(|()| given)
+    }
+
+    /// Makes sure that the pack has not been exchanged while somebody scanned something for it.
+    fn is_still(&mut self, before: &Flash, scanned: &str) -> Result<()> {
+        self.look().and_then(|now| now.check_same(before, &[])).map_err(|error| {
+            refuse("pack", format!("it is not the one for which {scanned} was scanned: {error}"))
+        })
+    }
+
+    /// Asks for the pack's label. Returns its value for the parameter that keeps it.
+    fn scan_label(&mut self) -> Result<Option<Value>> {
+        let station = self.station;
+        let (row, seen) = (station.plan.label_row, self.entry.seen);
+        let (value, label) = station.desk.ask(&self.bench.name, "scan the label", |line| {
+            if text::printable(line) != *line || line.len() > LONGEST_LABEL {
+                return Err(format!("a label has at most {LONGEST_LABEL} characters that can be printed"));
+            }
+            if let Some(pack) = station.record().labelled(line).filter(|pack| Some(*pack) != seen) {
+                return Err(label_of(line, pack));
+            }
+            let value = row.map(|row| Serials::scanned(row, line)).transpose()?;
+            Ok((value, line.to_string()))
+        })?;
+        station.prompt(&self.bench.name, &label);
+        self.entry.label = Some(label);
+        Ok(value)
+    }
+
+    /// What the pack is asked to have, without a serial number that nobody has scanned.
+    fn wanted(&self, now: &Flash, given: &Given) -> Result<Image> {
+        let station = self.station;
         let mut asked = station.plan.image.clone();
         if station.plan.leaves_undocumented() {
-            asked.keep_reserved(&before.image());
+            asked.keep_reserved(&now.image());
             asked.exclude(&[Group::Undocumented]);
         }
-        if let Some(row) = station.plan.serial_row {
-            let given = match (&scanned, &own) {
-                (Some(value), _) => Some(value.clone()),
-                (None, Some(_)) if station.gives_serials() => {
-                    before.number((row.0.id, row.1.offset)).map(Value::Int)
-                }
-                (None, _) => station.serials.next(row, &record)?,
-            };
-            if let Some(value) = given {
-                let shown = serial::shown(row, &value);
-                // Another bench may have taken it meanwhile.
-                if let Some(pack) = record.under_way(&shown) {
-                    return Err(refuse("serial number", taken_by(&shown, pack)));
-                }
-                asked.set(row.0, row.1, value);
-                self.entry.serial = Some(shown);
-            }
+        if let (Some(row), Some(value)) = (station.plan.serial_row, &given.serial) {
+            asked.set(row.0, row.1, value.clone());
+        }
+        if let (Some(row), Some(value)) = (station.plan.label_row, &given.label) {
+            asked.set(row.0, row.1, value.clone());
         }
         if let (Some(row), Some(date)) = (station.plan.date_row, station.plan.date) {
-            asked.set(row.0, row.1, Value::Int(day(date, &today(), record.last())?));
+            let day = day(date, &today(), station.record().last())?;
+            asked.set(row.0, row.1, Value::Int(day));
         }
-        // What cannot be written is refused before anything is.
-        target::changes(&asked, before, self.bench.allow_unproven())?;
+        Ok(asked)
+    }
+
+    /// Makes every check of what is going to be written, then gives the pack its serial number and records that. Returns
+    /// what the pack is asked to have.
+    fn begin(&mut self, now: &Flash, given: &Given) -> Result<Image> {
+        let station = self.station;
+        let mut asked = self.wanted(now, given)?;
+        let changes = target::changes(&asked, now, self.bench.allow_unproven())?;
+        if !changes.is_empty() {
+            self.gauge.ask(&op::CHECK, changes)?;
+        }
+        let allow_unproven = self.bench.allow_unproven();
+        self.record_begun(|entry, record| {
+            let Some(row) = station.plan.serial_row else { return Ok(()) };
+            let number = match (&given.serial, &given.own) {
+                (Some(value), _) => Some(value.clone()),
+                (None, Some(_)) if station.gives_serials() => {
+                    now.number((row.0.id, row.1.offset)).map(Value::Int)
+                }
+                (None, _) => station.serials.next(row, record)?,
+            };
+            let Some(value) = number else { return Ok(()) };
+            let shown = serial::shown(row, &value);
+            // Another bench may have taken it meanwhile.
+            if let Some(pack) = record.under_way(&shown) {
+                return Err(refuse("serial number", taken_by(&shown, pack)));
+            }
+            asked.set(row.0, row.1, value);
+            entry.serial = Some(shown);
+            // What cannot be written is refused before anything is.
+            target::changes(&asked, now, allow_unproven).map(drop)
+        })?;
+        Ok(asked)
+    }
+
+    /// Records that the pack is begun, with what is given to it while the record is this pack's alone.
+    fn record_begun(&mut self, give: impl FnOnce(&mut Entry, &Record) -> Result<()>) -> Result<()> {
+        let mut record = self.station.record();
+        if let Some(label) = &self.entry.label
+            && let Some(pack) = record.labelled(label)
+            && pack != self.entry.number
+            && Some(pack) != self.entry.seen
+        {
+            return Err(refuse("label", label_of(label, pack)));
+        }
+        give(&mut self.entry, &record).inspect_err(|_| self.entry.serial = None)?;
         self.entry.event = Event::Begun;
-        self.entry.time = station.time();
+        self.entry.time = self.station.time();
         let appended = record.append(&self.entry);
         self.entry.event = Event::Fail;
         appended?;
         self.begun = true;
-        Ok(asked)
+        Ok(())
     }
 
-    /// Sets up a new board of several cells. Returns what it then has, if that was necessary.
-    fn bring_up(&mut self, before: &Flash) -> Result<Option<Flash>> {
+    /// Whether a new board of several cells has to be set up.
+    fn needs_bring_up(&self, before: &Flash) -> Result<bool> {
         let station = &self.station.plan.setup.options;
-        let (Some(cells), Some(divider)) = (station.cells, station.divider) else { return Ok(None) };
-        let gate =
-            self.chip().gate.as_ref().and_then(|gate| Some((gate, gate.external.as_ref()?, gate.cells?)));
-        let Some((gate, external, cells_at)) = gate else {
+        let (Some(cells), Some(_)) = (station.cells, station.divider) else { return Ok(false) };
+        let gate = self.chip().gate.as_ref().and_then(|gate| Some((gate.external.as_ref()?, gate.cells?)));
+        let Some((external, cells_at)) = gate else {
             return Err(refuse("bring-up", format!("no document describes that of a {}", self.chip().model)));
         };
         let size = self.chip().parameter(external.byte.0, external.byte.1).map_or(1, |row| row.kind.size());
         let bit = i64::from(external.mask) << (8 * (size - 1));
         let is_set = before.number(external.byte).is_some_and(|word| word & bit != 0);
-        if is_set && before.number(cells_at) == Some(cells.into()) {
-            return Ok(None);
-        }
+        Ok(!is_set || before.number(cells_at) != Some(cells.into()))
+    }
+
+    /// Sets up a new board of several cells. Returns what it then has.
+    fn bring_up(&mut self) -> Result<Flash> {
+        let station = &self.station.plan.setup.options;
+        let (cells, divider) = (station.cells.unwrap_or(1), station.divider.unwrap_or_default());
         let job = Job::BringUp { cells, divider, voltage_mv: station.pack_voltage };
         self.measure(job).map_err(|error| error.within("bring-up"))?;
         let flash = self.look()?;
-        if flash.number(gate.limit) == Some(0) {
+        if self.chip().gate.as_ref().is_some_and(|gate| flash.number(gate.limit) == Some(0)) {
             let why = "the limit stays 0, with which flash is open at any voltage";
             return Err(Error::new("bring-up", Cause::StateUnknown, why));
         }
-        Ok(Some(flash))
+        Ok(flash)
     }
 
     /// Writes what the pack has not yet, and reads all of it back.
@@ -442,10 +658,70 @@ impl Task<'_> {
 
     /// Carries out a calibration, and records what it has reached.
     fn measure(&mut self, job: Job) -> Result<()> {
+        let limits = self.limits(&job);
         let outcome = self.gauge.ask(&op::CALIBRATE, job);
-        let told = self.gauge.handle.published().calibration.clone();
-        self.entry.calibration.extend(told.lines().next_back().map(String::from));
-        outcome
+        let published = self.gauge.handle.published();
+        self.entry.calibration.extend(published.calibration.lines().next_back().map(String::from));
+        outcome?;
+        for found in published.measured.iter() {
+            // An offset has a register, too, which has to show 0.
+            let (wanted, tolerance) = if found.wanted.is_some() { limits } else { (None, None) };
+            let bound =
+                |sign: f64| wanted.zip(tolerance).map(|(wanted, tolerance)| wanted + sign * tolerance);
+            let (low, high) = (bound(-1.0), bound(1.0));
+            let (before, after) = (round(found.before), round(found.after));
+            let (name, unit) = (found.name.to_string(), found.unit.to_string());
+            self.entry.measured.push(Measured { name, unit, wanted, low, high, before, after });
+            if low.is_some_and(|low| after < low) || high.is_some_and(|high| after > high) {
+                let (low, high) = (low.unwrap_or_default(), high.unwrap_or_default());
+                let why = format!(
+                    "{after} {unit} after the calibration, and {low} to {high} {unit} are allowed",
+                    unit = found.unit
+                );
+                return Err(Error::new(found.name, Cause::OutOfRange, why));
+            }
+        }
+        Ok(())
+    }
+
+    /// What the register of a calibration has to show, and how much it may be off.
+    fn limits(&self, job: &Job) -> (Option<f64>, Option<f64>) {
+        let station = &self.station.plan.setup.options;
+        match *job {
+            Job::BoardOffset | Job::CcOffset => (Some(0.0), station.offset_tolerance),
+            Job::Voltage(actual) => (Some(actual), station.voltage_tolerance),
+            Job::BringUp { voltage_mv, .. } => (voltage_mv, station.voltage_tolerance),
+            Job::Current(actual) => (Some(actual), station.current_tolerance),
+            Job::Temperature(actual) => (Some(actual), station.temperature_tolerance),
+            Job::Leave => (None, None),
+        }
+    }
+
+    /// What the gauge shows now.
+    fn readings(&self) -> Vec<(&'static str, &'static str, f64)> {
+        let published = self.gauge.handle.published();
+        let value = |role| published.snapshot.as_ref()?.value(self.chip().register(role)?);
+        let shown = [
+            ("Voltage()", "mV", value(Role::VoltageNow).map(|value| value as f64)),
+            ("Current()", "mA", value(Role::CurrentNow).map(|value| value as f64)),
+            // In tenths of a kelvin.
+            ("Temperature()", "°C", value(Role::Temp).map(|value| round(value as f64 / 10.0 - 273.1))),
+        ];
+        shown.into_iter().filter_map(|(name, unit, value)| Some((name, unit, value?))).collect()
+    }
+
+    /// Records what the gauge has shown at the beginning and shows now, of what no calibration has measured.
+    fn note_readings(&mut self, before: Vec<(&str, &str, f64)>) {
+        let now = self.readings();
+        for (name, unit, before) in before {
+            let after = now.iter().find(|(other, ..)| *other == name).map(|(_, _, after)| *after);
+            let is_new = self.entry.measured.iter().all(|measured| measured.name != name);
+            if let Some(after) = after.filter(|_| is_new) {
+                let (name, unit) = (name.into(), unit.into());
+                let measured = Measured { name, unit, wanted: None, low: None, high: None, before, after };
+                self.entry.measured.push(measured);
+            }
+        }
     }
 
     /// Waits until the current is near a load, or until none flows.
@@ -582,7 +858,17 @@ impl Task<'_> {
             self.entry.after = self.save(&flash.image(), "failed").ok();
         }
         (self.entry.event, self.entry.reason) = (Event::Fail, Some(reason));
+        self.entry.step = Some(self.step.name().into());
     }
+}
+
+/// A measured value without what no gauge resolves.
+fn round(value: f64) -> f64 {
+    (value * 10.0).round() / 10.0
+}
+
+fn label_of(label: &str, pack: u64) -> String {
+    format!("{label} is the label of pack number {pack} of the record")
 }
 
 fn taken_by(serial: &str, pack: u64) -> String {

@@ -51,6 +51,24 @@ pub(super) struct Changed {
     pub(super) new: String,
 }
 
+/// A quantity before and after.
+#[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
+pub(super) struct Measured {
+    pub(super) name: String,
+    /// Empty for none.
+    pub(super) unit: String,
+    /// What it has to be.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) wanted: Option<f64>,
+    /// What it has to be at least and at most, after.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) low: Option<f64>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) high: Option<f64>,
+    pub(super) before: f64,
+    pub(super) after: f64,
+}
+
 /// A line of the record.
 #[derive(Clone, Debug, Default, Deserialize, Serialize)]
 pub(super) struct Entry {
@@ -68,6 +86,12 @@ pub(super) struct Entry {
     /// The serial number that the pack gets.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) serial: Option<String>,
+    /// What was scanned as the pack's label.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) label: Option<String>,
+    /// As it was scanned, if that differs.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) scanned: Option<String>,
     /// The one that it was found with.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) serial_before: Option<String>,
@@ -77,6 +101,12 @@ pub(super) struct Entry {
     /// SHA-256 of all values that the gauge does not rewrite itself.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) fingerprint: Option<String>,
+    /// What it was found with: that sum.
+    #[serde(skip)]
+    pub(super) found: Option<String>,
+    /// The step that has failed.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) step: Option<String>,
     /// The reason of the failure.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) reason: Option<String>,
@@ -85,6 +115,8 @@ pub(super) struct Entry {
     /// The result of each calibration, with the errors before and after.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub(super) calibration: Vec<String>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub(super) measured: Vec<Measured>,
     /// Names of the complete images, before and after.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) before: Option<String>,
@@ -109,6 +141,8 @@ pub(super) struct Record {
     given: BTreeSet<String>,
     /// Those of packs that have passed, each with the number of the pack.
     passed: BTreeMap<String, u64>,
+    /// The labels of packs that have passed or are being programmed, each with the number of the pack.
+    labels: BTreeMap<String, u64>,
     /// Packs that have passed, by their fingerprints.
     seen: BTreeMap<String, Entry>,
     /// Packs that were begun and have no outcome.
@@ -124,10 +158,17 @@ fn checked(entry: Entry) -> Result<Entry, String> {
         return Err(format!("number: above {MOST}"));
     }
     // What is printed of it must not look like another line.
-    let Entry { time, gauge, serial, serial_before, .. } = &entry;
-    let fields = [("time", Some(time)), ("gauge", Some(gauge))];
-    let serials = [("serial", serial.as_ref()), ("serial_before", serial_before.as_ref())];
-    for (name, field) in fields.into_iter().chain(serials) {
+    let Entry { time, gauge, serial, serial_before, label, scanned, step, .. } = &entry;
+    let fields = [
+        ("time", Some(time)),
+        ("gauge", Some(gauge)),
+        ("serial", serial.as_ref()),
+        ("serial_before", serial_before.as_ref()),
+        ("label", label.as_ref()),
+        ("scanned", scanned.as_ref()),
+        ("step", step.as_ref()),
+    ];
+    for (name, field) in fields {
         if field.is_some_and(|field| text::printable(field) != *field) {
             return Err(format!("{name}: it has characters that cannot be printed, or is too long"));
         }
@@ -145,6 +186,39 @@ fn lock(path: &Path) -> Result<Flock<fs::File>> {
         Errno::EWOULDBLOCK => Error::host(name, errno, "another station uses this record"),
         errno => Error::io(name, "cannot be locked", &errno.into()),
     })
+}
+
+/// A line that is none of a record.
+pub(super) enum Bad {
+    /// A loss of power has cut the last one short.
+    CutShort,
+    /// Its number, and the reason.
+    Not(usize, String),
+}
+
+/// What the lines of a record say. What was never on disk as a whole announces nothing that was begun, or is over.
+pub(super) fn lines(text: &str) -> impl Iterator<Item = Result<Entry, Bad>> + '_ {
+    let lines: Vec<&str> = text.split_inclusive('\n').collect();
+    let count = lines.len();
+    let entry = move |at: usize| {
+        let line = lines[at].trim_end_matches('\n');
+        if line == TORN || lines.get(at + 1).is_some_and(|next| next.trim_end() == TORN) {
+            return None;
+        }
+        let entry: Result<Entry, _> = serde_json::from_str(line);
+        if at + 1 == lines.len() && (entry.is_err() || !text.ends_with('\n')) {
+            return Some(Err(Bad::CutShort));
+        }
+        let entry = entry.map_err(|error| error.to_string()).and_then(checked);
+        Some(entry.map_err(|error| Bad::Not(at + 1, error)))
+    };
+    (0..count).filter_map(entry)
+}
+
+/// The error for a line that is none of a record.
+pub(super) fn not_a_line(name: &str, number: usize, error: &str) -> Error {
+    let why = format!("not a line of a station's record: {error}; correct it, or move the file away");
+    Error::new(format!("{name}: line {number}"), Cause::Invalid, why)
 }
 
 impl Record {
@@ -170,6 +244,7 @@ impl Record {
             next: 1,
             given: BTreeSet::new(),
             passed: BTreeMap::new(),
+            labels: BTreeMap::new(),
             seen: BTreeMap::new(),
             open: BTreeMap::new(),
             last: String::new(),
@@ -177,28 +252,14 @@ impl Record {
         };
         // Between the two calls it may have been replaced.
         record.check()?;
-        let lines: Vec<&str> = text.split_inclusive('\n').collect();
-        for (at, line) in lines.iter().enumerate() {
-            let is_last = at + 1 == lines.len();
-            let line = line.trim_end_matches('\n');
-            if line == TORN || lines.get(at + 1).is_some_and(|next| next.trim_end() == TORN) {
-                continue;
-            }
-            let entry: Result<Entry, _> = serde_json::from_str(line);
-            // What was never on disk as a whole announces nothing that was begun, or is over.
-            if is_last && (entry.is_err() || !text.ends_with('\n')) {
-                let end = if text.ends_with('\n') { "" } else { "\n" };
-                record.write(&format!("{end}{TORN}\n")).map_err(failed)?;
-                continue;
-            }
-            match entry.map_err(|error| error.to_string()).and_then(checked) {
+        for line in lines(&text) {
+            match line {
                 Ok(entry) => record.note(&entry),
-                Err(error) => {
-                    let why = format!(
-                        "not a line of a station's record: {error}; correct it, or move the file away"
-                    );
-                    return Err(Error::new(format!("{name}: line {}", at + 1), Cause::Invalid, why));
+                Err(Bad::CutShort) => {
+                    let end = if text.ends_with('\n') { "" } else { "\n" };
+                    record.write(&format!("{end}{TORN}\n")).map_err(failed)?;
                 }
+                Err(Bad::Not(number, error)) => return Err(not_a_line(&name, number, &error)),
             }
         }
         Ok(record)
@@ -210,6 +271,17 @@ impl Record {
         match entry.event {
             Event::Begun => drop(self.open.insert(entry.number, entry.clone())),
             Event::Pass | Event::Fail => drop(self.open.remove(&entry.number)),
+        }
+        if let Some(label) = &entry.label {
+            match entry.event {
+                Event::Begun | Event::Pass => drop(self.labels.insert(label.clone(), entry.number)),
+                // Once it is off the line, it may be scanned again.
+                Event::Fail => {
+                    if self.labels.get(label) == Some(&entry.number) {
+                        self.labels.remove(label);
+                    }
+                }
+            }
         }
         if let Some(serial) = &entry.serial {
             self.given.insert(serial.clone());
@@ -307,6 +379,11 @@ impl Record {
     /// The number of the pack that has passed with that serial number.
     pub(super) fn passed(&self, serial: &str) -> Option<u64> {
         self.passed.get(serial).copied()
+    }
+
+    /// The number of the pack that has passed with that label, or is being programmed.
+    pub(super) fn labelled(&self, label: &str) -> Option<u64> {
+        self.labels.get(label).copied()
     }
 
     /// The number of the pack that is being programmed with that serial number.

@@ -5,7 +5,6 @@
 
 use std::collections::BTreeMap;
 use std::path::Path;
-use std::sync::{Mutex, PoisonError};
 
 use ti_gauge::chip::{Chip, kebab_case};
 use ti_gauge::dataflash::Row;
@@ -18,12 +17,6 @@ use crate::options::{Options, SerialFrom};
 use gauge_bus::regular;
 use ti_gauge::notation;
 
-/// The source of typed or scanned lines. `None` at their end.
-pub trait Scanner: Send {
-    /// Asks for a line. The text says for what.
-    fn line(&mut self, what: &str) -> Option<String>;
-}
-
 /// The source of serial numbers.
 pub(super) enum Serials {
     /// The packs keep theirs.
@@ -33,7 +26,8 @@ pub(super) enum Serials {
         last: i64,
     },
     List(Vec<Value>),
-    Input(Mutex<Box<dyn Scanner>>),
+    /// Somebody types or scans them.
+    Input,
 }
 
 /// The parameter of that name, as `df/by-name` has it.
@@ -71,6 +65,17 @@ pub(super) fn row(chip: &'static Chip, station: &Options) -> Result<Option<Row>>
     }
 }
 
+/// The parameter that holds the label.
+pub(super) fn label_row(chip: &'static Chip, station: &Options) -> Result<Option<Row>> {
+    let Some(name) = &station.label_parameter else { return Ok(None) };
+    let refuse = |why: String| Err(Error::new("label-parameter", Cause::Invalid, why));
+    match named(chip, name) {
+        Some(row) if matches!(row.1.kind, Type::S(_)) => Ok(Some(row)),
+        Some(_) => refuse("a label needs a parameter that is a string".into()),
+        None => refuse(format!("a {} has no parameter {}", chip.model, text::printable(name))),
+    }
+}
+
 /// A serial number as it is shown and compared.
 pub(super) fn shown(row: Row, value: &Value) -> String {
     notation::render(row.1.kind, value)
@@ -78,7 +83,7 @@ pub(super) fn shown(row: Row, value: &Value) -> String {
 
 impl Serials {
     /// The source that a station's file names.
-    pub(super) fn of(station: &Options, row: Option<Row>, scanner: Box<dyn Scanner>) -> Result<Self> {
+    pub(super) fn of(station: &Options, row: Option<Row>) -> Result<Self> {
         let (Some(from), Some(row)) = (station.serial, row) else { return Ok(Self::None) };
         let refuse = |key: &str, why: &'static str| Err(Error::new(key, Cause::Invalid, why));
         match from {
@@ -99,38 +104,18 @@ impl Serials {
                 let path = station.serial_list.as_deref().unwrap_or(Path::new(""));
                 list(path, row).map(Self::List)
             }
-            SerialFrom::Input => Ok(Self::Input(Mutex::new(scanner))),
+            SerialFrom::Input => Ok(Self::Input),
         }
     }
 
-    /// Asks for a serial number, where a person gives it. What is refused is asked for again; an error is the end of
-    /// the input.
-    pub(super) fn scan(
-        &self,
-        row: Row,
-        gauge: &str,
-        refused: impl Fn(&Value) -> Option<String>,
-    ) -> Result<Option<Value>> {
-        let Self::Input(scanner) = self else { return Ok(None) };
-        let mut scanner = scanner.lock().unwrap_or_else(PoisonError::into_inner);
-        let mut what = format!("{gauge}: scan the serial number");
-        loop {
-            let Some(line) = scanner.line(&what) else {
-                let why = "the input has ended, and a serial number is needed";
-                return Err(Error::new("serial number", Cause::Gone, why));
-            };
-            let why = match line.trim() {
-                "" => "the line is empty".into(),
-                line => match notation::parse(row.1, line.as_bytes()) {
-                    Ok(value) => match refused(&value) {
-                        None => return Ok(Some(value)),
-                        Some(why) => why,
-                    },
-                    Err(error) => error.to_string(),
-                },
-            };
-            what = format!("{gauge}: {why}; scan the serial number again");
-        }
+    /// Whether somebody types or scans them.
+    pub(super) fn are_scanned(&self) -> bool {
+        matches!(self, Self::Input)
+    }
+
+    /// The number that somebody has scanned.
+    pub(super) fn scanned(row: Row, line: &str) -> std::result::Result<Value, String> {
+        notation::parse(row.1, line.as_bytes()).map_err(|error| error.to_string())
     }
 
     /// The next serial number that was not given yet.
@@ -140,7 +125,7 @@ impl Serials {
             Err(Error::new("serial number", Cause::OutOfRange, why))
         };
         match self {
-            Self::None | Self::Input(_) => Ok(None),
+            Self::None | Self::Input => Ok(None),
             Self::Counter { first, last } => {
                 let given =
                     record.given().filter_map(|text| match notation::parse_stored(row.1, text.as_bytes()) {

@@ -473,15 +473,19 @@ fn fault(seed: u64) -> String {
 fn check_record(folder: &Folder) {
     let lines = folder.lines();
     let of = |event: Event| lines.iter().filter(move |line| line.event == event);
-    let mut serials = BTreeSet::new();
+    let mut serials = BTreeMap::new();
     for begun in of(Event::Begun) {
         let ends = lines.iter().filter(|line| line.number == begun.number && line.event != Event::Begun);
         assert_eq!(ends.count(), 1, "pack {}", begun.number);
-        let serial = begun.serial.clone().expect("a serial number");
-        assert!(serials.insert(serial.clone()), "{serial} was given twice");
+        // One that must be sealed or brought up before it can be checked gets its number later.
+        if let Some(serial) = begun.serial.clone() {
+            let other = serials.insert(serial.clone(), begun.number);
+            assert!(other.is_none_or(|other| other == begun.number), "{serial} was given twice");
+        }
     }
     for pass in of(Event::Pass) {
-        assert!(of(Event::Begun).any(|begun| begun.number == pass.number), "pack {}", pass.number);
+        let given = |begun: &Entry| begun.number == pass.number && begun.serial == pass.serial;
+        assert!(pass.serial.is_some() && of(Event::Begun).any(given), "pack {}", pass.number);
     }
 }
 
@@ -800,7 +804,7 @@ fn a_pack_that_is_exchanged_while_its_number_is_scanned_is_not_touched() {
     clock.sleep(Duration::from_secs(3));
     let now = Arc::new(Mutex::new(None));
     let mut line = Line::start(plan, &[], None).expect("a record");
-    line.station.serials = serial::Serials::Input(Mutex::new(Box::new(Exchange(other.clone(), now.clone()))));
+    line.station.desk.scanner = Mutex::new(Box::new(Exchange(other.clone(), now.clone())));
     let flash = [one.flash(), other.flash()];
     line.station.run(&line.bench, &mut OnBus(clock, one.clone(), now, 0));
     let last = folder.lines().pop().expect("a line");
@@ -819,9 +823,14 @@ fn a_scanned_number_is_asked_for_until_it_is_right() {
     let packs: Vec<_> = (0..2).map(|seed| (new_pack(&clock, seed, None), "none".to_string())).collect();
     let said = line.run(&clock, packs);
     assert!(
-        said[0].starts_with("PASS BAT0 serial 0x0007") && said[1].starts_with("PASS BAT0 serial 0x0008"),
+        said[0].starts_with("PASS BAT0 serial 7 (0x0007) (pack 1,")
+            && said[1].starts_with("PASS BAT0 serial 0x0008 (pack 2,"),
         "{said:?}"
     );
+    let told = line.said.all();
+    assert!(told.contains(&"? BAT0: 7 (0x0007)".to_string()), "{told:?}");
+    assert!(told.contains(&"? BAT0: programming, do not remove (1 of 2: image)".to_string()), "{told:?}");
+    assert_eq!(folder.lines().pop().expect("a line").scanned, None);
     let said = refused(&folder, &line, &clock, &new_pack(&clock, 3, None), "none");
     assert!(said.contains("the input has ended"), "{said}");
     check_record(&folder);
@@ -1014,7 +1023,8 @@ fn a_pack_that_is_found_open_is_sealed_at_the_end() {
         let before = sim.flash();
         let said = line.run(&clock, [(sim.clone(), "none".into())]);
         assert!(said[number].starts_with("PASS"), "{said:?}");
-        map.check(&sim, &before, folder.lines()[2 * number].serial.as_deref().expect("a number"), "open");
+        let pass = folder.lines().pop().expect("a line");
+        map.check(&sim, &before, pass.serial.as_deref().expect("a number"), "open");
     }
 }
 
@@ -1115,7 +1125,7 @@ fn a_record_that_is_removed_while_a_pack_is_programmed_gives_no_number() {
         }
     }
     let scanner = Box::new(Removing(folder.file("line1.jsonl")));
-    line.station.serials = serial::Serials::Input(Mutex::new(scanner));
+    line.station.desk.scanner = Mutex::new(scanner);
     let sim = new_pack(&clock, 1, None);
     let flash = sim.flash();
     let said = line.run(&clock, [(sim.clone(), "none".into())]);
@@ -1217,4 +1227,265 @@ fn regression_a_pack_without_its_keys_stays_without() {
     let said = line.run(&clock, [(sim.clone(), "none".into())]);
     let last = said.last().expect("an outcome");
     assert!(last.starts_with("PASS") && opens(&sim), "{said:?}");
+}
+
+/// A gate that would shut at the packs' voltage.
+fn wrong_image() -> String {
+    let chip = Chip::by_name(CHIP).expect("it has a table");
+    let (subclass, row) = chip.row("68", "0").expect("Flash Update OK Voltage");
+    format!(
+        "chip = \"{CHIP}\"\n[{}]\n{} = 4200\n",
+        chip.class_dir(subclass),
+        ti_gauge::chip::kebab_case(row.name)
+    )
+}
+
+#[test]
+fn a_wrong_image_stops_the_station_and_takes_no_serial_number() {
+    let folder = Folder::new("stops");
+    fs::write(folder.file("golden.toml"), wrong_image()).expect("a file");
+    let lines = format!("{PLAIN}\nstop-after-failures = 3");
+    let clock = Arc::new(SimClock::new());
+    let line = Line::start(folder.plan(&lines), &[], None).expect("a record");
+    let packs: Vec<_> = (0..6).map(|seed| new_pack(&clock, seed, None)).collect();
+    let flash: Vec<_> = packs.iter().map(Sim::flash).collect();
+    let said = line.run(&clock, packs.iter().map(|sim| (sim.clone(), "none".into())));
+    assert_eq!(said.len(), 3, "{said:?}");
+    assert!(said.iter().all(|line| line.starts_with("FAIL BAT0 (pack ")), "{said:?}");
+    assert!(said.iter().all(|line| line.ends_with("nothing was changed")), "{said:?}");
+    let told = line.said.all();
+    assert!(
+        told.iter().any(|line| line.starts_with("? failures in a row: 3, the last one at checks")),
+        "{told:?}"
+    );
+    assert!(packs.iter().zip(flash).all(|(sim, flash)| sim.flash() == flash));
+    assert!(!line.station.all_passed());
+    assert!(
+        folder.lines().iter().all(|line| line.serial.is_none() && line.step.as_deref() == Some("checks"))
+    );
+    drop(line);
+    // With the right image they pass, and the first number is still there. A failure between two others is none in a row.
+    fs::write(folder.file("golden.toml"), golden()).expect("a file");
+    let line = Line::start(folder.plan(&lines), &[], None).expect("a record");
+    let faults = ["none", "silence 1 900000", "silence 1 900000", "none", "silence 1 900000", "none"];
+    let said = line.run(&clock, packs.into_iter().zip(faults).map(|(sim, fault)| (sim, fault.to_string())));
+    assert_eq!(said.len(), 6, "{said:?}");
+    let passed: Vec<_> = said.iter().filter(|line| line.starts_with("PASS")).collect();
+    assert!(passed.len() == 3 && passed[2].starts_with("PASS BAT0 serial 0x03ea"), "{said:?}");
+    let totals = line.station.tally().totals.clone();
+    assert_eq!((totals.passed, totals.failures(), totals.in_a_row), (3, 3, 0));
+    assert_eq!(totals.failed.get("identification"), Some(&3), "{totals:?}");
+    let lines = totals.lines();
+    assert!(
+        lines[0].starts_with("packs: 6, passed: 3, failed: 3, first-pass yield: 50.0 %, seconds a pack: "),
+        "{lines:?}"
+    );
+    assert_eq!(lines[1], "failed at identification: 3");
+}
+
+#[test]
+fn a_pack_that_comes_again_is_no_first_try() {
+    let clock = Arc::new(SimClock::new());
+    let folder = Folder::new("again");
+    let line = Line::start(folder.plan(PLAIN), &[], None).expect("a record");
+    let sim = new_pack(&clock, 1, None);
+    let said = line.run(&clock, [(sim.clone(), "drop-seal".into()), (sim, "none".into())]);
+    let totals = line.station.tally().totals.clone();
+    if said[0].starts_with("PASS") {
+        assert_eq!((totals.first_tries, totals.first_passes), (1, 1), "{said:?}");
+    } else {
+        assert_eq!((totals.first_tries, totals.first_passes, totals.passed), (1, 0, 1), "{said:?}");
+    }
+}
+
+#[test]
+fn the_first_pack_of_a_run_is_confirmed_before_the_next_one() {
+    let run = |typed: &[&str], faults: &[&str]| {
+        let clock = Arc::new(SimClock::new());
+        let folder = Folder::new("confirm");
+        let line = Line::start(folder.plan(&format!("{PLAIN}\nconfirm-first = true")), typed, None)
+            .expect("a record");
+        let packs = (1..).zip(faults).map(|(seed, fault)| (new_pack(&clock, seed, None), fault.to_string()));
+        let packs: Vec<_> = packs.collect();
+        let said = line.run(&clock, packs);
+        (said, line.said.all(), line.station.all_passed())
+    };
+    let (said, _, passed) = run(&["perhaps", "YES"], &["none", "none"]);
+    assert!(said.len() == 2 && passed, "{said:?}");
+    // Neither an answer nor its absence lets another pack be begun.
+    for typed in [&["no"][..], &[]] {
+        let (said, told, passed) = run(typed, &["none", "none"]);
+        assert!(said.len() == 1 && said[0].starts_with("PASS") && !passed, "{told:?}");
+    }
+    // One that fails is not the first one.
+    let (said, _, passed) = run(&["yes"], &["silence 1 900000", "none", "none"]);
+    assert!(said.len() == 3 && said[2].starts_with("PASS") && !passed, "{said:?}");
+    let (said, ..) = run(&["no"], &["silence 1 900000", "none", "none"]);
+    assert!(said.len() == 2 && said[1].starts_with("PASS"), "{said:?}");
+}
+
+#[test]
+fn a_scan_for_another_pack_than_the_one_that_is_there_is_refused() {
+    let folder = Folder::new("scan-other");
+    let lines = PLAIN.replace("'counter'\nfirst-serial = 1000", "'input'") + "\nseen = 'redo'";
+    let clock = Arc::new(SimClock::new());
+    let line = Line::start(folder.plan(&lines), &["1000", "1001", "BAT0: 1000"], None).expect("a record");
+    let sim = new_pack(&clock, 1, None);
+    let said = line.run(&clock, [(sim.clone(), "none".into()), (sim, "none".into())]);
+    assert!(said.len() == 2 && said[1].starts_with("PASS BAT0 serial 1000 (0x03e8) (pack 2"), "{said:?}");
+    assert!(line.station.all_passed() && line.station.tally().totals.first_tries == 1);
+}
+
+#[test]
+fn a_label_is_kept_in_the_record_and_in_the_pack() {
+    let folder = Folder::new("label");
+    let lines = format!("{PLAIN}\nlabel = true\nlabel-parameter = 'configuration-data/device-name'");
+    let typed = ["a label that is too long for it", "SN00123", "SN00123", "SN\u{1b}", "SN00124"];
+    let clock = Arc::new(SimClock::new());
+    let line = Line::start(folder.plan(&lines), &typed, None).expect("a record");
+    let packs = [1, 2].map(|seed| (new_pack(&clock, seed, None), "none".to_string()));
+    let said = line.run(&clock, packs);
+    assert!(said[0].starts_with("PASS BAT0 SN00123 serial 0x03e8 (pack 1") && said.len() == 2, "{said:?}");
+    assert!(said[1].starts_with("PASS BAT0 SN00124 serial 0x03e9"), "{said:?}");
+    let pass = folder.lines().pop().expect("a line");
+    assert_eq!(pass.label.as_deref(), Some("SN00124"));
+    let name = pass.changes.iter().find(|change| change.name == "configuration-data/device-name");
+    assert_eq!(name.map(|change| &*change.new), Some("SN00124"), "{:?}", pass.changes);
+    // A failure sets its label free, and an interrupted pack, too.
+    drop(line);
+    let line = Line::start(folder.plan(&lines), &["SN7", "SN7", "SN00124"], None).expect("a record");
+    let sim = new_pack(&clock, 3, None);
+    let said = line.run(&clock, [(sim.clone(), "silence 300 900000".into())]);
+    assert!(said[0].starts_with("FAIL BAT0 SN7"), "{said:?}");
+    clock.sleep(Duration::from_secs(1000));
+    let said = line.run(&clock, [(sim, "none".into()), (new_pack(&clock, 4, None), "none".into())]);
+    assert!(said[1].starts_with("PASS BAT0 SN7 serial 0x03eb") && said[2].starts_with("FAIL"), "{said:?}");
+    check_record(&folder);
+    for (lines, says) in [
+        ("label-parameter = 'configuration-data/device-name'", "label-parameter: set label = true too"),
+        ("label = true\nlabel-parameter = 'it-cfg/cell-terminate-voltage'", "a label needs a parameter"),
+        ("label = true\nlabel-parameter = 'it-cfg/nothing'", "has no parameter it-cfg/nothing"),
+    ] {
+        let error = folder.try_plan(lines).err().expect("refused").to_string();
+        assert!(error.contains(says), "{error}");
+    }
+}
+
+#[test]
+fn a_program_gets_every_outcome_and_its_failure_is_one() {
+    let folder = Folder::new("exec");
+    let (told, refuses) = (folder.file("told"), folder.file("refuses"));
+    let script = format!(
+        "cat >> {}; echo $GAUGEFS_EVENT $GAUGEFS_SERIAL >> {0}; if test -e {}; then echo no paper >&2; exit 3; fi",
+        told.display(),
+        refuses.display()
+    );
+    let lines = format!("{PLAIN}\nexec = ['sh', '-c', '{script}']");
+    let clock = Arc::new(SimClock::new());
+    let line = Line::start(folder.plan(&lines), &[], None).expect("a record");
+    let packs = ["none", "silence 1 900000"].map(|fault| (new_pack(&clock, 1, None), fault.to_string()));
+    let said = line.run(&clock, packs);
+    assert!(said[0].starts_with("PASS") && said[1].starts_with("FAIL"), "{said:?}");
+    let text = fs::read_to_string(&told).expect("it was told");
+    let lines_of: Vec<_> = text.lines().collect();
+    let [pass, pass_facts, fail, fail_facts] = lines_of[..] else { panic!("{text}") };
+    let record = fs::read_to_string(folder.file("line1.jsonl")).expect("a record");
+    assert!(record.lines().any(|line| line == pass) && record.lines().any(|line| line == fail), "{text}");
+    assert_eq!((pass_facts, fail_facts), ("pass 0x03e8", "fail"));
+    // The label was not printed: the pack has not passed.
+    fs::write(&refuses, "").expect("a file");
+    let said = line.run(&clock, [(new_pack(&clock, 2, None), "none".into())]);
+    let last = said.last().expect("an outcome");
+    assert!(
+        last.starts_with(
+            "FAIL BAT0 serial 0x03e9 (pack 3): exec: sh has failed: exit status: 3; it says: no paper"
+        ),
+        "{last}"
+    );
+    let last = folder.lines().pop().expect("a line");
+    assert_eq!((last.event, last.step.as_deref()), (Event::Fail, Some("exec")));
+    check_record(&folder);
+    drop(line);
+    // A program that is missing is no reason for PASS either.
+    let line = Line::start(folder.plan(&format!("{PLAIN}\nexec = ['/nonexistent/printer']")), &[], None)
+        .expect("a record");
+    let said = line.run(&clock, [(new_pack(&clock, 3, None), "none".into())]);
+    assert!(said[0].starts_with("FAIL") && said[0].contains("/nonexistent/printer"), "{said:?}");
+}
+
+#[test]
+fn a_calibration_outside_of_its_limits_fails_and_the_record_becomes_a_table() {
+    let folder = Folder::new("table");
+    let image = format!("chip = \"{CHIP}\"\n[it-cfg]\ncell-terminate-voltage = 3100\n");
+    fs::write(folder.file("golden.toml"), image).expect("a file");
+    let clock = Arc::new(SimClock::new());
+    let sims = [1, 2].map(|seed| new_pack(&clock, seed, None));
+    let mut gauge = opened(&sims[0], &clock, Settings::default());
+    gauge.ask(&op::REFRESH, ()).expect("it answers");
+    let register = gauge.handle.chip().register(ti_gauge::chip::Role::VoltageNow).expect("a voltage");
+    let shown =
+        gauge.handle.published().snapshot.as_ref().and_then(|all| all.value(register)).expect("it is read");
+    let lines = |tolerance: &str| {
+        format!(
+            "{PLAIN}\nboard-offset = true\noffset-tolerance = 3\nvoltage = {}.4\nvoltage-tolerance = {tolerance}",
+            shown + 9
+        )
+    };
+    // Nothing shows a fraction of a millivolt.
+    let line = Line::start(folder.plan(&lines("0.1")), &[], None).expect("a record");
+    let said = line.run(&clock, [(sims[0].clone(), "none".into())]);
+    assert!(said[0].starts_with("FAIL") && said[0].contains("mV are allowed"), "{said:?}");
+    drop(line);
+    let line = Line::start(folder.plan(&lines("5")), &[], None).expect("a record");
+    sims[1].set("board_offset_ma", "6").expect("a knob");
+    let said = line.run(&clock, [(sims[1].clone(), "none".into())]);
+    assert!(said[0].starts_with("PASS"), "{said:?}");
+    let records = super::Records::read(&folder.file("line1.jsonl")).expect("a record");
+    let text = String::from_utf8(records.csv()).expect("text");
+    let rows: Vec<Vec<&str>> = text.lines().map(|line| line.split(',').collect()).collect();
+    assert_eq!(rows.len(), 3, "{text}");
+    let column = |name: &str| {
+        rows[0].iter().position(|head| *head == name).unwrap_or_else(|| panic!("{name}: {text}"))
+    };
+    let last = &rows[2];
+    assert_eq!(last[column("outcome")], "pass");
+    assert_eq!(last[column("board_offset_before")], "0");
+    assert_ne!(last[column("board_offset_after")], "0");
+    assert_eq!([last[column("current_mA_low")], last[column("current_mA_high")]], ["-3", "3"]);
+    assert_eq!(last[column("current_mA_before")], "6");
+    let after: f64 = last[column("voltage_mV_after")].parse().expect("a number");
+    assert!((after - (shown + 9) as f64).abs() < 5.0, "{text}");
+    assert_eq!(last[column("temperature_celsius_low")], "", "{text}");
+    assert!(last[column("temperature_celsius_after")].parse::<f64>().is_ok(), "{text}");
+    let failures = records.failures();
+    assert!(
+        failures.len() == 1 && failures[0].step == "calibration" && failures[0].count == 1,
+        "{failures:?}"
+    );
+    let days = records.groups(super::By::Day);
+    assert!(days.iter().map(|day| day.totals.passed).sum::<u64>() == 1, "{days:?}");
+}
+
+/// Lines that earlier versions have written are still read.
+#[test]
+fn an_older_record_is_read() {
+    let folder = Folder::new("older");
+    let lines = concat!(
+        "{\"event\":\"begun\",\"number\":1,\"time\":\"2026-03-01T10:00:00Z\",\"station\":\"line1\",\"gauge\":\"BAT0\",",
+        "\"who\":\"a@b\",\"chip\":\"bq34z100-g1\",\"image\":\"golden.toml\",\"image_sha256\":\"00\",",
+        "\"serial\":\"0x03e8\",\"serial_before\":\"0x0001\",\"before\":\"000001-BAT0-before.toml\"}\n",
+        "{\"event\":\"fail\",\"number\":1,\"time\":\"2026-03-01T10:00:09Z\",\"station\":\"line1\",\"gauge\":\"BAT0\",",
+        "\"who\":\"a@b\",\"chip\":\"bq34z100-g1\",\"image\":\"golden.toml\",\"image_sha256\":\"00\",",
+        "\"serial\":\"0x03e8\",\"reason\":\"=cmd, seal: verify\",\"seconds\":9.5}\n"
+    );
+    fs::write(folder.file("line1.jsonl"), lines).expect("a file");
+    let records = super::Records::read(&folder.file("line1.jsonl")).expect("a record");
+    let text = String::from_utf8(records.csv()).expect("text");
+    // It is no formula, and stays one cell.
+    assert!(text.contains(",\"'=cmd, seal: verify\","), "{text}");
+    assert_eq!(records.failures()[0].step, "");
+    let clock = Arc::new(SimClock::new());
+    let line = Line::start(folder.plan(PLAIN), &[], None).expect("a record");
+    let said = line.run(&clock, [(new_pack(&clock, 1, None), "none".into())]);
+    assert!(said[0].starts_with("PASS BAT0 serial 0x03e9 (pack 2"), "{said:?}");
 }

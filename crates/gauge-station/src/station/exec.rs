@@ -1,0 +1,88 @@
+// SPDX-License-Identifier: MIT
+
+//! The program that gets every outcome: a label printer, or the manufacturing execution system (MES) of a factory.
+
+use std::io::{BufReader, Write};
+use std::os::unix::process::CommandExt;
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::sync::mpsc;
+use std::thread;
+use std::time::{Duration, Instant};
+
+use gauge_bus::clock::{Clock, RealClock};
+use gauge_bus::regular;
+use ti_gauge::text;
+
+use super::record::{Entry, Event};
+use crate::error::{Cause, Error, Result};
+
+/// Its step, and the key of the station's file.
+pub(super) const EXEC: &str = "exec";
+/// How long it may take, and the time between two looks.
+const PATIENCE: Duration = Duration::from_secs(60);
+const LOOK: Duration = Duration::from_millis(20);
+/// How long its last words are waited for after its end: a process that it has left behind may keep them open.
+const LAST_WORDS: Duration = Duration::from_secs(1);
+/// Longest line of its last words, in bytes.
+const MOST: u64 = 64 << 10;
+
+/// Runs the program with an outcome as JSON on its standard input, and waits for its end.
+pub(super) fn run(words: &[String], entry: &Entry) -> Result<()> {
+    let Some((program, arguments)) = words.split_first() else { return Ok(()) };
+    let failed = |error: &std::io::Error| Error::io(program, "cannot be run", error).within(EXEC);
+    let event = if entry.event == Event::Pass { "pass" } else { "fail" };
+    let facts = [
+        ("EVENT", Some(event)),
+        ("GAUGE", Some(&*entry.gauge)),
+        ("SERIAL", entry.serial.as_deref()),
+        ("LABEL", entry.label.as_deref()),
+        ("REASON", entry.reason.as_deref()),
+    ];
+    let facts = facts.into_iter().filter_map(|(name, fact)| Some((format!("GAUGEFS_{name}"), fact?)));
+    let mut child = Command::new(program)
+        .args(arguments)
+        .envs(facts)
+        .stdin(Stdio::piped())
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped())
+        // Ctrl-C ends the station after its packs, and not their label.
+        .process_group(0)
+        .spawn()
+        .map_err(|error| failed(&error))?;
+    let line = serde_json::to_string(entry).expect("keys are strings, so it cannot fail") + "\n";
+    if let Some(mut input) = child.stdin.take() {
+        // A program that does not read it may be right all the same.
+        thread::spawn(move || drop(input.write_all(line.as_bytes())));
+    }
+    let (sender, last_words) = mpsc::channel();
+    if let Some(errors) = child.stderr.take() {
+        thread::spawn(move || {
+            let lines = regular::lines(BufReader::new(errors), MOST).map_while(std::result::Result::ok);
+            sender.send(lines.filter(|line| !line.trim().is_empty()).last().unwrap_or_default())
+        });
+    }
+    let status = wait(&mut child).map_err(|error| failed(&error))?;
+    let why = match status {
+        Some(status) if status.success() => return Ok(()),
+        Some(status) => status.to_string(),
+        None => format!("it did not end within {} s, and was killed", PATIENCE.as_secs()),
+    };
+    let said = last_words.recv_timeout(LAST_WORDS).unwrap_or_default();
+    let said = if said.is_empty() { said } else { format!("; it says: {}", text::printable(&said)) };
+    Err(Error::new(EXEC, Cause::NotPermitted, format!("{program} has failed: {why}{said}")))
+}
+
+/// Waits for its end. `None` if it took too long and was killed.
+fn wait(child: &mut Child) -> std::io::Result<Option<ExitStatus>> {
+    let (clock, since) = (RealClock::new(), Instant::now());
+    loop {
+        if let Some(status) = child.try_wait()? {
+            return Ok(Some(status));
+        }
+        if since.elapsed() > PATIENCE {
+            child.kill().and_then(|()| child.wait())?;
+            return Ok(None);
+        }
+        clock.sleep(LOOK);
+    }
+}

@@ -1,0 +1,202 @@
+// SPDX-License-Identifier: MIT
+
+//! What a record says of its packs: a table for a spreadsheet, or counts by day or by reason. The record is only read, also
+//! while a station writes to it.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use gauge_bus::regular;
+
+use super::record::{self, Bad, Entry, Event, Measured};
+use super::tally::{Tally, Totals};
+use crate::error::{Error, Result};
+
+/// Largest record that is read, in bytes: hundreds of thousands of packs.
+const LONGEST: u64 = 1 << 30;
+
+/// The outcomes in a record.
+pub struct Records {
+    outcomes: Vec<Entry>,
+    unfinished: usize,
+}
+
+/// A row of counts.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Group {
+    /// The day or the slot that it is about.
+    pub name: String,
+    /// Its outcomes.
+    pub totals: Totals,
+}
+
+/// Failures that have the reason in common.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Failures {
+    /// How many there are.
+    pub count: u64,
+    /// The step that has failed; empty where an older record does not say it.
+    pub step: String,
+    /// What the reasons begin with.
+    pub reason: String,
+}
+
+/// What counts are for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum By {
+    /// A day, in UTC.
+    Day,
+    /// A slot.
+    Slot,
+    /// An image.
+    Image,
+}
+
+impl Records {
+    /// Reads a record.
+    pub fn read(path: &Path) -> Result<Self> {
+        let name = path.display().to_string();
+        let text = regular::read_text(path, LONGEST)
+            .map_err(|error| Error::io(&name, "the record cannot be read", &error))?;
+        let (mut outcomes, mut begun) = (Vec::new(), BTreeMap::new());
+        for line in record::lines(&text) {
+            match line {
+                Ok(entry) if entry.event == Event::Begun => drop(begun.insert(entry.number, ())),
+                Ok(entry) => {
+                    begun.remove(&entry.number);
+                    outcomes.push(entry);
+                }
+                // A station may be writing it.
+                Err(Bad::CutShort) => {}
+                Err(Bad::Not(number, error)) => return Err(record::not_a_line(&name, number, &error)),
+            }
+        }
+        Ok(Self { outcomes, unfinished: begun.len() })
+    }
+
+    /// Packs that were begun and have no outcome.
+    pub fn unfinished(&self) -> usize {
+        self.unfinished
+    }
+
+    /// All outcomes together.
+    pub fn totals(&self) -> Totals {
+        let mut tally = Tally::default();
+        self.outcomes.iter().for_each(|entry| tally.count(entry));
+        tally.totals
+    }
+
+    /// The outcomes of each day, slot or image. A first try is one in the whole record.
+    pub fn groups(&self, by: By) -> Vec<Group> {
+        let name = |entry: &Entry| match by {
+            By::Day => entry.time.get(..10).unwrap_or(&entry.time).to_string(),
+            By::Slot => entry.gauge.clone(),
+            By::Image => {
+                format!("{} {}", entry.image, entry.image_sha256.get(..12).unwrap_or(&entry.image_sha256))
+            }
+        };
+        let mut groups: BTreeMap<String, Totals> = BTreeMap::new();
+        let mut tally = Tally::default();
+        for entry in &self.outcomes {
+            let totals = groups.entry(name(entry)).or_default();
+            std::mem::swap(&mut tally.totals, totals);
+            tally.count(entry);
+            std::mem::swap(&mut tally.totals, totals);
+        }
+        groups.into_iter().map(|(name, totals)| Group { name, totals }).collect()
+    }
+
+    /// The failures, the most frequent first.
+    pub fn failures(&self) -> Vec<Failures> {
+        let mut counts: BTreeMap<(String, String), u64> = BTreeMap::new();
+        for entry in self.outcomes.iter().filter(|entry| entry.event != Event::Pass) {
+            let reason = entry.reason.as_deref().unwrap_or("unknown");
+            let reason = reason.split("; ").next().unwrap_or_default();
+            // Subject, step and what follows, whose numbers differ from pack to pack.
+            let reason = reason.split(": ").take(3).collect::<Vec<_>>().join(": ");
+            *counts.entry((entry.step.clone().unwrap_or_default(), reason)).or_default() += 1;
+        }
+        let mut list: Vec<Failures> =
+            counts.into_iter().map(|((step, reason), count)| Failures { count, step, reason }).collect();
+        list.sort_by_key(|failures| std::cmp::Reverse(failures.count));
+        list
+    }
+
+    /// A row for each outcome, as CSV with a header: what it is, and of each quantity what it had to be, the limits, and
+    /// what was measured before and after.
+    pub fn csv(&self) -> Vec<u8> {
+        let mut quantities: Vec<(&str, &str)> = Vec::new();
+        for measured in self.outcomes.iter().flat_map(|entry| &entry.measured) {
+            let quantity = (&*measured.name, &*measured.unit);
+            if !quantities.contains(&quantity) {
+                quantities.push(quantity);
+            }
+        }
+        let mut names: Vec<String> = FIELDS.iter().map(|(name, _)| name.to_string()).collect();
+        for (name, unit) in &quantities {
+            let name = name.trim_end_matches("()").to_lowercase().replace(' ', "_");
+            let unit = match *unit {
+                "" => String::new(),
+                "°C" => "_celsius".into(),
+                unit => format!("_{unit}"),
+            };
+            names.extend(VALUES.iter().map(|(value, _)| format!("{name}{unit}_{value}")));
+        }
+        let mut text = row(names);
+        for entry in &self.outcomes {
+            let mut cells: Vec<String> = FIELDS.iter().map(|(_, of)| of(entry)).collect();
+            for (name, unit) in &quantities {
+                // The last one counts: a voltage is measured by the bring-up, and perhaps calibrated later.
+                let found = entry.measured.iter().rfind(|one| one.name == *name && one.unit == *unit);
+                let value = |of: &Value| found.and_then(of).map_or(String::new(), |value| value.to_string());
+                cells.extend(VALUES.iter().map(|(_, of)| value(of)));
+            }
+            text += &row(cells);
+        }
+        text.into_bytes()
+    }
+}
+
+type Value = fn(&Measured) -> Option<f64>;
+
+const VALUES: [(&str, Value); 5] = [
+    ("wanted", |measured| measured.wanted),
+    ("low", |measured| measured.low),
+    ("high", |measured| measured.high),
+    ("before", |measured| Some(measured.before)),
+    ("after", |measured| Some(measured.after)),
+];
+
+type Text = fn(&Entry) -> String;
+
+const FIELDS: [(&str, Text); 15] = [
+    ("number", |entry| entry.number.to_string()),
+    ("time", |entry| entry.time.clone()),
+    ("station", |entry| entry.station.clone()),
+    ("slot", |entry| entry.gauge.clone()),
+    ("who", |entry| entry.who.clone()),
+    ("chip", |entry| entry.chip.clone()),
+    ("image", |entry| entry.image.clone()),
+    ("image_sha256", |entry| entry.image_sha256.clone()),
+    ("outcome", |entry| if entry.event == Event::Pass { "pass" } else { "fail" }.into()),
+    ("serial", |entry| entry.serial.clone().unwrap_or_default()),
+    ("label", |entry| entry.label.clone().unwrap_or_default()),
+    ("step", |entry| entry.step.clone().unwrap_or_default()),
+    ("reason", |entry| entry.reason.clone().unwrap_or_default()),
+    ("seconds", |entry| entry.seconds.map_or(String::new(), |seconds| seconds.to_string())),
+    ("transfers", |entry| entry.transfers.map_or(String::new(), |count| count.to_string())),
+];
+
+/// A row of CSV (RFC 4180). A cell that a spreadsheet would take for a formula begins with an apostrophe.
+fn row(cells: Vec<String>) -> String {
+    let cell = |cell: String| {
+        let is_formula =
+            cell.starts_with(['=', '+', '@']) || cell.starts_with('-') && cell.parse::<f64>().is_err();
+        let cell = if is_formula { format!("'{cell}") } else { cell };
+        match cell.contains([',', '"', '\n', '\r']) {
+            true => format!("\"{}\"", cell.replace('"', "\"\"")),
+            false => cell,
+        }
+    };
+    cells.into_iter().map(cell).collect::<Vec<_>>().join(",") + "\n"
+}
