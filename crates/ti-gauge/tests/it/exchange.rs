@@ -4,10 +4,8 @@
 //! settling, or the host is asleep then. No byte of the other pack changes, and its owner can open it as before. The
 //! first one, when it is back, is settled from its journal.
 //!
-//! Each run is drawn; `GAUGEFS_SEED` repeats one, and `GAUGEFS_SEEDS` sets their number.
+//! Each run is drawn; `room::drawn` says how to repeat one, and how to have more of them.
 
-use std::collections::BTreeMap;
-use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
@@ -21,10 +19,8 @@ use ti_gauge::error::Result;
 use ti_gauge::gauge::{Gauge, Seal};
 use ti_gauge::keys::Keys;
 
-use crate::rig::Random;
-use crate::rig::{Rig, cause};
-use crate::room::programs;
-use crate::room::{CASES, Case, Folder};
+use crate::rig::{Random, Rig, cause};
+use crate::room::{CASES, Case, Folder, drawn, programs};
 
 /// Runs in the everyday test.
 const RUNS: u64 = 1500;
@@ -384,26 +380,11 @@ fn is_unseen(draw: &Draw) -> bool {
 
 #[test]
 fn regression_no_byte_of_one_pack_goes_into_another() {
-    let only = std::env::var("GAUGEFS_SEED").ok().and_then(|seed| seed.parse().ok());
-    let runs = std::env::var("GAUGEFS_SEEDS").ok().and_then(|runs| runs.parse().ok()).unwrap_or(RUNS);
-    let seeds = only.map_or(0..runs, |seed: u64| seed..seed + 1);
-    let (mut counts, mut failures) = (BTreeMap::<String, u64>::new(), Vec::new());
-    for seed in seeds {
+    drawn("exchanges and sleeps", RUNS, |seed| {
         let draw = Draw::new(seed);
-        if is_unseen(&draw) {
-            continue;
+        match is_unseen(&draw) {
+            true => Ok(vec!["left out: nothing could show it".into()]),
+            false => run(seed, &draw),
         }
-        match catch_unwind(AssertUnwindSafe(|| run(seed, &draw))) {
-            Ok(Ok(told)) => told.into_iter().for_each(|what| *counts.entry(what).or_default() += 1),
-            Ok(Err(why)) => failures.push(format!("seed {seed}: {why}")),
-            Err(panic) => {
-                let text = panic.downcast_ref::<String>().cloned().unwrap_or_else(|| "a panic".into());
-                failures.push(format!("seed {seed}: {text} <- {draw:?}"));
-            }
-        }
-    }
-    for (what, count) in counts {
-        println!("{count:8}  {what}");
-    }
-    assert!(failures.is_empty(), "{} failed:\n{}", failures.len(), failures.join("\n"));
+    });
 }

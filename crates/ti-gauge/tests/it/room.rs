@@ -4,9 +4,11 @@
 
 mod bus;
 mod disk;
+mod drawn;
 mod power;
 mod settling;
 
 pub(crate) use disk::{State, on_disk};
+pub(crate) use drawn::drawn;
 pub(crate) use power::{CASES, Case, Folder, PowerCut, host, restart, until_cut};
 pub(crate) use settling::{RESET, Transferred, cut, half_way, programs, two_blocks};
