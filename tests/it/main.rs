@@ -48,4 +48,5 @@ mod swapped;
 #[allow(dead_code, reason = "a program has a main function")]
 #[path = "../../crates/gaugefs-client/examples/terminate_voltage.rs"]
 mod terminate_voltage;
+mod threats;
 mod transaction;

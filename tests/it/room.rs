@@ -15,7 +15,7 @@ pub(crate) use commands::{
     CHIP, Foreground, Ran, as_nobody, can_mount, command, gaugefs, read, run, same_as_golden, shown, stop,
     within,
 };
-pub(crate) use documents::{TEXT, readme, root, rows, table};
+pub(crate) use documents::{TEXT, readme, root, rows, table, within_code};
 pub(crate) use mounted::{Mount, SimKnobs, errno, mapped, quiet, statistic};
 pub(crate) use scratch::{Connections, Folder, folder, folder_named, remove};
 pub(crate) use session::{Session, Step, steps};

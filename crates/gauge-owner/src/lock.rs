@@ -291,23 +291,29 @@ pub fn holding(listed: &str, file: &Metadata) -> Option<i32> {
 
 /// The folder for locks, to which no other user can write.
 fn folder() -> Result<PathBuf> {
-    let me = geteuid();
     let folder = folders::locks().ok_or_else(|| {
         let why = "this account has no home for the lock; set XDG_RUNTIME_DIR to a folder of its own";
         Error::host("lock", Errno::ENOENT, why)
     })?;
+    own(&folder)?;
+    Ok(folder)
+}
+
+/// Makes a folder unless it is there, and refuses one to which another user can write.
+fn own(folder: &Path) -> Result<()> {
+    let me = geteuid();
     let mode = if me.is_root() { 0o755 } else { 0o700 };
     let failed = |error| {
         let what = "cannot create the folder for locks; XDG_RUNTIME_DIR names another one";
         Error::io(folder.display().to_string(), what, &error)
     };
-    DirBuilder::new().recursive(true).mode(mode).create(&folder).map_err(failed)?;
-    let status = fs::symlink_metadata(&folder).map_err(failed)?;
+    DirBuilder::new().recursive(true).mode(mode).create(folder).map_err(failed)?;
+    let status = fs::symlink_metadata(folder).map_err(failed)?;
     if !status.is_dir() || status.uid() != me.as_raw() || status.mode() & 0o022 != 0 {
         let why = "other users could write to it; remove it";
         return Err(Error::new(folder.display().to_string(), Cause::NotPermitted, why));
     }
-    Ok(folder)
+    Ok(())
 }
 
 #[cfg(test)]
@@ -377,6 +383,32 @@ mod tests {
         assert_eq!(fs::metadata(&path).expect("a file").mode() & 0o777, 0o600);
         drop((lock, reader));
         assert!(!path.exists());
+    }
+
+    #[test]
+    fn a_folder_that_others_can_write_to_holds_no_lock() {
+        let parent = state("folder");
+        own(&parent).expect("it is made");
+        own(&parent).expect("it is there");
+        let refuse = |folder: &Path| {
+            let error = own(folder).expect_err("another user can write to it");
+            assert!(error.to_string().contains("other users could write to it"), "{error}");
+        };
+        let link = parent.join("link");
+        std::os::unix::fs::symlink(&parent, &link).expect("a link");
+        refuse(&link);
+        for mode in [0o720, 0o702, 0o1777] {
+            fs::set_permissions(&parent, std::os::unix::fs::PermissionsExt::from_mode(mode))
+                .expect("its mode");
+            refuse(&parent);
+        }
+        fs::set_permissions(&parent, std::os::unix::fs::PermissionsExt::from_mode(0o700)).expect("its mode");
+        // Only root can give it away.
+        if geteuid().is_root() {
+            std::os::unix::fs::chown(&parent, Some(2004), None).expect("its owner");
+            refuse(&parent);
+        }
+        fs::remove_dir_all(parent).expect("it is left");
     }
 
     /// The file is removed while another process has opened it, but not yet locked it.

@@ -31,3 +31,8 @@ pub(crate) fn rows(section: &str) -> Vec<Vec<String>> {
     let rows = section.lines().filter_map(|line| line.strip_prefix("| ")?.strip_suffix('|'));
     rows.map(|row| row.split('|').map(|cell| cell.trim().to_string()).collect()).collect()
 }
+
+/// What a cell has in backticks.
+pub(crate) fn within_code(cell: &str) -> impl Iterator<Item = &str> {
+    cell.split('`').skip(1).step_by(2)
+}
