@@ -11,6 +11,7 @@ mod config;
 mod doctor;
 mod documents;
 mod ends;
+mod endurance;
 #[cfg(feature = "screen")]
 mod events;
 mod forgetful;

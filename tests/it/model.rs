@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! Random system calls by several users on a mounted gauge, against a model of docs/SEMANTICS.md.
+//! Random system calls by several users and processes on a mounted gauge, against a model of docs/SEMANTICS.md.
 //!
 //! The model knows for each call which errnos the document and the file's mode allow, and whether the call may succeed
 //! at all. It keeps the value of each parameter: a successful write is read back, and a refused one leaves data flash
@@ -11,8 +11,10 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
 use std::fs;
 use std::os::fd::OwnedFd;
+use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::process::{Child, Command, Stdio};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, mpsc};
 use std::time::{Duration, Instant};
 
@@ -28,35 +30,17 @@ use ti_gauge::chip::{Chip, Effect, Kind, Range, kebab_case};
 use ti_gauge::dataflash::Limits;
 use ti_gauge::value::Type;
 
-use crate::room::{Folder, can_mount};
-use crate::room::{SimKnobs, mapped};
+use crate::room::{Folder, Hurried, can_mount};
+use crate::room::{SimKnobs, mapped, write_cut};
 use crate::room::{TEXT, table};
 
 const CHIP: &str = "bq34z100-g1";
 /// Most files that are open at a time.
 const OPEN: usize = 12;
+/// Open descriptions of one file at a time, now and then.
+const MANY: usize = 200;
 /// Blocks that a run programs at least.
 const WRITES: u64 = 10;
-
-/// Real time, except that a sleep ends at once: a write takes seconds of the gauge and microseconds of the test.
-struct Hurried {
-    start: Instant,
-    skipped: AtomicU64,
-}
-
-impl Clock for Hurried {
-    fn now(&self) -> Duration {
-        self.start.elapsed() + Duration::from_nanos(self.skipped.load(Ordering::SeqCst))
-    }
-
-    fn sleep(&self, time: Duration) {
-        self.spend(time);
-    }
-
-    fn spend(&self, time: Duration) {
-        self.skipped.fetch_add(time.as_nanos() as u64, Ordering::SeqCst);
-    }
-}
 
 struct Random(u64);
 
@@ -91,6 +75,7 @@ type Job = Box<dyn FnOnce() + Send>;
 /// A thread with the user and group ids of one user, and with no capabilities unless that is root.
 struct User {
     role: Role,
+    ids: Option<(u32, u32)>,
     jobs: mpsc::Sender<Job>,
 }
 
@@ -106,7 +91,7 @@ impl User {
             }
             queue.into_iter().for_each(|job| job());
         });
-        Self { role, jobs }
+        Self { role, ids, jobs }
     }
 
     /// Makes a call as this user.
@@ -279,9 +264,11 @@ struct Model {
     presence: ti_gauge::epoch::Epoch<gauge_owner::Presence>,
     documented: Vec<Errno>,
     counts: BTreeMap<(String, String), u64>,
+    /// Calls of other processes, and how many of these were killed.
+    processes: (u64, u64),
     recent: Vec<String>,
     _mounted: Mounted,
-    _folder: Folder,
+    folder: Folder,
 }
 
 fn of_io(errno: rustix::io::Errno) -> Errno {
@@ -315,7 +302,7 @@ impl Model {
             eprintln!("SKIPPED in part: only root can act for other users; one user makes all calls");
             vec![User::new(Role::Owner, None)]
         };
-        let clock = Arc::new(Hurried { start: Instant::now(), skipped: AtomicU64::new(0) });
+        let clock = Arc::new(Hurried::default());
         let sim = Sim::new(CHIP, &Options::default(), clock.clone()).expect("a simulated chip");
         clock.sleep(Duration::from_secs(2));
         let signal = Arc::new(Signal::default());
@@ -407,9 +394,10 @@ impl Model {
             spoiled: None,
             documented: documented.map(|name| all[name]).collect(),
             counts: BTreeMap::new(),
+            processes: (0, 0),
             recent: Vec::new(),
             _mounted: mounted,
-            _folder: folder,
+            folder,
         };
         for at in 0..model.parameters.len() {
             let value = model.shown(&format!("df/{}", model.parameters[at].place)).expect("a value");
@@ -490,16 +478,19 @@ impl Model {
         let user = self.random.below(self.users.len() as u64) as usize;
         let file = self.random.below(self.files.len() as u64) as usize;
         let (name, class) = self.files[file].clone();
-        match self.random.below(100) {
+        match self.random.below(104) {
+            100 | 101 => self.sends(user),
+            102 => self.opens_many(user, &name, class),
+            103 => self.starts_processes(),
             0..20 => self.open_one(user, &name, class),
             20..36 => self.read_one(user),
             36..52 => self.write_one(user),
             52..62 => self.echo(user),
             62..70 => self.stage(user),
             70..95 => self.call(user, &name, class),
-            95..99 => self.on_open_file(user),
-            _ if self.random.one_in(3) => self.disturb(),
-            _ if self.random.one_in(4) => {
+            95..=98 => self.on_open_file(user),
+            99 if self.random.one_in(3) => self.disturb(),
+            99 if self.random.one_in(4) => {
                 self.low = !self.low;
                 self.recent.push(format!("low: {}", self.low));
                 self.sim.set("voltage_mv", if self.low { "2700" } else { "auto" }).expect("a knob");
@@ -793,6 +784,9 @@ impl Model {
         }
         let data = text.clone();
         let in_parts = how == 5;
+        if how == 6 && offset.is_some_and(|offset| offset != 1 << 33) && !too_long {
+            return self.writes_cut(user, at, text, expected);
+        }
         let answer = self.users[user].does(move || match offset {
             Some(offset) => rustix::io::pwrite(&fd, data.as_bytes(), offset),
             // The kernel passes the parts on as one.
@@ -805,6 +799,215 @@ impl Model {
         let what = format!("{:?} {class:?} {text:.40?} {offset:?}", self.users[user].role);
         self.written("write", &what, class, &text, answer.map_err(of_io), expected);
         Some(at)
+    }
+
+    /// A write whose buffer is not all there: the kernel passes on what there is, or nothing.
+    fn writes_cut(&mut self, user: usize, at: usize, text: String, expected: Expected) -> Option<usize> {
+        let OpenFile { class, flags, .. } = self.open[at];
+        let fd = self.open[at].fd.clone();
+        let position = rustix::fs::seek(&fd, SeekFrom::Current(0)).unwrap_or_default();
+        let there = self.random.below(text.len() as u64) as usize;
+        let part = text.as_bytes()[..there].to_vec();
+        // What a part of a text is to the file is not what all of it is.
+        let is_moved = position != 0 && !flags.contains(OFlags::APPEND);
+        let can_write = flags.intersects(OFlags::WRONLY | OFlags::RDWR);
+        let Class::Parameter(parameter) = class else { return None };
+        if is_moved
+            || !can_write
+            || self.parameters[parameter].range.is_err()
+            || flags.contains(OFlags::DIRECT)
+        {
+            return None;
+        }
+        drop(expected);
+        let data = text.clone();
+        let answer = self.users[user].does(move || write_cut(&fd, data.as_bytes(), there)).map_err(of_io);
+        let what = format!("{:?} {class:?} {text:.40?}, {there} bytes of it", self.users[user].role);
+        let refusals = [Errno::EFAULT, Errno::EINVAL, Errno::ERANGE, Errno::EBUSY, Errno::EAGAIN];
+        let expected = Expected::success().perhaps(&refusals).perhaps(&self.failures());
+        let outcome = answer.map(drop);
+        let new = self.canonical(parameter, &String::from_utf8_lossy(&part));
+        let is_value = self.parameters[parameter]
+            .range
+            .is_ok_and(|(min, max)| new.parse::<i64>().is_ok_and(|value| (min..=max).contains(&value)));
+        if let Some(length) = self.check("write cut", &what, answer, expected)
+            && (length > there || !is_value || self.staged.is_some())
+        {
+            self.fail(&format!("{length} bytes were written, {there} are there"));
+        }
+        self.outcome(&[(parameter, new)], outcome);
+        Some(at)
+    }
+
+    /// sendfile(2), which splices: from an open file into a pipe, or from a file of this machine into an open one.
+    fn sends(&mut self, user: usize) {
+        let Some(at) = self.held() else { return };
+        let OpenFile { class, flags, disturbed, .. } = self.open[at];
+        if class == Class::Transaction {
+            return;
+        }
+        let fd = self.open[at].fd.clone();
+        let what = format!("{:?} {class:?} {flags:?}", self.users[user].role);
+        if self.random.one_in(2) {
+            let expected = Expected::success()
+                .or_if(flags.contains(OFlags::WRONLY), Errno::EBADF)
+                .or_if(class == Class::Folder, Errno::EISDIR)
+                .or_if(class == Class::Folder, Errno::EINVAL)
+                .or_if(class.is_secret(), Errno::EPERM);
+            let mut expected = expected.perhaps(&self.failures());
+            if disturbed && class == Class::Measured || class == Class::Fleeting {
+                expected.may.push(Errno::ENODEV);
+            }
+            let answer = self.users[user].does(move || {
+                let (from, into) = nix::unistd::pipe().expect("a pipe");
+                let mut offset = 0;
+                let mut bytes = vec![0; rustix::fs::sendfile(&into, &fd, Some(&mut offset), 4096)?];
+                let count = if bytes.is_empty() { 0 } else { rustix::io::read(&from, &mut bytes[..])? };
+                bytes.truncate(count);
+                Ok(bytes)
+            });
+            // A pipe takes what the kernel has of the file, which may be less than all of it.
+            if let Some(bytes) = self.check("sendfile from", &what, answer.map_err(of_io), expected) {
+                let length = bytes.len();
+                self.is_plausible(class, 0, length, &bytes, false);
+            }
+            return;
+        }
+        let (text, mut expected) = self.text(class);
+        let position = rustix::fs::seek(&fd, SeekFrom::Current(0)).unwrap_or_default();
+        let is_read_only = class.mode().is_some_and(|mode| mode & 0o222 == 0);
+        if position != 0 && !is_read_only {
+            expected = Expected::failure(&[Errno::EINVAL]);
+        }
+        if flags.contains(OFlags::APPEND) {
+            expected = Expected::failure(&[Errno::EINVAL]);
+        }
+        if !flags.intersects(OFlags::WRONLY | OFlags::RDWR) {
+            expected = Expected::failure(&[Errno::EBADF]);
+        }
+        let path = self.folder.file("sent");
+        fs::write(&path, &text).expect("a file");
+        let from = fs::File::open(&path).expect("a file");
+        let length = text.len();
+        let answer = self.users[user].does(move || rustix::fs::sendfile(&fd, &from, None, length));
+        let what = format!("{what} {text:.40?}");
+        self.written("sendfile to", &what, class, &text, answer.map_err(of_io), expected);
+    }
+
+    /// One file open many times, each read, in one order and closed in another.
+    fn opens_many(&mut self, user: usize, name: &str, class: Class) {
+        if matches!(class, Class::Folder | Class::Outside | Class::Transaction) {
+            return;
+        }
+        let kept = std::mem::take(&mut self.open);
+        let count = MANY.min(20 + self.random.below(200) as usize);
+        let mut open = Vec::new();
+        for _ in 0..count {
+            match self.opens(user, name, class, OFlags::RDONLY) {
+                Some(_) => open.push(self.open.pop().expect("it was opened")),
+                None => break,
+            }
+        }
+        while !open.is_empty() {
+            let at = self.random.below(open.len() as u64) as usize;
+            self.open.push(open.swap_remove(at));
+            if self.random.one_in(4) {
+                self.reads(user, 0, 0, 4096, false);
+            }
+            self.open.clear();
+        }
+        self.open = kept;
+    }
+
+    /// Several processes that write and read parameters at the same time, one of which may be killed. What is stored
+    /// then is what one of those that were told of success has written, or one that was told nothing.
+    fn starts_processes(&mut self) {
+        let few = 1 + self.random.below(4);
+        let mut running: Vec<(usize, Option<String>, Child, bool)> = Vec::new();
+        for _ in 0..few {
+            // Few parameters, so that some are written by several.
+            let at = self.random.below(3) as usize;
+            let user = self.random.below(self.users.len() as u64) as usize;
+            let Ok((min, max)) = self.parameters[at].range else { continue };
+            let writes = self.random.one_in(2);
+            let value = (min + (max - min) / 3 * self.random.below(3) as i64).to_string();
+            let path = self.path(&format!("df/{}", self.parameters[at].place));
+            let script = if writes { "printf %s \"$1\" >\"$0\"" } else { "exec cat \"$0\"" };
+            let mut command = Command::new("/bin/sh");
+            command.args(["-c", script]).arg(&path).arg(&value);
+            if let Some((uid, gid)) = self.users[user].ids {
+                command.uid(uid).gid(gid);
+            }
+            command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::null());
+            let may = self.users[user].may(0o660) & 6 == 6;
+            running.push((at, writes.then_some(value), command.spawn().expect("a shell"), may));
+        }
+        let killed = if self.random.one_in(3) { self.random.below(few) as usize } else { usize::MAX };
+        if let Some((_, _, child, _)) = running.get_mut(killed) {
+            std::thread::sleep(Duration::from_micros(self.random.below(4000)));
+            let _ = child.kill();
+        }
+        let mut ended = Vec::new();
+        for (number, (at, value, child, may)) in running.into_iter().enumerate() {
+            let output = child.wait_with_output().expect("its end");
+            let is_killed = number == killed && output.status.code().is_none();
+            self.processes.0 += 1;
+            self.processes.1 += u64::from(is_killed);
+            self.recent.push(format!(
+                "process: {} {value:?}, killed {is_killed}: {}",
+                self.parameters[at].place, output.status
+            ));
+            if let Some(value) = &value {
+                self.parameters[at].history.insert(value.clone());
+            }
+            ended.push((at, value, output, is_killed, may));
+        }
+        // The owner has carried out what a killed one has left in its queue.
+        let path = self.path("gauge/refresh");
+        let _ = self.users[0].does(move || fs::write(path, "1\n"));
+        for (at, value, output, is_killed, may) in &ended {
+            let is_calm = !(self.disturbed || *is_killed);
+            match value {
+                None if output.status.success() => {
+                    let text = String::from_utf8_lossy(&output.stdout);
+                    if !self.parameters[*at].history.contains(text.trim_end()) {
+                        self.fail(&format!("another process reads {text:?}"));
+                    }
+                }
+                Some(_) if output.status.success() && (!may || self.staged.is_some()) => {
+                    self.fail("a write of another process succeeded");
+                }
+                _ if *may && is_calm && !output.status.success() => {
+                    let is_refused = value.is_some() && (self.staged.is_some() || self.low);
+                    if !is_refused {
+                        self.fail("another process was refused");
+                    }
+                }
+                _ => {}
+            }
+        }
+        for at in 0..3 {
+            let wrote = |is: &dyn Fn(bool, bool) -> bool| -> BTreeSet<String> {
+                let of = ended.iter().filter(|(of, _, output, is_killed, _)| {
+                    *of == at && is(output.status.success(), *is_killed)
+                });
+                of.filter_map(|(_, value, ..)| value.clone()).collect()
+            };
+            let stored = wrote(&|success, _| success);
+            // Those of which nothing is known: an error of a disturbed gauge may leave either.
+            let open = wrote(&|success, is_killed| !success && (is_killed || self.disturbed));
+            let parameter = &mut self.parameters[at];
+            if !stored.is_empty() {
+                parameter.values = stored;
+            }
+            parameter.values.extend(open);
+            parameter.history.extend(parameter.values.clone());
+            if self.disturbed {
+                self.seal = SEALS.into();
+            } else {
+                self.reads_back(at);
+            }
+        }
     }
 
     /// The consequences of a write.
@@ -1489,7 +1692,10 @@ fn random_calls_of_several_users_answer_as_documented() {
         }
         trespasser.map(|trespasser| trespasser.join().expect("nothing was allowed"))
     });
+    let (others, killed) = model.processes;
+    let calls = model.counts.values().sum::<u64>() + others;
     let mut report = format!("seed {seed}: {steps} steps in {:?}; ", start.elapsed());
+    let _ = write!(report, "{calls} calls, {others} of them by other processes, {killed} killed; ");
     let _ = writeln!(report, "{refused:?} calls of another user refused meanwhile");
     for ((call, outcome), count) in &model.counts {
         let _ = writeln!(report, "{count:8} {call} {outcome}");

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! What the pages promise of tests: each way in of the threat model is attacked by one, and each check before a write is
 //! left out by a rule of `tests/mutations`.
 

@@ -8,11 +8,11 @@ use std::io::Write;
 use std::os::fd::OwnedFd;
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Duration;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::time::{Duration, Instant};
 
 use gauge_bus::Bus;
-use gauge_bus::clock::RealClock;
+use gauge_bus::clock::{Clock, RealClock};
 use gauge_owner::{self as owner, Handle, Settings, Signal};
 use gauge_sim::{Options, Sim};
 use gaugefs::error::Result;
@@ -24,6 +24,32 @@ use ti_gauge::dataflash::Change;
 use ti_gauge::keys::Keys;
 
 use super::within;
+
+/// Real time, except that a sleep ends at once: a write takes seconds of the gauge and microseconds of the test.
+pub(crate) struct Hurried {
+    start: Instant,
+    skipped: AtomicU64,
+}
+
+impl Default for Hurried {
+    fn default() -> Self {
+        Self { start: Instant::now(), skipped: AtomicU64::new(0) }
+    }
+}
+
+impl Clock for Hurried {
+    fn now(&self) -> Duration {
+        self.start.elapsed() + Duration::from_nanos(self.skipped.load(Ordering::SeqCst))
+    }
+
+    fn sleep(&self, time: Duration) {
+        self.spend(time);
+    }
+
+    fn spend(&self, time: Duration) {
+        self.skipped.fetch_add(time.as_nanos() as u64, Ordering::SeqCst);
+    }
+}
 
 /// The knobs of a simulated gauge. With `defect`, looking at one of them panics.
 pub(crate) struct SimKnobs {
@@ -177,4 +203,27 @@ pub(crate) fn mapped(fd: &OwnedFd, pipe: &(OwnedFd, OwnedFd)) -> rustix::io::Res
     let count = rustix::io::read(&pipe.0, &mut bytes[..])?;
     bytes.truncate(count);
     Ok(bytes)
+}
+
+/// A write whose buffer ends before its length: only the first `there` bytes of the text can be read.
+pub(crate) fn write_cut(fd: &OwnedFd, text: &[u8], there: usize) -> rustix::io::Result<usize> {
+    use rustix::mm::{MapFlags, MprotectFlags, ProtFlags, mmap_anonymous, mprotect, munmap};
+    const PAGE: usize = 4096;
+    let there = there.min(text.len()).min(PAGE);
+    #[allow(unsafe_code, reason = "two pages of its own, of which the kernel may read one; unmapped here")]
+    unsafe {
+        let at = mmap_anonymous(
+            std::ptr::null_mut(),
+            2 * PAGE,
+            ProtFlags::READ | ProtFlags::WRITE,
+            MapFlags::PRIVATE,
+        )?;
+        let first = at.cast::<u8>().add(PAGE - there);
+        std::ptr::copy_nonoverlapping(text.as_ptr(), first, there);
+        mprotect(at.cast::<u8>().add(PAGE).cast(), PAGE, MprotectFlags::empty())?;
+        // The rest is never touched by this process, and the kernel answers EFAULT for it.
+        let written = rustix::io::write(fd, std::slice::from_raw_parts(first, text.len()));
+        munmap(at, 2 * PAGE)?;
+        written
+    }
 }
