@@ -33,6 +33,8 @@ mod adapter;
 mod inodes;
 pub mod knobs;
 mod notify;
+#[cfg(test)]
+mod races;
 pub mod single;
 
 use adapter::{Adapter, Waiter};
@@ -149,6 +151,17 @@ fn start(
 
 /// The nodeids, shared by the handlers and the thread that notifies the kernel.
 type Table = Mutex<Inodes<Waiter>>;
+
+/// What several threads share. The tests of `races` have a lock of their own, with which they choose whose turn it is.
+trait Shared<T> {
+    fn with<R>(&self, work: impl FnOnce(&mut T) -> R) -> R;
+}
+
+impl<T> Shared<T> for Mutex<T> {
+    fn with<R>(&self, work: impl FnOnce(&mut T) -> R) -> R {
+        work(&mut lock(self))
+    }
+}
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     // What a thread that has panicked left is a table of values, each of which is whole.

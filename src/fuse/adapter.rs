@@ -260,7 +260,7 @@ impl Writing {
         // Before the answer can be given, so that it follows on the notification of what the write has changed.
         self.fs.raise(node);
         self.announcer.answer(Box::new(move || {
-            lock(&table).write_ends(number, present(&fs, node), Now::read());
+            inodes::end_write(&*table, number, || present(&fs, node), Now::read());
             match outcome {
                 Ok(()) => reply.written(length),
                 Err(error) => reply.error(errno(&error)),
@@ -304,14 +304,14 @@ impl Filesystem for Adapter {
             let Some(node) = name.to_str().and_then(|name| self.fs.lookup(folder, name)) else {
                 return reply.error(Errno::ENOENT);
             };
-            // One lock for both: if a poll changed the value in between, nobody would notify the kernel of it.
-            let mut inodes = self.inodes();
+            let content = || Value::of(self.fs.content(node));
             let shown = match self.fs.shape(node) {
-                Shape::File => Value::of(self.fs.content(node))
-                    .map(|value| inodes.enter(node, value, self.sharing(node, request.pid()), Now::read())),
-                Shape::Folder | Shape::Link => Some(inodes.fixed(node)),
+                Shape::File => {
+                    let sharing = self.sharing(node, request.pid());
+                    inodes::look_up(&*self.table, node, content, sharing, Now::read())
+                }
+                Shape::Folder | Shape::Link => Some(self.inodes().fixed(node)),
             };
-            drop(inodes);
             let Some(shown) = shown else { return reply.error(Errno::ENOENT) };
             let (attr_ttl, entry_ttl) = (self.attr_ttl(&shown), self.name_ttl(node));
             // The crate `fuser` takes the nodeid from here as well. Where the inode number is another one, the kernel asks

@@ -20,6 +20,7 @@ use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 use std::time::{Duration, Instant, SystemTime};
 
+use super::Shared;
 use crate::fs::{Content, Node};
 
 /// Delay before an open file switches to its new value, so that no read of the old value is still under
@@ -520,6 +521,55 @@ impl<W> Inodes<W> {
             inode.since += Duration::from_nanos(1);
         }
     }
+}
+
+/// Counts a lookup of a node, whose value is asked for under the lock: if it changed in between, nobody would notify the
+/// kernel of it. `None` if the file does not exist.
+pub(super) fn look_up<W>(
+    table: &impl Shared<Inodes<W>>,
+    node: Node,
+    content: impl FnOnce() -> Option<Value>,
+    sharing: Sharing,
+    now: Now,
+) -> Option<Shown> {
+    table.with(|inodes| content().map(|value| inodes.enter(node, value, sharing, now)))
+}
+
+/// A write through a nodeid is about to be answered; its file's value is asked for under the lock.
+pub(super) fn end_write<W>(
+    table: &impl Shared<Inodes<W>>,
+    number: u64,
+    present: impl FnOnce() -> Value,
+    now: Now,
+) {
+    table.with(|inodes| inodes.write_ends(number, present(), now));
+}
+
+/// Retires every nodeid whose file has another value now. Returns whether the kernel keeps the name of one.
+pub(super) fn retire_outdated<W>(
+    table: &impl Shared<Inodes<W>>,
+    has_changed: impl Fn(Node) -> bool,
+    present: impl Fn(Node) -> Value,
+    may_be_cached: impl Fn(Node) -> bool,
+    now: impl Fn() -> Now,
+) -> bool {
+    let files: Vec<(u64, Node, Value)> = table.with(|inodes| {
+        inodes.tidy(now());
+        let files = inodes.up_to_date().filter(|(_, node, _)| has_changed(*node));
+        files.map(|(number, node, value)| (number, node, value.clone())).collect()
+    });
+    let mut outdated = false;
+    for (number, node, value) in files {
+        if present(node) == value {
+            continue;
+        }
+        table.with(|inodes| {
+            // The kernel asks for other names each time they are used.
+            outdated |= inodes.current(node) == Some(number) && may_be_cached(node);
+            inodes.retire(number, now());
+        });
+    }
+    outdated
 }
 
 #[cfg(test)]

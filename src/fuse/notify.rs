@@ -28,8 +28,8 @@ use std::sync::{Arc, Mutex, OnceLock, mpsc};
 
 use fuser::{INodeNo, Notifier};
 
-use super::inodes::{Now, Value};
-use super::{Table, host, lock, present};
+use super::inodes::{self, Now};
+use super::{Shared, Table, host, lock, present};
 use crate::error::{Cause, Error, Result};
 use crate::fs::{Fs, Node};
 use gauge_owner::Signal;
@@ -52,12 +52,51 @@ pub struct Announcer {
 }
 
 #[derive(Default)]
-struct Queue {
+pub(super) struct Queue {
     answers: Vec<Answer>,
     /// The thread has to end after these answers.
     stopping: bool,
     /// The thread has ended.
     stopped: bool,
+}
+
+impl Queue {
+    /// Returns the answer if the thread has ended.
+    pub(super) fn add(&mut self, answer: Answer, stopping: bool) -> Option<Answer> {
+        if self.stopped {
+            return Some(answer);
+        }
+        self.stopping |= stopping;
+        self.answers.push(answer);
+        None
+    }
+
+    fn take(&mut self) -> (Vec<Answer>, bool) {
+        (std::mem::take(&mut self.answers), self.stopping)
+    }
+}
+
+/// What the thread does: whenever it was woken it announces what has changed, and then gives the answers that were
+/// waiting before, so that whoever reads right after a write gets the result of the write.
+pub(super) fn serve(queue: &impl Shared<Queue>, mut wait: impl FnMut(), mut announce: impl FnMut()) {
+    loop {
+        wait();
+        let (answers, stopping) = queue.with(Queue::take);
+        announce();
+        answers.into_iter().for_each(|answer| answer());
+        if stopping {
+            return;
+        }
+    }
+}
+
+/// The thread has ended. However that came, no write is left without an answer.
+pub(super) fn end(queue: &impl Shared<Queue>) {
+    let answers = queue.with(|queue| {
+        queue.stopped = true;
+        queue.take().0
+    });
+    answers.into_iter().for_each(|answer| answer());
 }
 
 impl Announcer {
@@ -128,18 +167,7 @@ impl Announcer {
 
     /// Returns the answer if the thread has ended.
     fn add(&self, answer: Answer, stopping: bool) -> Option<Answer> {
-        let mut queue = lock(&self.queue);
-        if queue.stopped {
-            return Some(answer);
-        }
-        queue.stopping |= stopping;
-        queue.answers.push(answer);
-        None
-    }
-
-    fn take(&self) -> (Vec<Answer>, bool) {
-        let mut queue = lock(&self.queue);
-        (std::mem::take(&mut queue.answers), queue.stopping)
+        lock(&self.queue).add(answer, stopping)
     }
 }
 
@@ -151,30 +179,22 @@ struct Announcing {
     announcer: Announcer,
 }
 
-/// However the thread ends, no write is left without an answer.
 impl Drop for Announcing {
     fn drop(&mut self) {
-        lock(&self.announcer.queue).stopped = true;
-        self.announcer.take().0.into_iter().for_each(|answer| answer());
+        end(&*self.announcer.queue);
     }
 }
 
 impl Announcing {
     fn run(&mut self) {
-        let mut seen = 0;
-        loop {
-            seen = self.announcer.signal.wait(seen, None);
-            let (answers, stopping) = self.announcer.take();
+        let (mut seen, queue, signal) = (0, self.announcer.queue.clone(), self.announcer.signal.clone());
+        let wait = || seen = signal.wait(seen, None);
+        serve(&*queue, wait, || {
             // After a panic the kernel is notified of these values with the next ones.
             if catch_unwind(AssertUnwindSafe(|| self.announce())).is_err() {
                 self.fs.report_defect(None);
             }
-            // Only now, so that whoever reads right after a write gets the result of the write.
-            answers.into_iter().for_each(|answer| answer());
-            if stopping {
-                return;
-            }
-        }
+        });
     }
 
     /// Retires every nodeid whose file has another value now, then notifies the kernel if it keeps one of their
@@ -187,22 +207,13 @@ impl Announcing {
             Node::Mains(_) => !gauges.is_empty(),
             Node::Root | Node::Covered(_) => false,
         };
-        lock(&self.table).tidy(Now::read());
-        let files: Vec<(u64, Node, Value)> = lock(&self.table)
-            .up_to_date()
-            .filter(|(_, node, _)| has_changed(*node))
-            .map(|(number, node, value)| (number, node, value.clone()))
-            .collect();
-        let mut outdated = false;
-        for (number, node, value) in files {
-            if present(&self.fs, node) == value {
-                continue;
-            }
-            let mut inodes = lock(&self.table);
-            // The kernel asks for other names each time they are used.
-            outdated |= inodes.current(node) == Some(number) && self.fs.may_be_cached(node);
-            inodes.retire(number, Now::read());
-        }
+        let outdated = inodes::retire_outdated(
+            &*self.table,
+            has_changed,
+            |node| present(&self.fs, node),
+            |node| self.fs.may_be_cached(node),
+            Now::read,
+        );
         if let Some(device) = self.announcer.names.get().filter(|_| outdated)
             && let Err(error) = look_up_again(device)
         {
