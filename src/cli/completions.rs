@@ -34,7 +34,11 @@ impl Completions {
 
 pub(super) fn script(shell: Shell) -> String {
     let mut script = Vec::new();
-    clap_complete::generate(shell, &mut Cli::command(), "gaugefs", &mut script);
+    // Nobody types what other programs call.
+    let all = Cli::command();
+    let visible = all.get_subcommands().filter(|command| !command.is_hide_set()).cloned();
+    let mut visible = clap::Command::new("gaugefs").version(env!("CARGO_PKG_VERSION")).subcommands(visible);
+    clap_complete::generate(shell, &mut visible, "gaugefs", &mut script);
     with_names(shell, &String::from_utf8_lossy(&script))
 }
 
@@ -100,3 +104,25 @@ function __gaugefs_names
 end
 complete -c gaugefs -n "__fish_seen_subcommand_from get set" -a "(__gaugefs_names)"
 "#;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_other_programs_call_is_not_completed() {
+        for shell in [Shell::Bash, Shell::Zsh, Shell::Fish] {
+            let script = script(shell);
+            for command in Cli::command().get_subcommands() {
+                // In the names of other commands and options there may be such a word, too.
+                let is_line = |wanted: String| script.lines().any(|line| line.trim() == wanted);
+                let is_there = match shell {
+                    Shell::Bash => script.contains(&format!("gaugefs,{})", command.get_name())),
+                    Shell::Zsh => is_line(format!("({})", command.get_name())),
+                    _ => script.contains(&format!("-a \"{}\"", command.get_name())),
+                };
+                assert_eq!(is_there, !command.is_hide_set(), "{shell}: {}", command.get_name());
+            }
+        }
+    }
+}

@@ -182,6 +182,19 @@ fn problems_with_buses_are_found() {
     system.says("problem", "/dev/i2c-1", &["the device node is missing"]);
     system.remove("sys/class/i2c-dev");
     system.says("problem", "i2c-dev", &["not loaded", "modprobe i2c-dev"]);
+    // A kernel without it has nothing that could be loaded; one whose modules are not here might have.
+    system.write("proc/sys/kernel/osrelease", "6.12.0-tiny\n");
+    system.says("problem", "i2c-dev", &["not loaded", "modprobe i2c-dev"]);
+    system.write(
+        "lib/modules/6.12.0-tiny/modules.dep",
+        "kernel/fs/fuse/fuse.ko.xz:\nkernel/net/x.ko: kernel/i2c-dev.ko\n",
+    );
+    system.remove("sys/bus/i2c");
+    system.says("problem", "i2c-dev", &["this kernel has no I2C", "CONFIG_I2C_CHARDEV"]);
+    system.write("sys/bus/i2c/x", "");
+    system.says("problem", "i2c-dev", &["this kernel has I2C, but no /dev/i2c-*"]);
+    system.write("lib/modules/6.12.0-tiny/modules.builtin", "kernel/drivers/i2c/i2c-dev.ko\n");
+    system.says("problem", "i2c-dev", &["not loaded", "modprobe i2c-dev"]);
     system.write("sys/module/i2c_dev/x", "");
     system.says("problem", "i2c-dev", &["has no I2C bus"]);
 }

@@ -32,6 +32,16 @@ fn module(host: &Host, count: usize) -> Finding {
     let what = "i2c-dev";
     let loaded = host.has("/sys/module/i2c_dev") || host.has("/sys/class/i2c-dev");
     match count {
+        // A module that is built in has its folder in /sys, and any other one is listed.
+        0 if !loaded && host.has_module("i2c-dev") == Some(false) => {
+            let says = match host.has("/sys/bus/i2c") {
+                true => "this kernel has I2C, but no /dev/i2c-* and no module for that",
+                false => "this kernel has no I2C, and no module for it",
+            };
+            let remedy = "Use a kernel with CONFIG_I2C and CONFIG_I2C_CHARDEV, or build these modules for it; a \
+                          simulated gauge needs neither.";
+            problem(what, says, remedy)
+        }
         0 if loaded => {
             let remedy = "Enable a bus in the device tree (on a Raspberry Pi: dtparam=i2c_arm=on) or in \
                           the firmware, or plug in an adapter.";

@@ -9,6 +9,9 @@ use std::path::{Path, PathBuf};
 use gauge_bus::regular;
 use nix::unistd::{AccessFlags, access, geteuid};
 
+/// Largest list of a kernel's modules, in bytes.
+const MODULES: u64 = 16 << 20;
+
 /// A system below a root folder.
 pub(super) struct Host {
     root: PathBuf,
@@ -50,6 +53,21 @@ impl Host {
 
     pub(super) fn text(&self, path: &str) -> String {
         regular::read_text(&self.at(path), regular::SYSTEM).unwrap_or_default()
+    }
+
+    /// Whether the running kernel comes with a module of that name, loaded or not; `None` if its modules are not listed here.
+    pub(super) fn has_module(&self, name: &str) -> Option<bool> {
+        let release = self.text("/proc/sys/kernel/osrelease");
+        let lists = ["modules.dep", "modules.builtin"].map(|list| {
+            let path = self.at(&format!("/lib/modules/{}/{list}", release.trim()));
+            regular::read_text(&path, MODULES).ok()
+        });
+        let file = format!("/{name}.ko");
+        let [dependencies, built_in] = lists;
+        let is_in = |list: &String| {
+            list.lines().any(|line| line.split(':').next().is_some_and(|at| at.contains(&file)))
+        };
+        Some(is_in(&dependencies?) || built_in.as_ref().is_some_and(is_in))
     }
 
     /// The names in a folder, sorted.

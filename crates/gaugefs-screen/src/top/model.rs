@@ -208,6 +208,8 @@ impl Model {
             KeyCode::Char('?' | 'h') => self.help = !self.help,
             KeyCode::Esc if self.help || self.learning => (self.help, self.learning) = (false, false),
             KeyCode::Char('q') | KeyCode::Esc => return Action::Quit,
+            // What lies behind it, or is not there yet, does not change unseen.
+            _ if self.help || self.gauges.is_empty() => {}
             KeyCode::Down | KeyCode::Right | KeyCode::Tab => self.selected = (self.selected + 1) % count,
             KeyCode::Up | KeyCode::Left | KeyCode::BackTab => {
                 self.selected = (self.selected + count - 1) % count;
