@@ -7,7 +7,7 @@ use std::fmt::Write as _;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
-use clap::{CommandFactory, Parser, Subcommand};
+use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 
 use crate::daemon::{look, service};
 use crate::error::{Error, Result};
@@ -100,7 +100,6 @@ enum Command {
     Attach(Box<mount::Attach>),
     SimInside(sim::Inside),
     /// Remove the mounts of services that have ended; systemd's units run it as root
-    #[command(hide = true)]
     Detach,
     /// Check that nobody else may read the key file of a service; systemd's units run it as root
     #[command(hide = true)]
@@ -162,15 +161,43 @@ impl Command {
     }
 }
 
-/// The definition of the command line, for tests that hold for every command.
+/// The definition of the command line, whose prose takes the width of the terminal.
 pub fn definition() -> clap::Command {
-    Cli::command()
+    flowing(Cli::command())
+}
+
+fn flowing(command: clap::Command) -> clap::Command {
+    let prose = command.get_after_help().map(|help| flow(&help.to_string()));
+    let command = match prose {
+        Some(prose) => command.after_help(prose),
+        None => command,
+    };
+    let names: Vec<String> = command.get_subcommands().map(|command| command.get_name().into()).collect();
+    names.into_iter().fold(command, |command, name| command.mut_subcommand(name, flowing))
+}
+
+/// Joins the lines of each paragraph, which are broken for whoever reads the source. Indented lines are examples, which stay,
+/// and so does the line above them.
+fn flow(text: &str) -> String {
+    let mut flowing = String::new();
+    let mut lines = text.lines().peekable();
+    while let Some(line) = lines.next() {
+        flowing += line;
+        let stays = |line: &str| line.is_empty() || line.starts_with(' ');
+        let Some(next) = lines.peek() else { break };
+        flowing.push(if stays(line) || stays(next) { '\n' } else { ' ' });
+    }
+    flowing
 }
 
 /// Runs the command that the arguments name. The exit code is 0 for done, 1 for failed, 2 for misuse.
 pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
     let arguments: Vec<OsString> = arguments.into_iter().collect();
-    let cli = match Cli::try_parse_from(&arguments) {
+    let mut definition = definition();
+    let parsed = definition
+        .try_get_matches_from_mut(&arguments)
+        .and_then(|matches| Cli::from_arg_matches(&matches).map_err(|error| error.format(&mut definition)));
+    let cli = match parsed {
         Ok(cli) => cli,
         Err(error) if error.use_stderr() => {
             let bus = bare_bus(&arguments);
@@ -258,7 +285,13 @@ mod tests {
 
     #[test]
     fn clap_accepts_the_definition() {
-        Cli::command().debug_assert();
+        definition().debug_assert();
+    }
+
+    #[test]
+    fn prose_takes_the_width_of_the_terminal_and_examples_stay() {
+        let text = "One\ntwo.\n\nThree\nfour:\n  a\n  b\nFive\nsix";
+        assert_eq!(flow(text), "One two.\n\nThree four:\n  a\n  b\nFive six");
     }
 
     /// Where the options of a table must be found, by the command that has them.

@@ -7,6 +7,8 @@ use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError};
+#[cfg(feature = "screen")]
+use std::sync::{Mutex, PoisonError};
 use std::thread;
 use std::time::Duration;
 
@@ -17,11 +19,15 @@ use crate::config;
 use crate::daemon;
 use crate::error::{Cause, Error, Result};
 use crate::output::{self, print, say};
-use gauge_bus::clock::{Clock, RealClock};
+use gauge_bus::clock::{Clock, RealClock, SimClock};
 use gauge_bus::regular;
-use gauge_owner::lock;
+use gauge_owner::{Source, lock};
 use gauge_station::{Plan, Scanner, Screen};
-use gaugefs_host::signals;
+#[cfg(feature = "screen")]
+use gauge_station::{Sign, Totals};
+use gaugefs_host::{input, signals};
+#[cfg(feature = "screen")]
+use gaugefs_screen::line::{Board, Mark};
 
 const PROGRAM: &str = "\
 Waits for a pack, identifies it, writes the image, serial number, date and lot, calibrates it if the
@@ -41,6 +47,7 @@ or the station could not start or go on.
 
 Examples:
   gaugefs program --image golden.gm.fs --station line1.toml --check
+  gaugefs program --image golden.gm.fs --station rehearsal.toml --fast
   gaugefs program --image golden.gm.fs --station line1.toml";
 
 /// Interval at which a wait for a line checks whether the station ends.
@@ -62,6 +69,13 @@ pub(super) struct Program {
     /// End after that many packs
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     count: Option<u64>,
+    /// Show the slots as large fields on a terminal of 80 columns and 24 lines or more
+    #[cfg(feature = "screen")]
+    #[arg(long)]
+    screen: bool,
+    /// Let simulated packs take no time; every slot has to be simulated
+    #[arg(long)]
+    fast: bool,
     /// End after one pack
     #[arg(long, conflicts_with = "count")]
     once: bool,
@@ -75,15 +89,32 @@ impl Program {
             return Err(Error::new("standard input", Cause::Invalid, why));
         }
         let setup = config::station(&self.station, |gauges| daemon::names(gauges, &[]))?;
+        if self.fast
+            && let Some((name, gauge)) =
+                setup.gauges.iter().find(|(_, gauge)| !matches!(gauge.source, Source::Sim { .. }))
+        {
+            let why = format!("--fast is for simulated packs, and it is {}", gauge.source);
+            return Err(Error::new(name, Cause::Invalid, why));
+        }
         let plan = Plan::read(&self.image, setup)?;
         if self.check {
             print(&plan.describe())?;
             return Ok(ExitCode::SUCCESS);
         }
-        let stops = watch_signals()?;
-        let clock: Arc<dyn Clock> = Arc::new(RealClock::new());
+        let stops = Arc::new(AtomicBool::new(false));
+        let names: Vec<String> = plan.slots().map(String::from).collect();
+        let title = format!("{}  {}", plan.name(), input::name(&self.image));
+        let clock: Arc<dyn Clock> =
+            if self.fast { Arc::new(SimClock::new()) } else { Arc::new(RealClock::new()) };
         let packs = if self.once { Some(1) } else { self.count };
         let failed = Arc::new(AtomicBool::new(false));
+        #[cfg(feature = "screen")]
+        if self.screen {
+            return on_screen(plan, &clock, packs, stops, (title, &names));
+        }
+        #[cfg(not(feature = "screen"))]
+        drop((names, title));
+        watch_signals(stops.clone(), |line| say(line))?;
         let terminal = Terminal { stops: stops.clone(), failed: failed.clone() };
         let scanner = Box::new(Input::new(terminal.clone()));
         let passed = gauge_station::run(plan, &clock, Box::new(terminal), scanner, packs, stops)?;
@@ -93,20 +124,95 @@ impl Program {
 }
 
 /// The first signal ends the station when the present packs are done, the second one ends it at once.
-fn watch_signals() -> Result<Arc<AtomicBool>> {
+fn watch_signals(stops: Arc<AtomicBool>, tell: impl Fn(&str) + Send + 'static) -> Result<()> {
     let signals = signals::block(&[Signal::SIGTERM, Signal::SIGINT])?;
-    let stops = Arc::new(AtomicBool::new(false));
-    let watched = stops.clone();
     thread::spawn(move || {
         while signals.wait().is_ok() {
-            if watched.swap(true, Ordering::SeqCst) {
+            if stops.swap(true, Ordering::SeqCst) {
                 lock::remove_all();
                 std::process::exit(1);
             }
-            say("ending after the packs that are being programmed; once more to end at once");
+            tell("ending after the packs that are being programmed; once more to end at once");
         }
     });
-    Ok(stops)
+    Ok(())
+}
+
+/// Runs a station whose slots are shown as large fields.
+#[cfg(feature = "screen")]
+fn on_screen(
+    plan: Plan,
+    clock: &Arc<dyn Clock>,
+    packs: Option<u64>,
+    stops: Arc<AtomicBool>,
+    (title, slots): (String, &[String]),
+) -> Result<ExitCode> {
+    // Before there is a thread that would take them.
+    let signals = signals::block(&[Signal::SIGTERM, Signal::SIGINT])?;
+    let (board, shown) = Board::show(title, slots, stops.clone(), lock::remove_all)?;
+    let stopped = stops.clone();
+    let told = board.clone();
+    thread::spawn(move || {
+        while signals.wait().is_ok() {
+            stopped.store(true, Ordering::SeqCst);
+            told.say("ending after the packs that are being programmed");
+        }
+    });
+    let fields = Fields { board: board.clone(), lines: Arc::default() };
+    let passed =
+        gauge_station::run(plan, clock, Box::new(fields.clone()), Box::new(fields.clone()), packs, stops);
+    shown.end()?;
+    for line in fields.lines.lock().unwrap_or_else(PoisonError::into_inner).iter() {
+        say(line);
+    }
+    Ok(if passed? { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+}
+
+/// The fields of a screen.
+#[cfg(feature = "screen")]
+#[derive(Clone)]
+struct Fields {
+    board: Board,
+    /// The last totals, for the time after the screen.
+    lines: Arc<Mutex<Vec<String>>>,
+}
+
+#[cfg(feature = "screen")]
+impl Screen for Fields {
+    fn outcome(&self, line: &str) {
+        self.board.say(line);
+    }
+
+    fn prompt(&self, line: &str) {
+        self.board.say(line);
+    }
+
+    fn sign(&self, slot: &str, sign: Sign, what: &str) {
+        let mark = match sign {
+            Sign::Connect => Mark::Next,
+            Sign::Scan => Mark::Scan,
+            Sign::Look => Mark::Look,
+            Sign::Wait => Mark::Wait,
+            Sign::Busy => Mark::Busy,
+            Sign::Pass => Mark::Pass,
+            Sign::Fail => Mark::Fail,
+            Sign::Over => Mark::End,
+        };
+        self.board.mark(slot, mark, what);
+    }
+
+    fn totals(&self, totals: &Totals) {
+        let lines = totals.lines();
+        self.board.totals(lines.first().cloned().unwrap_or_default());
+        *self.lines.lock().unwrap_or_else(PoisonError::into_inner) = lines;
+    }
+}
+
+#[cfg(feature = "screen")]
+impl Scanner for Fields {
+    fn line(&mut self, what: &str) -> Option<String> {
+        self.board.ask(what)
+    }
 }
 
 #[derive(Clone)]

@@ -8,8 +8,8 @@ use std::process::ExitCode;
 use std::sync::Arc;
 use std::time::Duration;
 
-use clap::Args;
 use clap::builder::PossibleValuesParser;
+use clap::{ArgGroup, Args};
 use nix::errno::Errno;
 
 use crate::error::{Error, Result};
@@ -19,6 +19,8 @@ use gauge_bus::linux::{Adapter, LinuxBus};
 use gauge_bus::regular;
 use gauge_bus::{Bus, BusError, GAUGE_ADDRESS};
 use gauge_owner::lock::Lock;
+use gauge_owner::of_sim;
+use gauge_sim::Sim;
 use gaugefs_host::input;
 use ti_gauge::chip::{CHIPS, Chip};
 use ti_gauge::error::Cause;
@@ -40,7 +42,8 @@ whole firmware then starts by itself. Charge the pack and keep the power on.
 
 It can be interrupted at any time: run it again, and it begins with the first row.
 
-Example:
+Examples:
+  gaugefs rescue 0100_0_16-bq34z100G1.bq.fs --sim bq34z100-g1     without a gauge, to see it once
   gaugefs rescue 0100_0_16-bq34z100G1.bq.fs --bus /dev/i2c-1 --chip bq34z100-g1";
 
 /// How long a gauge may take to start its firmware, and the time between two looks.
@@ -52,16 +55,19 @@ const LOOKS: usize = 8;
 
 /// Bring back a gauge that is left in ROM mode, with its whole firmware file
 #[derive(Args, Debug)]
-#[command(after_help = RESCUE)]
+#[command(after_help = RESCUE, group(ArgGroup::new("gauge").required(true).args(["bus", "sim"])))]
 pub(super) struct Rescue {
     /// Firmware file of the same part (.bq.fs); - is standard input, with --yes
     file: PathBuf,
     /// The I2C bus, such as /dev/i2c-1
-    #[arg(long, value_name = "DEVICE")]
-    bus: PathBuf,
+    #[arg(long, value_name = "DEVICE", requires = "chip")]
+    bus: Option<PathBuf>,
     /// The gauge's part, which it does not tell in ROM mode
+    #[arg(long, value_name = "CHIP", value_parser = chips(), ignore_case = true, requires = "bus")]
+    chip: Option<String>,
+    /// Try it with a simulated gauge of this part, which is left in ROM mode
     #[arg(long, value_name = "CHIP", value_parser = chips(), ignore_case = true)]
-    chip: String,
+    sim: Option<String>,
     /// Do not ask before flash is erased
     #[arg(long)]
     yes: bool,
@@ -73,7 +79,8 @@ fn chips() -> PossibleValuesParser {
 
 impl Rescue {
     pub(super) fn run(self) -> Result<ExitCode> {
-        let chip = Chip::by_name(&self.chip).expect("clap accepts only names of chips");
+        let chip = self.chip.as_ref().or(self.sim.as_ref()).and_then(|chip| Chip::by_name(chip));
+        let chip = chip.expect("clap demands one, and accepts only names of chips");
         let name = input::name(&self.file);
         if self.file.as_os_str() == "-" && !self.yes {
             let why = "it has the file, so the question cannot be answered there; pass --yes";
@@ -83,17 +90,37 @@ impl Rescue {
             .map_err(|error| Error::io(&name, "cannot be read", &error))?;
         let firmware = Firmware::parse(&String::from_utf8_lossy(&bytes), chip);
         let firmware = firmware.map_err(|error| Error::from(error.within(&name)))?;
-        let adapter = Adapter::find(&self.bus)?;
         let clock: Arc<dyn Clock> = Arc::new(RealClock::new());
+        let confirm = || if self.yes { Ok(true) } else { is_confirmed(chip) };
+        let Some(bus) = &self.bus else {
+            let sim = left_in_rom(chip, &clock)?;
+            let (gauge, mut boot) = (Box::new(sim.bus()), sim.bus_at(ROM_ADDRESS));
+            let subject = format!("simulated gauge, address 0x{ROM_ADDRESS:02x}");
+            bring_back(&firmware, chip, gauge, &mut boot, &clock, [&name, &subject], &confirm)?;
+            return Ok(ExitCode::SUCCESS);
+        };
+        let adapter = Adapter::find(bus)?;
         // A daemon that waits for the gauge has the lock of its usual address.
         let lock = |address| Lock::gauge(&adapter, address, Path::new(""), &*clock, |_| false);
         let _locks = [lock(GAUGE_ADDRESS)?, lock(ROM_ADDRESS)?];
         let open = |address| LinuxBus::open(adapter.clone(), address, clock.clone());
         let (gauge, mut boot) = (open(GAUGE_ADDRESS)?, open(ROM_ADDRESS)?);
         let subject = format!("{adapter} address 0x{ROM_ADDRESS:02x}");
-        let confirm = || if self.yes { Ok(true) } else { is_confirmed(chip) };
         bring_back(&firmware, chip, Box::new(gauge), &mut boot, &clock, [&name, &subject], &confirm)?;
         Ok(ExitCode::SUCCESS)
+    }
+}
+
+/// A simulated gauge that somebody has sent to ROM mode.
+fn left_in_rom(chip: &Chip, clock: &Arc<dyn Clock>) -> Result<Sim> {
+    let sim = Sim::new(chip.name, &gauge_sim::Options::default(), clock.clone()).map_err(of_sim)?;
+    clock.sleep(STEP * 4);
+    match sim.leave_in_rom() {
+        true => Ok(sim),
+        false => {
+            let why = "its simulated gauge has no ROM mode";
+            Err(Error::new(chip.model, Cause::NotPermitted, why))
+        }
     }
 }
 
@@ -233,7 +260,7 @@ mod tests {
     use super::firmware::{Style, content, file};
     use super::*;
     use gauge_bus::clock::SimClock;
-    use gauge_sim::{Options, Sim};
+    use gauge_sim::Options;
 
     const CHIP: &str = "bq34z100-g1";
 
@@ -265,12 +292,7 @@ mod tests {
             let [normal, left] = [(); 2]
                 .map(|()| Sim::new(CHIP, &Options::default(), clock.clone()).expect("a simulated gauge"));
             clock.sleep(Duration::from_secs(1));
-            for word in [0x0414_u16, 0x3672, 0xffff, 0xffff, 0x0f00] {
-                let [low, high] = word.to_le_bytes();
-                left.bus().transfer(&[0x00, low, high], &mut []).expect("it takes the word");
-                clock.sleep(Duration::from_millis(100));
-            }
-            assert_eq!(left.get("mode").as_deref(), Some("rom"));
+            assert!(left.leave_in_rom());
             Self { clock, normal, left }
         }
 

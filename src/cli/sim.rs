@@ -161,7 +161,13 @@ impl Sim {
         };
         let state = self.state.as_ref().map(io).transpose()?;
         let scenario = self.scenario.clone().map(|name| Script { name, seed: self.scenario_seed });
-        let sim = |chip| Source::Sim { chip, state: state.clone(), key: None, scenario: scenario.clone() };
+        let sim = |chip| Source::Sim {
+            chip,
+            state: state.clone(),
+            key: None,
+            scenario: scenario.clone(),
+            knobs: Vec::new(),
+        };
         let mut gauges = chips
             .iter()
             .map(|&(chip, address)| Gauge::open(&sim(chip), address, &clock))

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT
 
 //! A configuration file: the tables `[mount]`, `[defaults]` and any number of `[[gauge]]` and `[[alert]]`; a station's
-//! file has `[station]` in place of `[mount]`, and no alerts.
+//! file has `[station]` in place of `[mount]`, `[[slot]]` as another name of `[[gauge]]`, and no alerts.
 //!
 //! A file is read strictly. Whatever it holds that is not known or makes no sense is an error with file,
 //! line and key, and no gauge is opened before the whole file has been understood.
@@ -177,7 +177,7 @@ impl<'a, H: Head> File<'a, H> {
                     };
                     let items = list.into_iter().map(item).collect::<Option<_>>();
                     let items = items.ok_or_else(|| file.refuse(at, &name, &above_each(&name)))?;
-                    *if name == "gauge" { &mut file.gauges } else { &mut file.alerts } = items;
+                    if name == "alert" { &mut file.alerts } else { &mut file.gauges }.extend::<Vec<_>>(items);
                 }
                 _ => {
                     let why = match name.as_str() {

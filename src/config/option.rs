@@ -8,7 +8,8 @@ use std::path::{Path, PathBuf};
 
 use clap::error::Error;
 use clap::{Arg, ArgAction, ArgMatches, Args, Command, FromArgMatches};
-use toml::de::DeValue;
+use toml::Spanned;
+use toml::de::{DeString, DeValue};
 
 use super::values;
 use ti_gauge::chip::Chip;
@@ -80,6 +81,8 @@ pub(crate) enum Effect<T> {
     Chip(fn(&mut T) -> &mut Option<&'static Chip>),
     /// A switch which may be given a text.
     SwitchOrText(&'static str, fn(&mut T, Option<Option<&str>>) -> Result<(), String>),
+    /// Names, each with a value: a table in a file, whose values are numbers or strings.
+    Table(&'static str, fn(&mut T, Vec<(String, String)>)),
     /// Words up to a `;`, each of which is checked on the command line.
     Words(&'static str, fn(&str) -> Result<String, String>, fn(&mut T, Vec<String>)),
 }
@@ -151,6 +154,9 @@ impl<T: Options> Opt<T> {
                     move |text: &str| set(&mut T::default(), Some(Some(text))).map(|()| text.to_string());
                 arg.value_name(name).num_args(0..=1).require_equals(true).value_parser(parse)
             }
+            Effect::Table(name, _) => {
+                arg.action(ArgAction::Append).value_name(name).value_delimiter(',').value_parser(pair)
+            }
             Effect::Words(name, word, _) => {
                 let arg = arg.action(ArgAction::Append).value_name(name).num_args(1..);
                 arg.allow_hyphen_values(true).value_terminator(";").value_parser(word)
@@ -180,6 +186,11 @@ impl<T: Options> Opt<T> {
             }
             Effect::SwitchOrText(_, set) if matches.contains_id(self.name) => return set(to, Some(text())),
             Effect::SwitchOrText(..) => {}
+            Effect::Table(_, set) => {
+                if let Some(pairs) = matches.get_many::<(String, String)>(self.name) {
+                    set(to, pairs.cloned().collect());
+                }
+            }
             Effect::Words(_, _, set) => {
                 if let Some(words) = matches.get_many::<String>(self.name) {
                     set(to, words.cloned().collect());
@@ -204,9 +215,21 @@ impl<T: Options> Opt<T> {
                 (None, Some(text)) => return set(to, Some(Some(text))),
                 (None, None) => return Err("expected true, false or a name".into()),
             },
+            Effect::Table(_, set) => {
+                let table = value.as_table().ok_or("expected a table, such as { cells = 7 }")?;
+                let pair = |(name, value): (&Spanned<DeString<'_>>, &Spanned<DeValue<'_>>)| {
+                    let name = name.get_ref().to_string();
+                    word(value.get_ref())
+                        .map(|text| (name.clone(), text))
+                        .map_err(|why| format!("{name}: {why}"))
+                };
+                set(to, table.iter().map(pair).collect::<Result<_, _>>()?);
+            }
             Effect::Words(_, _, set) => {
                 let words = value.as_array().map(|list| list.iter().map(|word| string(word.get_ref())));
-                set(to, words.and_then(Iterator::collect).ok_or("expected an array of strings")?);
+                let words: Vec<String> =
+                    words.and_then(Iterator::collect).ok_or("expected an array of strings")?;
+                set(to, words);
             }
         }
         Ok(())
@@ -219,6 +242,7 @@ impl<T: Options> Opt<T> {
             Effect::File(..) | Effect::NameOrFile(..) | Effect::Text(..) | Effect::Chip(_) => "string",
             Effect::Number(..) => "number",
             Effect::SwitchOrText(..) => "boolean or string",
+            Effect::Table(..) => "table",
             Effect::Words(..) => "array",
         }
     }
@@ -232,6 +256,12 @@ impl<T: Options> Opt<T> {
         let more = if self.more.is_empty() { String::new() } else { format!(" {}", self.more) };
         format!("{}.{default}{more}", self.doc)
     }
+}
+
+/// A name and its value, with `=` between.
+fn pair(text: &str) -> Result<(String, String), String> {
+    let pair = text.split_once('=').filter(|(name, _)| !name.is_empty());
+    pair.map(|(name, value)| (name.into(), value.into())).ok_or_else(|| "expected KNOB=VALUE".into())
 }
 
 /// A number or a string. A number is as it was written, but for its base: data sheets write addresses in hexadecimal, and

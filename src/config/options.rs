@@ -36,6 +36,7 @@ pub(crate) struct GaugeOptions {
     pub(crate) sim: Option<&'static Chip>,
     pub(crate) sim_state: Option<PathBuf>,
     pub(crate) sim_key: Option<Key>,
+    pub(crate) sim_set: Vec<(String, String)>,
     pub(crate) scenario: Option<PathBuf>,
     pub(crate) scenario_seed: Option<u64>,
     pub(crate) bus: Option<PathBuf>,
@@ -96,6 +97,19 @@ impl Options for GaugeOptions {
             not_with: &["bus", "replay"],
             needs: Some("sim"),
             sample: "'0414 3672'",
+            ..Opt::NEW
+        },
+        Opt {
+            name: "sim-set",
+            effect: Effect::Table("KNOB=VALUE", |to, pairs| to.sim_set = pairs),
+            doc: "Turn knobs of the simulated gauge before anything happens, such as cells=7",
+            on_line: ", several with a comma between",
+            more: "It is a table, such as { cells = 7, board_divider = 33000 }.",
+            heading: GAUGE,
+            at: ONE_GAUGE,
+            not_with: &["bus", "replay"],
+            needs: Some("sim"),
+            sample: "{ cells = 7 }",
             ..Opt::NEW
         },
         Opt {
@@ -635,6 +649,12 @@ impl Options for StationOptions {
         text("unsettled", |to, text| put(&mut to.unsettled, values::one_of(text, UNSETTLED)), "'discard'"),
         number("stop-after-failures", |to, text| put(&mut to.stop_after_failures, values::count(text)), "3"),
         switch("confirm-first", |to, on| to.confirm_first = on),
+        Opt {
+            name: "rehearse",
+            effect: Effect::Words("PACK", values::rehearsed, |to, words| to.rehearse = words),
+            sample: "['good', 'pulled 300']",
+            ..OF_STATION
+        },
         number("packs", |to, text| put(&mut to.packs, values::count(text)), "2"),
     ];
 }
@@ -659,6 +679,13 @@ mod tests {
         let text = |value: &DeValue<'_>| value.as_str().unwrap_or(row.sample).to_string();
         match value.get_ref() {
             DeValue::Boolean(_) => vec![option],
+            DeValue::Table(pairs) => {
+                let pairs = pairs.iter().map(|(key, value)| match value.get_ref() {
+                    DeValue::Integer(number) => format!("{}={}", key.get_ref(), number.as_str()),
+                    value => format!("{}={}", key.get_ref(), text(value)),
+                });
+                vec![format!("{option}={}", pairs.collect::<Vec<_>>().join(","))]
+            }
             DeValue::Array(words) => {
                 let words = words.iter().map(|word| text(word.get_ref()));
                 [option].into_iter().chain(words).collect()

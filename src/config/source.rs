@@ -15,7 +15,8 @@ impl GaugeOptions {
                 let key = self.sim_key.as_ref().map(|key| key.0);
                 let seed = self.scenario_seed;
                 let scenario = self.scenario.clone().map(|name| Script { name, seed });
-                Source::Sim { chip, state: self.sim_state.clone(), key, scenario }
+                let knobs = self.sim_set.clone();
+                Source::Sim { chip, state: self.sim_state.clone(), key, scenario, knobs }
             }
             (None, Some(file), _) => Source::Recording(file.clone()),
             (None, None, Some(bus)) => Source::Bus {

@@ -12,7 +12,7 @@ use gauge_station::{Options, Setup};
 
 impl Head for Options {
     const NAME: &'static str = "station";
-    const LISTS: &'static [&'static str] = &["gauge"];
+    const LISTS: &'static [&'static str] = &["gauge", "slot"];
     const GAUGES: Option<At> = Some(At::Station);
 }
 

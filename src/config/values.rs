@@ -122,6 +122,11 @@ pub(crate) fn meter_current(text: &str) -> Result<f64, String> {
     shown(text, "mA", |milliamperes| (100.0..=1_000_000.0).contains(&milliamperes.abs()))
 }
 
+/// A pack of a rehearsal.
+pub(super) fn rehearsed(word: &str) -> Result<String, String> {
+    gauge_station::Rehearsed::parse(word).map(|_| word.to_string())
+}
+
 /// How much a measured value may be off, in its unit.
 pub(super) fn tolerance(text: &str) -> Result<f64, String> {
     let number = text.trim().parse().ok().filter(|number: &f64| number.is_finite() && *number >= 0.0);

@@ -116,7 +116,10 @@ fn a_file_that_makes_no_sense_is_refused_with_the_place() {
         ("[[gauge]]\n[[gauge]]\nenergi = true\n", &["line 3: energi: unknown key; did you mean `energy`?"]),
         ("[mount]\nx = 3\n", &["line 2: x: unknown key; known here are mountpoint, ac, read-only, private"]),
         ("[defaults]\nx = 3\n", &["line 2: x: unknown key; known here are bus, address, chip"]),
-        ("[[gauge]]\nx = 3\n", &["line 2: x: unknown key; known here are sim, sim-state, sim-key, scenario"]),
+        (
+            "[[gauge]]\nx = 3\n",
+            &["line 2: x: unknown key; known here are sim, sim-state, sim-key, sim-set, scenario"],
+        ),
         ("[[gague]]\n", &["line 1: gague: unknown key; did you mean [[gauge]]?"]),
         ("[default]\n", &["line 1: default: unknown key; did you mean [defaults]?"]),
         (

@@ -18,7 +18,7 @@ fn production_by_hand_is_as_printed() {
     let mut session = Session::new();
     session.strict = true;
     session.sim = format!("--sim {CHIP} --poll 0.5 --state-dir state --sim-state flash");
-    let steps = steps(TEXT, Some("By hand"));
+    let steps = steps(TEXT, Some("## By hand"));
     // What a gauge of TI's is when it is delivered, and what the pack is, before the first look at it.
     let pack = steps.iter().find_map(|step| if let Step::Knobs(knobs) = step { Some(knobs) } else { None });
     let mut is_new = true;
@@ -31,6 +31,18 @@ fn production_by_hand_is_as_printed() {
         }
     }
     assert!(session.ran > 30, "{} commands", session.ran);
+}
+
+#[test]
+fn a_rehearsal_is_as_printed() {
+    let mut session = Session::new();
+    session.strict = true;
+    let by_hand = steps(TEXT, Some("## By hand"));
+    let image = by_hand.iter().filter(|step| matches!(step, Step::File(name, _) if name == "golden.toml"));
+    for step in image.chain(&steps(TEXT, Some("### Trying it"))) {
+        session.step(step);
+    }
+    assert_eq!(session.ran, 3);
 }
 
 /// The text of all sources in a folder, without the ends of lines that a long string is broken at.

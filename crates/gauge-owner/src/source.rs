@@ -58,6 +58,8 @@ pub enum Source {
         key: Option<[u16; 2]>,
         /// What happens to it.
         scenario: Option<Script>,
+        /// Knobs that are turned before anything happens, each with its setting.
+        knobs: Vec<(String, String)>,
     },
     /// In a file that `--trace` wrote.
     Recording(PathBuf),
@@ -146,11 +148,12 @@ impl Source {
     /// gauge is locked for a moment.
     pub fn check(&self, mountpoint: &Path, clock: &Arc<dyn Clock>) -> Result<()> {
         match self {
-            Self::Sim { chip, state, scenario, .. } => {
-                if let Some(script) = scenario {
+            Self::Sim { chip, state, scenario, knobs, .. } => {
+                if scenario.is_some() || !knobs.is_empty() {
                     let sim =
                         Sim::new(chip.name, &gauge_sim::Options::default(), clock.clone()).map_err(of_sim)?;
-                    script.play(&sim)?;
+                    turn(&sim, knobs)?;
+                    scenario.as_ref().map_or(Ok(()), |script| script.play(&sim))?;
                 }
                 let Some(path) = state else { return Ok(()) };
                 let _lock = Lock::state(path, mountpoint, &**clock, is_ending)?;
@@ -169,12 +172,13 @@ impl Source {
     pub fn open(&self, mountpoint: &Path, clock: &Arc<dyn Clock>, waits: bool) -> Result<Opened> {
         let subject = self.to_string();
         match self {
-            Self::Sim { chip, state, key, scenario } => {
+            Self::Sim { chip, state, key, scenario, knobs } => {
                 let state = state.as_deref();
                 let lock =
                     state.map(|path| Lock::state(path, mountpoint, &**clock, is_ending)).transpose()?;
                 state.map_or(Ok(()), |path| Sim::check_state(chip.name, path)).map_err(of_sim)?;
                 let (sim, bus) = power_up(chip, state, *key, clock)?;
+                turn(&sim, knobs)?;
                 scenario.as_ref().map_or(Ok(()), |script| script.play(&sim))?;
                 let journal_key = state.map(lock::key_of_state);
                 let opened = Opened::new(chip, Box::new(bus), subject);
@@ -213,6 +217,14 @@ pub fn of_sim(gauge_sim::Error { subject, kind, text }: gauge_sim::Error) -> Err
         Kind::Io(kind) => Cause::Io(kind),
     };
     Error::new(subject, cause, text)
+}
+
+/// Turns knobs of a simulated gauge.
+fn turn(sim: &Sim, knobs: &[(String, String)]) -> Result<()> {
+    knobs
+        .iter()
+        .try_for_each(|(knob, text)| sim.set(knob, text))
+        .map_err(|error| of_sim(error).within("sim-set"))
 }
 
 /// A simulated gauge that answers.

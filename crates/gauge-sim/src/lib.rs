@@ -377,6 +377,20 @@ impl Sim {
         self.now().gauge.firmware()
     }
 
+    /// Sends a new gauge to ROM mode, as a firmware update does that is interrupted before its first row. Returns whether
+    /// it is there now: without a boot loader, or with other keys than the manual's, it is not.
+    pub fn leave_in_rom(&self) -> bool {
+        let mut bus = self.bus();
+        // The keys to UNSEALED and FULL ACCESS, and ROM_MODE.
+        for word in [0x0414_u16, 0x3672, 0xFFFF, 0xFFFF, 0x0F00] {
+            let [low, high] = word.to_le_bytes();
+            // What is not acknowledged shows in the mode.
+            let _ = bus.transfer(&[0x00, low, high], &mut []);
+            self.clock.sleep(Duration::from_millis(100));
+        }
+        self.get("mode").as_deref() == Some("rom")
+    }
+
     /// Puts bytes into flash, not over the bus, as a production line's programmer does. `area` is a subclass, or 0
     /// with offsets from address 0x4000 on.
     pub fn set_flash(&self, area: u16, offset: usize, bytes: &[u8]) {

@@ -47,7 +47,7 @@
 //!
 //! // A place with one simulated pack.
 //! let chip = Chip::by_name("bq34z100-g1").expect("it has a table");
-//! let simulated = GaugeSetup::new(Source::Sim { chip, state: None, key: None, scenario: None });
+//! let simulated = GaugeSetup::new(Source::Sim { chip, state: None, key: None, scenario: None, knobs: Vec::new() });
 //! let options = Options { serial: Some(SerialFrom::Counter), ..Options::default() };
 //! let setup = Setup::new(&folder.join("line1.toml"), options, vec![("BAT0".into(), simulated)]);
 //!
@@ -72,6 +72,6 @@ mod options;
 mod setup;
 mod station;
 
-pub use options::{Options, Refused, Seen, SerialFrom, Unsettled};
+pub use options::{Options, Refused, Rehearsed, Seen, SerialFrom, Unsettled};
 pub use setup::Setup;
 pub use station::{By, Failures, Plan, RecordGroup, Records, Scanner, Screen, Sign, Totals, run};

@@ -90,7 +90,9 @@ pub struct Options {
     pub stop_after_failures: Option<u64>,
     /// Wait after the first pack of a run until somebody has confirmed that it is right.
     pub confirm_first: bool,
-    /// How many simulated packs come one after the other; by default 1.
+    /// What the simulated packs are like that come one after the other; see [`Rehearsed::parse`].
+    pub rehearse: Vec<String>,
+    /// How many simulated packs come one after the other; by default as many as are rehearsed, or 1.
     pub packs: Option<u32>,
 }
 
@@ -126,6 +128,47 @@ pub enum Unsettled {
     Refuse,
     /// Moves the journal of the write beside the images.
     Discard,
+}
+
+/// What a simulated pack is like that comes in a rehearsal.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Rehearsed {
+    /// As the station's file says.
+    Good,
+    /// Taken off at that transfer, counted from when it was connected.
+    Pulled(u32),
+    /// Another part than that of the image.
+    OtherPart,
+    /// Another unseal key than the station knows.
+    OtherKey,
+    /// Its gauge measures no voltage.
+    DeadMeter,
+}
+
+impl Rehearsed {
+    /// Reads one of `good`, `pulled N`, `other-part`, `other-key` and `dead-meter`. An error says what would be accepted.
+    pub fn parse(word: &str) -> Result<Self, String> {
+        let words: Vec<&str> = word.split_whitespace().collect();
+        Ok(match words[..] {
+            ["good"] => Self::Good,
+            ["pulled", at] => match at.parse() {
+                Ok(at @ 1..) => Self::Pulled(at),
+                _ => {
+                    return Err(format!(
+                        "`{}`: expected a transfer, such as pulled 300",
+                        text::printable(word)
+                    ));
+                }
+            },
+            ["other-part"] => Self::OtherPart,
+            ["other-key"] => Self::OtherKey,
+            ["dead-meter"] => Self::DeadMeter,
+            _ => {
+                let why = "is none of: good, pulled N, other-part, other-key, dead-meter";
+                return Err(format!("`{}` {why}", text::printable(word)));
+            }
+        })
+    }
 }
 
 /// A manufacture date.
@@ -165,6 +208,7 @@ impl Options {
         if self.serial.is_none() && self.serial_parameter.is_some() {
             return refuse("serial-parameter", "set serial too");
         }
+        self.rehearsed()?;
         if self.label_parameter.is_some() && !self.label {
             return refuse("label-parameter", "set label = true too");
         }
@@ -213,6 +257,15 @@ impl Options {
             })
         };
         names.iter().map(group).collect()
+    }
+
+    /// What the simulated packs are like.
+    pub(crate) fn rehearsed(&self) -> Result<Vec<Rehearsed>, Refused> {
+        self.rehearse
+            .iter()
+            .map(|word| Rehearsed::parse(word))
+            .collect::<Result<_, _>>()
+            .map_err(|why| ("rehearse", why))
     }
 
     /// The manufacture date.

@@ -121,8 +121,12 @@ pub trait Screen: Send + Sync {
 pub enum Sign {
     /// A pack may be connected.
     Connect,
-    /// Somebody has to do something, or to wait until another slot's question is answered.
-    Ask,
+    /// Something is scanned or typed for it now.
+    Scan,
+    /// Somebody has to look at it, and to do what the line says.
+    Look,
+    /// It waits for another slot.
+    Wait,
     /// The pack must not be removed.
     Busy,
     /// The pack has passed, and may be taken off.
@@ -197,6 +201,16 @@ pub struct Plan {
 }
 
 impl Plan {
+    /// The station's name.
+    pub fn name(&self) -> &str {
+        &self.setup.name
+    }
+
+    /// The names of its slots.
+    pub fn slots(&self) -> impl Iterator<Item = &str> {
+        self.setup.gauges.iter().map(|(name, _)| name.as_str())
+    }
+
     /// Whether packs keep what no document describes.
     fn leaves_undocumented(&self) -> bool {
         self.setup.options.groups().is_ok_and(|groups| groups.contains(&Group::Undocumented))
@@ -430,7 +444,7 @@ impl Station {
             pack::day(date, &pack::today(), record.last())?;
         }
         let serials = Serials::of(&plan.setup.options, plan.serial_row)?;
-        let slots = plan.setup.gauges.iter().map(|(name, _)| name.clone()).collect();
+        let slots = plan.slots().map(String::from).collect();
         let account = || User::from_uid(geteuid()).ok().flatten().map(|user| user.name);
         // Buses often belong to root, and the person is somebody else.
         let user = std::env::var("SUDO_USER").ok().or_else(account).unwrap_or_default();
@@ -605,7 +619,11 @@ impl Station {
 
     fn packs(&self, bench: &Bench, slot: &mut dyn Slot) {
         let mut what = "connect a pack";
-        while !self.is_over() && self.wait(bench, slot, true, what) && self.may_begin(slot) && self.take() {
+        while !self.is_over()
+            && self.wait(bench, slot, true, what)
+            && self.may_begin(&bench.name, slot)
+            && self.take()
+        {
             if let Err(error) = self.record().check() {
                 self.failures.fetch_add(1, Ordering::SeqCst);
                 return self.prompt(&bench.name, &error.to_string());
@@ -631,13 +649,17 @@ impl Station {
     }
 
     /// Whether a pack may be begun. With `confirm-first` there is only one until one has been confirmed.
-    fn may_begin(&self, slot: &dyn Slot) -> bool {
+    fn may_begin(&self, name: &str, slot: &dyn Slot) -> bool {
         if !self.plan.setup.options.confirm_first {
             return true;
         }
+        let mut told = false;
         while !self.is_over() {
             if self.first.may_begin() {
                 return true;
+            }
+            if !std::mem::replace(&mut told, true) {
+                self.desk.sign(name, Sign::Wait, "the first pack of the run is not confirmed yet");
             }
             slot.clock().sleep(LOOK);
         }

@@ -25,8 +25,8 @@ mod draw;
 mod history;
 mod model;
 #[cfg(test)]
-mod picture;
-mod terminal;
+pub(crate) mod picture;
+pub(crate) mod terminal;
 #[cfg(test)]
 mod tests;
 

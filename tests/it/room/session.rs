@@ -50,8 +50,9 @@ pub(crate) enum Step {
 /// The steps of a document, or of a section of it.
 pub(crate) fn steps(text: &str, heading: Option<&str>) -> Vec<Step> {
     let section = heading.map_or(text, |heading| {
-        let section = text.split_once(&format!("\n## {heading}\n")).expect("the section is there").1;
-        section.split("\n## ").next().unwrap_or_default()
+        let section = text.split_once(&format!("\n{heading}\n")).expect("the section is there").1;
+        let level = heading.split(' ').next().unwrap_or_default();
+        section.split(&format!("\n{level} ")).next().unwrap_or_default()
     });
     let mut steps = Vec::new();
     let mut marks = Marks::default();

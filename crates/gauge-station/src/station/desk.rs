@@ -72,12 +72,12 @@ impl Desk {
         what: &str,
         accept: impl Fn(&str) -> std::result::Result<T, String>,
     ) -> Result<T> {
-        self.sign(slot, Sign::Ask, &format!("wait: {what}"));
+        self.sign(slot, Sign::Wait, what);
         let mut scanner = self.scanner.lock().unwrap_or_else(PoisonError::into_inner);
         self.held().get_or_insert_default();
         let mut asked = format!("{slot}: {what}");
         let answer = loop {
-            self.sign(slot, Sign::Ask, &asked);
+            self.sign(slot, if what.starts_with("scan") { Sign::Scan } else { Sign::Look }, &asked);
             let Some(line) = scanner.line(&asked) else {
                 let why = format!("the input has ended: {what}");
                 break Err(Error::new("input", Cause::Gone, why));

@@ -736,6 +736,9 @@ impl Task<'_> {
             let published = self.gauge.handle.published();
             let now = register.and_then(|register| published.snapshot.as_ref()?.value(register));
             if now.is_some_and(|now| (now as f64 - wanted).abs() <= tolerance) {
+                if told {
+                    self.at(Step::Calibrate);
+                }
                 return Ok(());
             }
             let what = match wanted {
@@ -749,6 +752,7 @@ impl Task<'_> {
             }
             if !std::mem::replace(&mut told, true) {
                 self.station.prompt(&self.bench.name, &what);
+                self.station.desk.sign(&self.bench.name, Sign::Look, &what);
             }
             clock.sleep(LOAD_LOOK);
         }

@@ -7,11 +7,18 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use super::{Bench, Plan, STEADY, Slot};
 use crate::error::{Error, Result};
+use crate::options::Rehearsed;
 use gauge_bus::clock::Clock;
 use gauge_bus::{Bus, BusError};
 use gauge_owner::Source;
 use gauge_owner::lock::{self, Lock};
+use gauge_sim::Sim;
 use ti_gauge::chip::{Chip, Role};
+
+/// How long a pack stays away that was taken off, in ms.
+const FOR_EVER_MS: u32 = 1_000_000_000;
+/// The unseal key of a pack of which the station knows none.
+const OTHER_KEY: [u16; 2] = [0x5ca1, 0xab1e];
 
 /// A place for packs, held by this process.
 pub(super) struct Place {
@@ -35,9 +42,12 @@ impl Place {
         if let Source::Sim { state, .. } = &source {
             let subject = source.to_string();
             let key = state.as_deref().map(lock::key_of_state);
-            let packs = plan.setup.options.packs.unwrap_or(1);
+            let rehearsed = plan.setup.options.rehearsed().map_err(super::of_key)?;
+            let packs = plan.setup.options.packs.unwrap_or(rehearsed.len().max(1) as u32);
+            source.check(Path::new(""), clock)?;
             let slot = Simulated {
                 source,
+                rehearsed,
                 clock: clock.clone(),
                 left: packs,
                 pack: None,
@@ -124,6 +134,8 @@ fn answers(chip: &Chip, bus: &mut dyn Bus) -> bool {
 /// Simulated packs, each of which comes when the one before has gone.
 struct Simulated {
     source: Source,
+    /// What they are like, from the first one on and then again.
+    rehearsed: Vec<Rehearsed>,
     clock: Arc<dyn Clock>,
     left: u32,
     pack: Option<Pack>,
@@ -146,8 +158,34 @@ impl Simulated {
             // `%` in the name of the file stands for the number of the pack.
             *state = state.to_string_lossy().replace('%', &self.number.to_string()).into();
         }
+        self.rehearse(&mut source);
         let opened = source.open(Path::new(""), &self.clock, false)?;
         Ok(Pack { bus: Shared(Arc::new(Mutex::new(opened.bus))), _lock: opened.lock })
+    }
+}
+
+impl Simulated {
+    /// Makes the next pack what the rehearsal says.
+    fn rehearse(&self, of: &mut Source) {
+        let at = (self.number as usize).saturating_sub(1) % self.rehearsed.len().max(1);
+        let Some(rehearsed) = self.rehearsed.get(at) else { return };
+        let Source::Sim { chip, key, knobs, scenario, state } = of else { return };
+        let mut turn = |knob: &str, text: &str| knobs.push((knob.into(), text.into()));
+        match rehearsed {
+            Rehearsed::Good => {}
+            Rehearsed::Pulled(transfer) => turn("fault", &format!("silence {transfer} {FOR_EVER_MS}")),
+            Rehearsed::OtherPart => {
+                let other = Chip::all().filter(|other| Sim::knows(other.name) && other.model != chip.model);
+                // Its flash is another part's, and what is set there may be unknown to it.
+                (*scenario, *state) = (None, None);
+                knobs.clear();
+                if let Some(other) = other.into_iter().next() {
+                    *chip = other;
+                }
+            }
+            Rehearsed::OtherKey => (*key, *state) = (Some(OTHER_KEY), None),
+            Rehearsed::DeadMeter => turn("voltage_mv", "0"),
+        }
     }
 }
 

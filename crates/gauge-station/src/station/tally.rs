@@ -77,7 +77,8 @@ impl Tally {
         let flash = |sum: &Option<String>| sum.as_ref().map(|sum| format!("flash {sum}"));
         let mut known = names.iter().cloned().chain(flash(&entry.found));
         let is_first = entry.seen.is_none() && !known.any(|name| tried.contains(&name));
-        tried.extend(names.into_iter().chain(flash(&entry.fingerprint)));
+        let left = entry.fingerprint.clone().filter(|left| Some(left) != entry.found.as_ref());
+        tried.extend(names.into_iter().chain(flash(&left)));
         totals.first_tries += u64::from(is_first);
         if entry.event == Event::Pass {
             totals.passed += 1;

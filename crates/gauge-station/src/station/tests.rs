@@ -77,7 +77,7 @@ impl Drop for Folder {
 
 fn simulated(chip: &str) -> GaugeSetup {
     let chip = Chip::by_name(chip).expect("it has a table");
-    GaugeSetup::new(Source::Sim { chip, state: None, key: None, scenario: None })
+    GaugeSetup::new(Source::Sim { chip, state: None, key: None, scenario: None, knobs: Vec::new() })
 }
 
 const CHIP: &str = "bq34z100-g1";
@@ -1492,4 +1492,29 @@ fn an_older_record_is_read() {
     let line = Line::start(folder.plan(PLAIN), &[], None).expect("a record");
     let said = line.run(&clock, [(new_pack(&clock, 1, None), "none".into())]);
     assert!(said[0].starts_with("PASS BAT0 serial 0x03e9 (pack 2"), "{said:?}");
+}
+
+#[test]
+fn what_is_rehearsed_goes_wrong_as_it_is_called() {
+    let folder = Folder::new("rehearse");
+    let lines =
+        format!("{PLAIN}\nrehearse = ['pulled 250', 'other-part', 'other-key', 'dead-meter', 'good']");
+    let clock: Arc<dyn Clock> = Arc::new(SimClock::new());
+    let said = Said::default();
+    let stops = Arc::new(AtomicBool::new(false));
+    let run = super::run(folder.plan(&lines), &clock, Box::new(said.clone()), Lines::of(&[]), None, stops);
+    assert!(!run.expect("it runs"));
+    let steps: Vec<_> = folder.lines().into_iter().filter(|line| line.event != Event::Begun).collect();
+    let steps: Vec<_> = steps.iter().map(|line| line.step.as_deref().unwrap_or("pass")).collect();
+    assert_eq!(steps, ["image", "identification", "reading", "checks", "pass"], "{:?}", said.all());
+    check_record(&folder);
+    let told = said.all();
+    assert!(told.iter().any(|line| line.starts_with("? packs: 5, passed: 1, failed: 4,")), "{told:?}");
+    for (word, why) in
+        [("'bad'", "is none of: good"), ("'pulled'", "is none of"), ("'pulled 0'", "expected a transfer")]
+    {
+        let error =
+            folder.try_plan(&format!("{PLAIN}\nrehearse = [{word}]")).err().expect("refused").to_string();
+        assert!(error.contains("rehearse") && error.contains(why), "{error}");
+    }
 }

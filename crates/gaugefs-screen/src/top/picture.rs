@@ -15,7 +15,7 @@ const PAPER: &str = "#1b1f24";
 const INK: &str = "#d7dce2";
 
 /// Renders a screen.
-pub(super) fn svg(buffer: &Buffer) -> String {
+pub(crate) fn svg(buffer: &Buffer) -> String {
     let area = buffer.area;
     let (width, height) =
         (f64::from(area.width) * WIDTH + 2.0 * MARGIN, f64::from(area.height) * HEIGHT + 2.0 * MARGIN);
@@ -44,10 +44,11 @@ pub(super) fn svg(buffer: &Buffer) -> String {
 
 /// Renders neighbouring cells of one style. Writing to a String does not fail.
 fn stretch(svg: &mut String, run: &[&Cell], x: f64, y: f64) {
-    let reversed = run[0].modifier.contains(Modifier::REVERSED);
-    let (mut ink, mut paper) = (colour(run[0].fg), PAPER);
-    if reversed {
+    let (mut ink, mut paper) = (colour(run[0].fg), behind(run[0].bg));
+    if run[0].modifier.contains(Modifier::REVERSED) {
         (ink, paper) = (paper, ink);
+    }
+    if paper != PAPER {
         let width = run.len() as f64 * WIDTH;
         let _ = writeln!(
             svg,
@@ -98,6 +99,10 @@ fn dots(cell: &Cell) -> Option<u32> {
     (0x2801..=0x28ff).contains(&letter).then(|| letter - 0x2800)
 }
 
+fn behind(paper: Color) -> &'static str {
+    if paper == Color::Reset { PAPER } else { colour(paper) }
+}
+
 fn colour(colour: Color) -> &'static str {
     match colour {
         Color::Red => "#ff7b72",
@@ -105,6 +110,7 @@ fn colour(colour: Color) -> &'static str {
         Color::Yellow => "#e3b341",
         Color::Cyan => "#56d4dd",
         Color::DarkGray => "#7d8590",
+        Color::Black => PAPER,
         _ => INK,
     }
 }

@@ -27,12 +27,12 @@ use gaugefs_client::watch::Watch;
 use gaugefs_host::error::{Error, Result};
 
 /// The longest delay until a report or a signal is noticed.
-const STEP: Duration = Duration::from_millis(100);
+pub(crate) const STEP: Duration = Duration::from_millis(100);
 
 /// How long the screen has to end by itself.
 const GRACE: Duration = Duration::from_secs(1);
 
-fn failed(error: &io::Error) -> Error {
+pub(crate) fn failed(error: &io::Error) -> Error {
     Error::io("terminal", "cannot use it", error)
 }
 

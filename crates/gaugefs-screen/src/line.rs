@@ -1,0 +1,326 @@
+// SPDX-License-Identifier: MIT
+
+//! The screen of a production line, `gaugefs program --screen`: a large field for each slot, what is asked for, and counters.
+//! It is readable from two metres away on a terminal of 80 columns and 24 lines, and on a serial console without colours.
+
+use std::collections::VecDeque;
+use std::io::{self, IsTerminal};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{self, Receiver, RecvTimeoutError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use nix::errno::Errno;
+
+use gaugefs_host::error::{Error, Result};
+use gaugefs_host::output;
+
+mod draw;
+mod terminal;
+
+/// How long a wait for a line takes until it is seen that the station ends.
+const LOOK: Duration = Duration::from_millis(200);
+/// Outcomes that are kept for the screen.
+const LAST: usize = 50;
+/// Longest line that is typed, in characters.
+const LONGEST: usize = 200;
+
+/// What a slot shows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Mark {
+    /// A pack may be connected.
+    Next,
+    /// Something is scanned or typed for it now.
+    Scan,
+    /// Somebody has to look at it.
+    Look,
+    /// It waits until another slot's question is answered.
+    Wait,
+    /// The pack must not be removed.
+    Busy,
+    /// The pack has passed.
+    Pass,
+    /// The pack has failed.
+    Fail,
+    /// No pack is begun here any more.
+    End,
+}
+
+/// A slot and what it shows.
+struct Field {
+    name: String,
+    mark: Mark,
+    text: String,
+}
+
+/// What the screen shows.
+struct Model {
+    title: String,
+    fields: Vec<Field>,
+    /// What is asked for, and what has been typed so far.
+    asked: Option<String>,
+    typed: String,
+    totals: String,
+    last: VecDeque<String>,
+    colour: bool,
+    /// Line drawing characters are there.
+    unicode: bool,
+    changed: bool,
+}
+
+/// The screen of a line, drawn by a thread of its own. Clones are the same screen.
+#[derive(Clone)]
+pub struct Board {
+    model: Arc<Mutex<Model>>,
+    lines: Arc<Mutex<Receiver<String>>>,
+    stops: Arc<AtomicBool>,
+}
+
+/// A screen that is shown; the terminal is as it was when this has ended.
+pub struct Shown {
+    ends: Arc<AtomicBool>,
+    drawn: Option<JoinHandle<Result<()>>>,
+}
+
+impl Board {
+    /// Shows the screen of these slots. Ctrl-C sets `stops`, and ends the process if that was set before, after
+    /// `leaves`.
+    pub fn show(
+        title: String,
+        slots: &[String],
+        stops: Arc<AtomicBool>,
+        leaves: fn(),
+    ) -> Result<(Self, Shown)> {
+        if !(output::is_terminal() && io::stdin().is_terminal()) {
+            let why = "not a terminal; without --screen the outcomes are lines";
+            return Err(Error::host("standard output", Errno::ENOTTY, why));
+        }
+        let variable = |name| std::env::var(name).unwrap_or_default();
+        let term = variable("TERM");
+        if matches!(term.as_str(), "dumb" | "") {
+            let why = "this terminal, TERM=dumb, cannot move its cursor; set TERM=vt100 if it is one, or go without --screen";
+            return Err(Error::host("standard output", Errno::ENOTTY, why));
+        }
+        let is_old = ["vt100", "vt102", "vt220"].iter().any(|old| term.starts_with(old));
+        let locale = ["LC_ALL", "LC_CTYPE", "LANG"].map(variable).into_iter().find(|text| !text.is_empty());
+        let is_utf8 = locale.is_some_and(|text| text.to_lowercase().replace('-', "").contains("utf8"));
+        let colour = !is_old && variable("NO_COLOR").is_empty();
+        let model = Model::new(title, slots, colour, is_utf8 && !is_old);
+        let (sender, lines) = mpsc::channel();
+        let board = Self {
+            model: Arc::new(Mutex::new(model)),
+            lines: Arc::new(Mutex::new(lines)),
+            stops: stops.clone(),
+        };
+        let ends = Arc::new(AtomicBool::new(false));
+        let drawn = terminal::start(board.clone(), sender, ends.clone(), leaves)?;
+        Ok((board, Shown { ends, drawn: Some(drawn) }))
+    }
+
+    fn model(&self) -> MutexGuard<'_, Model> {
+        let mut model = self.model.lock().unwrap_or_else(PoisonError::into_inner);
+        model.changed = true;
+        model
+    }
+
+    /// What a slot shows from now on.
+    pub fn mark(&self, slot: &str, mark: Mark, text: &str) {
+        if let Some(field) = self.model().fields.iter_mut().find(|field| field.name == slot) {
+            (field.mark, field.text) = (mark, text.into());
+        }
+    }
+
+    /// Shows a line below the slots, where the latest ones are.
+    pub fn say(&self, line: &str) {
+        let last = &mut self.model().last;
+        last.push_front(line.into());
+        last.truncate(LAST);
+    }
+
+    /// Shows the counters.
+    pub fn totals(&self, line: String) {
+        self.model().totals = line;
+    }
+
+    /// Asks for a line, which is typed or scanned. `None` if the station ends.
+    pub fn ask(&self, what: &str) -> Option<String> {
+        let lines = self.lines.lock().unwrap_or_else(PoisonError::into_inner);
+        // What was scanned before it was asked for was for nobody.
+        while lines.try_recv().is_ok() {}
+        (self.model().asked, self.model().typed) = (Some(what.into()), String::new());
+        let line = loop {
+            match lines.recv_timeout(LOOK) {
+                Ok(line) => break Some(line),
+                Err(RecvTimeoutError::Timeout) if !self.stops.load(Ordering::SeqCst) => {}
+                Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => break None,
+            }
+        };
+        self.model().asked = None;
+        line
+    }
+}
+
+impl Shown {
+    /// Restores the terminal.
+    pub fn end(mut self) -> Result<()> {
+        self.finish()
+    }
+
+    fn finish(&mut self) -> Result<()> {
+        self.ends.store(true, Ordering::SeqCst);
+        match self.drawn.take().map(JoinHandle::join) {
+            Some(Ok(outcome)) => outcome,
+            Some(Err(_)) | None => Ok(()),
+        }
+    }
+}
+
+impl Drop for Shown {
+    fn drop(&mut self) {
+        // What it would say, nobody could read.
+        let _ = self.finish();
+    }
+}
+
+/// What a key does.
+#[derive(Debug, PartialEq, Eq)]
+enum Key {
+    Letter(char),
+    Back,
+    Clear,
+    Enter,
+}
+
+impl Model {
+    fn new(title: String, slots: &[String], colour: bool, unicode: bool) -> Self {
+        let field = |name: &String| Field { name: name.clone(), mark: Mark::Wait, text: String::new() };
+        Self {
+            title,
+            fields: slots.iter().map(field).collect(),
+            asked: None,
+            typed: String::new(),
+            totals: String::new(),
+            last: VecDeque::new(),
+            colour,
+            unicode,
+            changed: true,
+        }
+    }
+
+    /// Takes a key in. Keys do nothing while nothing is asked for.
+    fn key(&mut self, key: Key) -> Option<String> {
+        self.asked.as_ref()?;
+        self.changed = true;
+        match key {
+            Key::Letter(letter) if self.typed.chars().count() < LONGEST => self.typed.push(letter),
+            Key::Letter(_) => {}
+            Key::Back => drop(self.typed.pop()),
+            Key::Clear => self.typed.clear(),
+            Key::Enter => return Some(std::mem::take(&mut self.typed)),
+        }
+        None
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+    use std::path::Path;
+
+    use ratatui::Terminal;
+    use ratatui::backend::TestBackend;
+    use ratatui::buffer::Buffer;
+
+    use super::*;
+
+    fn model(slots: &[&str], colour: bool) -> Model {
+        let slots: Vec<String> = slots.iter().map(ToString::to_string).collect();
+        let mut model = Model::new("line1  golden.gm.fs".into(), &slots, colour, colour);
+        let states = [
+            (Mark::Pass, "PASS LEFT SN00123 serial 1000 (0x03e8) (pack 1, 8.6 s)"),
+            (Mark::Busy, "programming, do not remove (2 of 4: calibration)"),
+            (Mark::Scan, "THIRD: scan the label"),
+            (
+                Mark::Fail,
+                "FAIL FOURTH (pack 4): bq34z100-G1: identify: device type 0x0541; nothing was changed",
+            ),
+        ];
+        for (field, (mark, text)) in model.fields.iter_mut().zip(states) {
+            (field.mark, field.text) = (mark, text.into());
+        }
+        model.asked = Some("THIRD: scan the label".into());
+        model.typed = "SN0012".into();
+        model.totals = "packs: 2, passed: 1, failed: 1, first-pass yield: 50.0 %".into();
+        model.last.push_front("PASS LEFT SN00123 serial 1000 (0x03e8) (pack 1, 8.6 s)".into());
+        model
+    }
+
+    fn drawn(model: &Model, width: u16, height: u16) -> Buffer {
+        let mut terminal = Terminal::new(TestBackend::new(width, height)).expect("a terminal");
+        terminal.draw(|frame| draw::screen(frame, model)).expect("it is drawn");
+        terminal.backend().buffer().clone()
+    }
+
+    fn text(buffer: &Buffer) -> String {
+        let row = |row: u16| (0..buffer.area.width).map(move |column| buffer[(column, row)].symbol());
+        (0..buffer.area.height).map(|at| row(at).collect::<String>().trim_end().to_string() + "\n").collect()
+    }
+
+    #[test]
+    fn every_slot_is_told_by_text_and_shape_without_colour() {
+        let names = ["LEFT", "RIGHT", "THIRD", "FOURTH"];
+        for count in 1..=4 {
+            let shown = text(&drawn(&model(&names[..count], false), 80, 24));
+            assert!(shown.is_ascii(), "{shown}");
+            for name in &names[..count] {
+                assert!(shown.contains(name), "{count}: {shown}");
+            }
+            assert!(shown.contains("serial 1000 (0x03e8)"), "{shown}");
+            assert!(shown.contains("> SN0012_") && shown.contains("passed: 1"), "{shown}");
+        }
+        // The same in few lines, and in hardly any.
+        let eight: Vec<String> = (1..=8).map(|number| format!("SLOT{number}")).collect();
+        let eight: Vec<&str> = eight.iter().map(String::as_str).collect();
+        let shown = text(&drawn(&model(&eight, false), 80, 24));
+        for word in ["[PASS]", "[BUSY]", "[SCAN]", "[FAIL]", "SLOT8"] {
+            assert!(shown.contains(word), "{word}: {shown}");
+        }
+        for (width, height) in [(1, 1), (20, 3), (40, 10), (200, 60)] {
+            drawn(&model(&eight, true), width, height);
+        }
+    }
+
+    /// docs/line.svg and the texts of it.
+    #[test]
+    fn the_picture_is_that_of_the_document() {
+        let buffer = drawn(&model(&["LEFT", "RIGHT", "THIRD", "FOURTH"], true), 80, 24);
+        let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+        let svg = crate::top::picture::svg(&buffer);
+        let path = root.join("docs/line.svg");
+        if std::env::var("GAUGEFS_GOLDEN").is_ok_and(|value| value == "write") {
+            fs::write(&path, &svg).expect("a file");
+        }
+        assert!(fs::read_to_string(&path).is_ok_and(|old| old == svg), "docs/line.svg is not what is drawn");
+    }
+
+    #[test]
+    fn keys_are_for_the_question_only() {
+        let mut model = model(&["LEFT"], false);
+        for letter in "34\u{e9}".chars() {
+            assert_eq!(model.key(Key::Letter(letter)), None);
+        }
+        assert_eq!(model.key(Key::Back), None);
+        assert_eq!(model.key(Key::Enter).as_deref(), Some("SN001234"));
+        model.asked = None;
+        assert_eq!(model.key(Key::Letter('7')), None);
+        assert_eq!(model.key(Key::Enter), None);
+        assert_eq!(model.typed, "");
+        model.asked = Some("again".into());
+        for _ in 0..1000 {
+            model.key(Key::Letter('7'));
+        }
+        assert_eq!(model.typed.len(), LONGEST);
+        assert_eq!((model.key(Key::Clear), model.typed.len()), (None, 0));
+    }
+}
