@@ -24,9 +24,9 @@ use crate::output::{self, print_file};
 
 /// Environment variable of the child.
 const CHILD: &str = "GAUGEFS_IN_BACKGROUND";
-/// One heap for all threads without a cache for each, and no cache of stacks. A daemon has a thread for each gauge, which
-/// allocates little and seldom: what is free in heaps and caches of their own takes as much memory as what is in use. The
-/// stacks on which the gauges were opened are not needed again. glibc reads this before a program begins; the packaged
+/// One heap for all threads without a cache for each, and no cache of stacks. Threads come and go with what gauges have to
+/// do, and allocate little and seldom: what is free in heaps and caches of their own takes as much memory as what is in use.
+/// The stacks on which the gauges were opened are not needed again. glibc reads this before a program begins; the packaged
 /// services have it in `service.conf`.
 const TUNABLES: &str = "GLIBC_TUNABLES";
 const SMALL: &str = "glibc.malloc.arena_max=1:glibc.malloc.tcache_count=0:glibc.pthread.stack_cache_size=0";

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT
 
-//! One thread for each Texas Instruments fuel gauge. It owns the gauge: it identifies it, polls its registers, carries out
-//! requests one after the other, and pays what a failed access has left, such as a seal or an interrupted write. Nothing
-//! else touches the gauge's bus.
+//! The owner of a Texas Instruments fuel gauge, in a thread whenever it has something to do: it identifies the gauge, polls
+//! its registers, carries out requests one after the other, and pays what a failed access has left, such as a seal or an
+//! interrupted write. Nothing else touches the gauge's bus.
 //!
 //! An [`Opening`] finds a gauge where its [`Source`] has it, locks it, and starts its owner. A [`Handle`] is what everybody
 //! else sees of it: the values of the last poll, which cost no transfer, and the way to ask for one of the
@@ -35,7 +35,7 @@
 //! # Ok::<(), gauge_owner::error::Error>(())
 //! ```
 //!
-//! A program that needs the gauge for one piece of work at a time has no use for a thread: a [`Direct`] is an owner that
+//! A program that needs the gauge for one piece of work at a time has no use for threads: a [`Direct`] is an owner that
 //! the caller drives.
 //!
 //! What belongs to an owner is here as well: the [`lock`] of a gauge, its [`key_file`], and the [folder of its

@@ -1,21 +1,20 @@
 // SPDX-License-Identifier: MIT
 
-//! The thread that owns a gauge.
+//! The owner of a gauge.
 //!
 //! It reads the registers that are due, publishes each poll as a whole new [`Snapshot`], and carries out
 //! the requests of the file system one after the other. Nothing else touches the gauge's bus, so bus
 //! traffic does not grow with the number of readers. It renders no text and knows no file names.
 //!
 //! `handle` is what everything else sees of a gauge, `operations` is what the owner can be asked to do, each a row of
-//! what `operation` is, `words` reads their arguments, `attempt` says which failure is shown, `calibrate` calibrates the gauge, `backup` saves a gauge's configuration before the
+//! what `operation` is, `words` reads their arguments, `attempt` says which failure is shown, `calibrate` calibrates the gauge, `crew` has the threads in which owners work, `backup` saves a gauge's configuration before the
 //! first write, `direct` is an owner without a thread, `arrival` identifies a gauge that comes or comes back, `memory` keeps one with RAM configured, `learned` keeps what it has learned, `poll` reads its registers, `report` records all
 //! of that for a bug report, and `debt` pays what a failed access has left: a seal, or a write that is neither done nor
 //! undone.
 
-use std::io;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
-use std::sync::mpsc::{self, Receiver, RecvTimeoutError, SendError, Sender};
+use std::sync::mpsc::{self, Receiver, SendError, Sender};
 use std::time::Duration;
 
 use nix::errno::Errno;
@@ -37,6 +36,7 @@ mod arrival;
 mod attempt;
 mod backup;
 mod calibrate;
+mod crew;
 mod debt;
 mod direct;
 mod handle;
@@ -54,10 +54,11 @@ mod words;
 pub use attempt::Attempt;
 pub use backup::Backup;
 pub use backup::readable;
+use crew::Member;
 use debt::Debt;
 pub use direct::Direct;
-use handle::Shared;
 pub use handle::{Failure, Handle, Published, Signal, Snapshot};
+use handle::{Queue, Shared};
 pub use learned::{Learned, Wish};
 use memory::Memory;
 use now::Content;
@@ -68,7 +69,7 @@ pub use operation::{Done, Operation};
 use poll::Schedule;
 pub use report::{Effect, Origin, Report, Times};
 
-/// Longest wait for a request. The gauge's clock counts the time in which the host is asleep, and a wait does not: what
+/// Longest time without a look at the clock. The gauge's clock counts the time in which the host is asleep, and a wait does not: what
 /// fell due then is done at most this long after the host is awake.
 const NAP: Duration = Duration::from_secs(30);
 
@@ -159,28 +160,11 @@ pub fn start(
     startup: Startup,
     signal: Arc<Signal>,
 ) -> Result<(Handle, Receiver<Result<()>>)> {
-    let (queue, requests) = mpsc::channel();
     let (sender, opened) = mpsc::channel();
-    let name = if startup.name.is_empty() { chip.name.to_string() } else { startup.name.clone() };
     let (mut owner, shared) = Owner::new(chip, bus, clock, settings, startup, signal);
-    // Opening a gauge goes deeper than polling it, and a stack keeps the memory that it has once used: the thread that
-    // opens gives it back by ending.
-    let (hand_over, taken_over) = mpsc::sync_channel(1);
-    let open = move || {
-        owner.begin(&sender);
-        drop(sender);
-        // The other one waits for it.
-        let _ = hand_over.send(owner);
-    };
-    let poll = move || taken_over.recv().into_iter().for_each(|mut owner: Box<Owner>| owner.run(&requests));
-    thread(format!("poll {name}"), poll)
-        .and_then(|()| thread(format!("open {name}"), open))
-        .map_err(|error| Error::io(chip.name, "cannot start a thread", &error))?;
-    Ok((Handle::new(shared, queue), opened))
-}
-
-fn thread(name: String, work: impl FnOnce() + Send + 'static) -> io::Result<()> {
-    std::thread::Builder::new().name(name).stack_size(256 * 1024).spawn(work).map(drop)
+    owner.opening = Some(sender);
+    let member = Member::new(owner).map_err(|error| Error::io(chip.name, "cannot start a thread", &error))?;
+    Ok((Handle::new(shared, Queue::Crew(member)), opened))
 }
 
 /// The owner: it alone has the gauge.
@@ -213,7 +197,9 @@ struct Owner {
     unverified: bool,
     /// See [`Startup::missing`].
     missing: Option<Error>,
-    /// It was asked to end.
+    /// Whoever waits for the gauge to be opened, until it has been tried.
+    opening: Option<Sender<Result<()>>>,
+    /// It was asked to end: from then on it does nothing.
     has_ended: bool,
 }
 
@@ -252,6 +238,7 @@ impl Owner {
             backed_up: Fact::default(),
             unverified: startup.unverified,
             missing: startup.missing,
+            opening: None,
             has_ended: false,
         });
         (owner, shared)
@@ -278,33 +265,23 @@ impl Owner {
         })
     }
 
-    /// Serves requests, and polls when a poll is due, until the last handle has been dropped. After the operation END
-    /// it does nothing any more.
-    fn run(&mut self, requests: &Receiver<(Duration, Request)>) {
-        loop {
-            let poll = self.schedule.due(self.shared.published().interval);
-            let due = self.debt.due().map_or(poll, |debt| debt.min(poll));
-            let left = due.saturating_sub(self.gauge.clock.now());
-            match requests.recv_timeout(left.min(NAP)) {
-                Ok((submitted, request)) => {
-                    self.carry_out(submitted, request);
-                    if self.has_ended {
-                        // The process is about to end. Whoever still asks must not be told before that it has failed.
-                        loop {
-                            std::thread::park();
-                        }
-                    }
-                }
-                Err(RecvTimeoutError::Timeout) if self.gauge.clock.now() < due => {}
-                Err(RecvTimeoutError::Timeout) if due < poll => {
-                    let _ = self.survive(operations::SETTLE.itself(), Self::pay);
-                }
-                Err(RecvTimeoutError::Timeout) => {
-                    let _ = self.survive(Attempt::Poll, Self::poll_on_time);
-                }
-                Err(RecvTimeoutError::Disconnected) => return,
-            }
+    /// Opens the gauge, carries out a request, or does what is due. Returns how long nothing is due then; `None` if it was
+    /// asked to end.
+    fn take_turn(&mut self, request: Option<(Duration, Request)>) -> Option<Duration> {
+        if let Some(opening) = self.opening.take() {
+            self.begin(&opening);
         }
+        let next_poll = |owner: &Self| owner.schedule.due(owner.shared.published().interval);
+        let now = self.gauge.clock.now();
+        if let Some((submitted, request)) = request {
+            self.carry_out(submitted, request);
+        } else if next_poll(self) <= now {
+            let _ = self.survive(Attempt::Poll, Self::poll_on_time);
+        } else if self.debt.due().is_some_and(|debt| debt <= now) {
+            let _ = self.survive(operations::SETTLE.itself(), Self::pay);
+        }
+        let due = self.debt.due().unwrap_or(Duration::MAX).min(next_poll(self));
+        (!self.has_ended).then(|| due.saturating_sub(self.gauge.clock.now()).min(NAP))
     }
 
     /// Does some work. A panic in it is a failure of this gauge only: what is known of the gauge is thrown away, and it

@@ -3,11 +3,11 @@
 //! A gauge without a thread of its own: whoever holds it asks, and has the answer when the request has been carried
 //! out. It is polled only when that is asked for.
 
-use std::sync::Arc;
-use std::sync::mpsc::{self, Receiver};
+use std::sync::mpsc;
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use super::operation::Request;
+use super::handle::{Queue, Requests, lock};
 use super::{Handle, Operation, Owner, Settings, Startup, operations};
 use crate::error::Result;
 use gauge_bus::Bus;
@@ -20,7 +20,7 @@ pub struct Direct {
     pub(in crate::owner) owner: Box<Owner>,
     /// What everybody else sees of it.
     pub handle: Handle,
-    requests: Receiver<(Duration, Request)>,
+    requests: Arc<Mutex<Requests>>,
 }
 
 impl Direct {
@@ -33,8 +33,8 @@ impl Direct {
         startup: Startup,
     ) -> Self {
         let (owner, shared) = Owner::new(chip, bus, clock, settings, startup, Arc::default());
-        let (queue, requests) = mpsc::channel();
-        Self { owner, handle: Handle::new(shared, queue), requests }
+        let requests = Arc::default();
+        Self { owner, handle: Handle::new(shared, Queue::Direct(Arc::downgrade(&requests))), requests }
     }
 
     /// Identifies the gauge, settles what an earlier process has left, and polls it.
@@ -61,7 +61,8 @@ impl Direct {
         let (done, outcome) = mpsc::channel();
         self.handle.ask(operation, argument, Box::new(move |answer| drop(done.send(answer))));
         self.owner.gauge.clock.sleep(delay);
-        if let Ok((submitted, request)) = self.requests.try_recv() {
+        let next = lock(&self.requests).pop_front();
+        if let Some((submitted, request)) = next {
             self.owner.carry_out(submitted, request);
         }
         outcome.try_recv().unwrap_or_else(|_| unreachable!("a request that is dropped answers"))

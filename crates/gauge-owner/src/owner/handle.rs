@@ -2,14 +2,15 @@
 
 //! A gauge as everything but its owner sees it: what the owner has published, and the queue of requests.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{self, Sender};
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::mpsc;
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::Duration;
 
 use jiff::Timestamp;
 
+use super::crew::Member;
 use super::now::{Content, Presence};
 use super::operation::Request;
 use super::{Attempt, Done, Operation, Origin, Report, Settings};
@@ -154,7 +155,7 @@ struct Kept {
     poll: u64,
 }
 
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+pub(super) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     // Whatever is behind a lock is replaced as a whole, so a thread that has panicked leaves the old value.
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
@@ -397,13 +398,23 @@ impl Shared {
 #[derive(Clone)]
 pub struct Handle {
     shared: Arc<Shared>,
-    /// Requests, each with the time at which it was submitted.
-    queue: Sender<(Duration, Request)>,
+    queue: Arc<Queue>,
+}
+
+/// Requests, each with the time at which it was submitted.
+pub(super) type Requests = VecDeque<(Duration, Request)>;
+
+/// Where the requests to an owner go.
+pub(super) enum Queue {
+    /// To the threads in which owners work.
+    Crew(Member),
+    /// To whoever has the owner.
+    Direct(Weak<Mutex<Requests>>),
 }
 
 impl Handle {
-    pub(super) fn new(shared: Arc<Shared>, queue: Sender<(Duration, Request)>) -> Self {
-        Self { shared, queue }
+    pub(super) fn new(shared: Arc<Shared>, queue: Queue) -> Self {
+        Self { shared, queue: Arc::new(queue) }
     }
 
     /// The gauge's table.
@@ -504,8 +515,16 @@ impl Handle {
     /// once.
     pub fn ask<A: Send, T>(&self, operation: &'static Operation<A, T>, argument: A, done: Done<T>) {
         let request = Request::new(operation, argument, self.shared.name(), done);
+        let now = self.shared.clock.now();
         // What cannot be sent is dropped, and answers.
-        let _ = self.queue.send((self.shared.clock.now(), request));
+        match &*self.queue {
+            Queue::Crew(member) => member.submit(now, request),
+            Queue::Direct(requests) => {
+                if let Some(requests) = requests.upgrade() {
+                    lock(&requests).push_back((now, request));
+                }
+            }
+        }
     }
 
     /// Asks for an operation, and waits for its outcome.

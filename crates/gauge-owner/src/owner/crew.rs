@@ -1,0 +1,334 @@
+// SPDX-License-Identifier: MIT
+
+//! The threads in which owners work.
+//!
+//! An owner has a thread only while it has something to do: the stack of a thread keeps the memory that it has once used,
+//! and owners mostly wait. Which thread it is does not matter to it. No gauge waits for another: whoever begins to work
+//! makes sure that a thread waits for what is due next, and starts one if all are at work.
+
+use std::collections::VecDeque;
+use std::io;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::thread::{self, Thread};
+use std::time::{Duration, Instant};
+
+use super::Owner;
+use super::operation::Request;
+
+/// How many threads wait at most. More are started when they are needed, and end when they are not.
+const SPARE: usize = 4;
+
+static CREW: Mutex<Crew> =
+    Mutex::new(Crew { desks: Vec::new(), due: Vec::new(), waiting: Vec::new(), coming: 0, is_short: false });
+
+struct Crew {
+    /// The owners by their numbers; `None` where one has ended.
+    desks: Vec<Option<Desk>>,
+    /// When each owner that no thread works for has something to do, and its number; the earliest last.
+    due: Vec<(Instant, usize)>,
+    waiting: Vec<Waiting>,
+    /// How many threads were started or woken, and have not looked yet what there is to do.
+    coming: usize,
+    /// The last attempt to start a thread has failed.
+    is_short: bool,
+}
+
+/// An owner, and what it is asked for.
+struct Desk {
+    /// `None` while a thread works for it, and after a panic.
+    owner: Option<Box<Owner>>,
+    /// When it has something to do; `None` while a thread works for it, and once it does nothing any more.
+    due: Option<Instant>,
+    /// Each with the time at which it was submitted; `None` if they are dropped.
+    requests: Option<VecDeque<(Duration, Request)>>,
+    /// Nobody can ask for anything any more.
+    is_left: bool,
+}
+
+/// What a thread has to do next.
+struct Turn {
+    number: usize,
+    owner: Box<Owner>,
+    request: Option<(Duration, Request)>,
+    /// The owner has to end.
+    is_over: bool,
+}
+
+/// A thread without work.
+struct Waiting {
+    thread: Thread,
+    until: Instant,
+}
+
+fn lock() -> MutexGuard<'static, Crew> {
+    CREW.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl Crew {
+    /// When there is next something to do that no thread waits for.
+    fn next(&self) -> Option<Instant> {
+        let mut times = self.due.iter().rev().map(|(time, _)| *time);
+        times.find(|time| self.waiting.iter().all(|waiting| waiting.until != *time))
+    }
+
+    fn desk(&mut self, number: usize) -> Option<&mut Desk> {
+        self.desks.get_mut(number)?.as_mut()
+    }
+
+    /// Has an owner do something at that time, or before.
+    fn put(&mut self, number: usize, time: Instant) {
+        let Some(desk) = self.desk(number) else { return };
+        let before = desk.due.replace(time);
+        if let Some(before) = before {
+            let at = self.due.partition_point(|entry| *entry > (before, number));
+            self.due.remove(at);
+        }
+        let at = self.due.partition_point(|entry| *entry > (time, number));
+        self.due.insert(at, (time, number));
+    }
+
+    /// An owner that waits has something to do now.
+    fn hurry(&mut self, number: usize) {
+        if self.desk(number).is_some_and(|desk| desk.due.is_some()) {
+            self.put(number, Instant::now());
+        }
+    }
+
+    /// Takes the owner that has waited for the longest time to do something, and a request if there is one.
+    fn take(&mut self, now: Instant) -> Option<Turn> {
+        let (_, number) = self.due.pop_if(|(time, _)| *time <= now)?;
+        let desk = self.desk(number)?;
+        desk.due = None;
+        let request = desk.requests.as_mut().and_then(VecDeque::pop_front);
+        let is_over = desk.is_left && request.is_none();
+        Some(Turn { number, owner: desk.owner.take()?, request, is_over })
+    }
+
+    /// Makes sure that a thread waits for what there is to do next.
+    fn attend(&mut self) -> io::Result<()> {
+        let watched = self.waiting.iter().map(|waiting| waiting.until).min();
+        let is_watched = |time| watched.is_some_and(|watched| watched <= time);
+        if self.coming > 0 || self.next().is_none_or(is_watched) {
+            return Ok(());
+        }
+        // The one that would wait for the longest time.
+        let last = (0..self.waiting.len()).max_by_key(|&at| self.waiting[at].until);
+        match last.map(|last| self.waiting.swap_remove(last)) {
+            Some(waiting) => waiting.thread.unpark(),
+            None => drop(thread::Builder::new().name("gauges".into()).stack_size(256 * 1024).spawn(work)?),
+        }
+        self.coming += 1;
+        Ok(())
+    }
+}
+
+/// An owner of the crew: whoever has this can ask it for something. When it is dropped, the owner finishes what it was
+/// asked for, and ends.
+pub(super) struct Member(usize);
+
+impl Member {
+    /// Gives an owner to the threads; it works from now on.
+    pub(super) fn new(owner: Box<Owner>) -> io::Result<Self> {
+        let mut crew = lock();
+        let number = crew.desks.iter().position(Option::is_none).unwrap_or(crew.desks.len());
+        if number == crew.desks.len() {
+            crew.desks.push(None);
+        }
+        let requests = Some(VecDeque::new());
+        crew.desks[number] = Some(Desk { owner: Some(owner), due: None, requests, is_left: false });
+        crew.put(number, Instant::now());
+        let started = crew.attend();
+        drop(crew);
+        // If it fails, this is dropped.
+        let member = Self(number);
+        started.map(|()| member)
+    }
+
+    /// Asks the owner for something. If it has ended, the request is dropped.
+    pub(super) fn submit(&self, now: Duration, request: Request) {
+        let mut crew = lock();
+        match crew.desk(self.0).and_then(|desk| desk.requests.as_mut()) {
+            Some(requests) => requests.push_back((now, request)),
+            // Whoever is answered may ask for something else.
+            None => return drop((crew, request)),
+        }
+        crew.hurry(self.0);
+        attend(&mut crew);
+    }
+}
+
+impl Drop for Member {
+    fn drop(&mut self) {
+        let mut crew = lock();
+        if let Some(desk) = crew.desk(self.0) {
+            desk.is_left = true;
+        }
+        crew.hurry(self.0);
+        attend(&mut crew);
+    }
+}
+
+/// If no thread can be started, the next one that has nothing else to do sees to it.
+fn attend(crew: &mut Crew) {
+    let attended = crew.attend();
+    let was_short = std::mem::replace(&mut crew.is_short, attended.is_err());
+    if let (Err(error), false) = (attended, was_short) {
+        log::error!("gauges wait for each other: cannot start a thread: {error}");
+    }
+}
+
+/// What a thread does.
+fn work() {
+    let mut crew = lock();
+    crew.coming -= 1;
+    loop {
+        let now = Instant::now();
+        if let Some(turn) = crew.take(now) {
+            attend(&mut crew);
+            drop(crew);
+            take_turn(turn);
+            crew = lock();
+            continue;
+        }
+        let Some(until) = crew.next().filter(|_| crew.waiting.len() < SPARE) else {
+            // One of those that wait may have to wait for another time now.
+            return attend(&mut crew);
+        };
+        crew.waiting.push(Waiting { thread: thread::current(), until });
+        drop(crew);
+        thread::park_timeout(until.saturating_duration_since(now));
+        crew = lock();
+        let own = thread::current().id();
+        match crew.waiting.iter().position(|waiting| waiting.thread.id() == own) {
+            Some(at) => drop(crew.waiting.swap_remove(at)),
+            None => crew.coming -= 1,
+        }
+    }
+}
+
+fn take_turn(Turn { number, mut owner, request, is_over }: Turn) {
+    // Whatever may panic is answered for, but for the owner itself.
+    let turn = || (!is_over).then(|| owner.take_turn(request));
+    let outcome = catch_unwind(AssertUnwindSafe(turn));
+    let mut crew = lock();
+    let Some(desk) = crew.desk(number) else { return };
+    let Ok(Some(rest)) = outcome else {
+        let requests = desk.requests.take();
+        if desk.is_left {
+            crew.desks[number] = None;
+        }
+        drop(crew);
+        let _ = catch_unwind(AssertUnwindSafe(|| drop((owner, requests))));
+        return;
+    };
+    desk.owner = Some(owner);
+    let is_asked = desk.is_left || desk.requests.as_ref().is_some_and(|requests| !requests.is_empty());
+    if let Some(rest) = rest {
+        let rest = if is_asked { Duration::ZERO } else { rest };
+        crew.put(number, Instant::now() + rest);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+    use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender};
+    use std::sync::{Arc, Mutex};
+
+    use super::super::{Handle, Settings, operations, spawn};
+    use super::*;
+    use gauge_bus::clock::{Clock, RealClock, SimClock};
+    use gauge_bus::{Bus, BusError};
+    use gauge_sim::{Options, Sim, SimBus};
+    use ti_gauge::chip::Chip;
+
+    const PATIENCE: Duration = Duration::from_secs(20);
+
+    /// A bus that waits in each transfer while somebody holds its gate, and says when it is dropped.
+    struct Gated {
+        bus: SimBus,
+        gate: Arc<Mutex<()>>,
+        _dropped: Sender<()>,
+    }
+
+    impl Bus for Gated {
+        fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
+            let _open = self.gate.lock().unwrap_or_else(PoisonError::into_inner);
+            self.bus.transfer(write, read)
+        }
+    }
+
+    /// A gauge with a clock of its own, and the end of its bus.
+    fn gauge(gate: &Arc<Mutex<()>>) -> (Handle, Receiver<()>) {
+        let clock = Arc::new(SimClock::new());
+        let sim = Sim::new("bq34z100-g1", &Options::default(), clock.clone()).expect("it is simulated");
+        clock.sleep(Duration::from_secs(1));
+        let (dropped, ended) = mpsc::channel();
+        let bus = Box::new(Gated { bus: sim.bus(), gate: gate.clone(), _dropped: dropped });
+        let chip = Chip::by_name("bq34z100-g1").expect("it has a table");
+        let settings = Settings { interval: Duration::from_secs(3600), ..Settings::default() };
+        (spawn(chip, bus, clock, settings, Arc::default()).expect("it answers"), ended)
+    }
+
+    fn threads() -> usize {
+        let names = fs::read_dir("/proc/self/task").expect("Linux has it").flatten();
+        names
+            .filter(|task| fs::read_to_string(task.path().join("comm")).is_ok_and(|name| name == "gauges\n"))
+            .count()
+    }
+
+    #[test]
+    fn gauges_that_hang_delay_no_other_and_gauges_at_rest_have_no_threads() {
+        let (shut, open) = (Arc::new(Mutex::new(())), Arc::default());
+        let hanging: Vec<_> = (0..3 * SPARE).map(|_| gauge(&shut)).collect();
+        let others: Vec<_> = (0..3 * SPARE).map(|_| gauge(&open)).collect();
+        let (done, answers) = mpsc::channel();
+        let held = shut.lock().expect("nobody has panicked");
+        for (handle, _) in hanging.iter().chain(&hanging) {
+            let done = done.clone();
+            handle.ask(&operations::REFRESH, (), Box::new(move |answer| drop(done.send(answer))));
+        }
+        for (handle, _) in &others {
+            handle.wait_for(&operations::REFRESH, ()).expect("it does not hang");
+        }
+        assert_eq!(answers.recv_timeout(Duration::ZERO).err(), Some(RecvTimeoutError::Timeout));
+        drop(held);
+        for _ in hanging.iter().chain(&hanging) {
+            answers.recv_timeout(PATIENCE).expect("an answer").expect("it answers again");
+        }
+        let begun = Instant::now();
+        while threads() > 2 * SPARE {
+            assert!(begun.elapsed() < PATIENCE, "{} threads for gauges at rest", threads());
+            RealClock::new().sleep(Duration::from_millis(5));
+        }
+    }
+
+    #[test]
+    fn an_owner_that_nobody_asks_any_more_finishes_its_requests_and_ends() {
+        let gate = Arc::new(Mutex::new(()));
+        let (handle, ended) = gauge(&gate);
+        let (done, answers) = mpsc::channel();
+        let held = gate.lock().expect("nobody has panicked");
+        for _ in 0..3 {
+            let done = done.clone();
+            handle.ask(&operations::REFRESH, (), Box::new(move |answer| drop(done.send(answer))));
+        }
+        drop((handle, held));
+        for _ in 0..3 {
+            answers.recv_timeout(PATIENCE).expect("an answer").expect("it answers");
+        }
+        assert_eq!(ended.recv_timeout(PATIENCE).err(), Some(RecvTimeoutError::Disconnected));
+    }
+
+    #[test]
+    fn an_owner_that_was_asked_to_end_answers_nobody() {
+        let (handle, _) = gauge(&Arc::default());
+        handle.wait_for(&operations::END, ()).expect("nothing is owed");
+        let (done, answers) = mpsc::channel();
+        handle.ask(&operations::REFRESH, (), Box::new(move |answer| drop(done.send(answer))));
+        let (other, _) = gauge(&Arc::default());
+        other.wait_for(&operations::REFRESH, ()).expect("it answers");
+        assert_eq!(answers.recv_timeout(Duration::from_millis(20)).err(), Some(RecvTimeoutError::Timeout));
+    }
+}
