@@ -513,12 +513,6 @@ impl Fs {
         self.ask(node, |node| node.xattrs())
     }
 
-    /// The gauges of which something may have changed since this was last asked.
-    pub fn take_changed(&self) -> Vec<u16> {
-        let changed = self.supplies.iter().filter(|supply| supply.handle.take_changed());
-        changed.map(|supply| supply.index).collect()
-    }
-
     /// Marks a node's gauge as changed and wakes whoever waits for the signal. A node of no gauge does so by
     /// way of the first one.
     pub fn raise(&self, node: Node) {

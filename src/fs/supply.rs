@@ -29,6 +29,7 @@ pub(super) struct Supply {
 impl Supply {
     pub(super) fn new(index: u16, gauge: MountedGauge) -> Self {
         let MountedGauge { name, handle, scales, knobs } = gauge;
+        handle.show_as(index);
         Self { index, name, handle, knobs, transaction: Transaction::default(), scales }
     }
 

@@ -200,7 +200,7 @@ impl Announcing {
     /// Retires every nodeid whose file has another value now, then notifies the kernel if it keeps one of their
     /// names. Looks only at the gauges that have changed, because many gauges are polled one after the other.
     fn announce(&mut self) {
-        let gauges = self.fs.take_changed();
+        let gauges = self.announcer.signal.take_changed();
         let has_changed = |node: Node| match node {
             Node::Of(gauge, _) => gauges.contains(&gauge),
             // The Mains supply's values follow from all gauges.

@@ -3,7 +3,7 @@
 //! A gauge as everything but its owner sees it: what the owner has published, and the queue of requests.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicU16, Ordering};
 use std::sync::mpsc;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::Duration;
@@ -129,8 +129,8 @@ pub(super) struct Shared {
     /// The scales in data flash that have been read, by their places; 0 for one that may have changed since.
     flash_scales: Mutex<BTreeMap<(u8, u16), u8>>,
     signal: Arc<Signal>,
-    /// Something has been published since the FUSE side last asked.
-    changed: AtomicBool,
+    /// See [`Handle::show_as`].
+    index: AtomicU16,
     /// The beginning of each line of the log: empty if there is only one gauge.
     pub(super) prefix: String,
 }
@@ -201,7 +201,7 @@ impl Shared {
             }),
             flash_scales: Mutex::default(),
             signal,
-            changed: AtomicBool::new(true),
+            index: AtomicU16::new(NOWHERE),
             prefix: if name.is_empty() { name } else { name + ": " },
         }
     }
@@ -222,8 +222,7 @@ impl Shared {
     }
 
     fn raise(&self) {
-        self.changed.store(true, Ordering::SeqCst);
-        self.signal.raise();
+        self.signal.raise_for(self.index.load(Ordering::SeqCst));
     }
 
     /// Puts a failure into the log and into `gauge/last_error`.
@@ -478,9 +477,10 @@ impl Handle {
         self.shared.raise();
     }
 
-    /// Whether something has changed since this was last asked.
-    pub fn take_changed(&self) -> bool {
-        self.shared.changed.swap(false, Ordering::SeqCst)
+    /// Gives the gauge an index, by which [`Signal::take_changed`] names it from now on, as one that has changed.
+    pub fn show_as(&self, index: u16) {
+        self.shared.index.store(index, Ordering::SeqCst);
+        self.raise();
     }
 
     /// Name and value of each file of `gauge/statistics`.
@@ -542,26 +542,51 @@ impl Handle {
 /// Raised by owners whenever something published has changed; whoever shows it waits for it.
 #[derive(Debug, Default)]
 pub struct Signal {
-    count: Mutex<u64>,
+    state: Mutex<Raised>,
     raised: Condvar,
 }
+
+#[derive(Debug, Default)]
+struct Raised {
+    count: u64,
+    /// The indices of the gauges that have changed since somebody asked.
+    changed: Vec<u16>,
+}
+
+/// The index of a gauge that nobody shows.
+const NOWHERE: u16 = u16::MAX;
 
 impl Signal {
     /// Something has changed.
     pub fn raise(&self) {
-        *lock(&self.count) += 1;
+        self.raise_for(NOWHERE);
+    }
+
+    /// Something of the gauge of that index has changed.
+    fn raise_for(&self, index: u16) {
+        let mut state = lock(&self.state);
+        state.count += 1;
+        if index != NOWHERE && !state.changed.contains(&index) {
+            state.changed.push(index);
+        }
+        drop(state);
         self.raised.notify_all();
+    }
+
+    /// The indices of the gauges that have changed since this was last asked.
+    pub fn take_changed(&self) -> Vec<u16> {
+        std::mem::take(&mut lock(&self.state).changed)
     }
 
     /// Waits until the count differs from `seen` or the limit has passed, and returns the count.
     pub fn wait(&self, seen: u64, limit: Option<Duration>) -> u64 {
-        let count = lock(&self.count);
-        let unchanged = |count: &mut u64| *count == seen;
+        let state = lock(&self.state);
+        let unchanged = |state: &mut Raised| state.count == seen;
         match limit {
-            None => *self.raised.wait_while(count, unchanged).unwrap_or_else(PoisonError::into_inner),
+            None => self.raised.wait_while(state, unchanged).unwrap_or_else(PoisonError::into_inner).count,
             Some(limit) => {
-                let waited = self.raised.wait_timeout_while(count, limit, unchanged);
-                *waited.unwrap_or_else(PoisonError::into_inner).0
+                let waited = self.raised.wait_timeout_while(state, limit, unchanged);
+                waited.unwrap_or_else(PoisonError::into_inner).0.count
             }
         }
     }
@@ -630,15 +655,16 @@ mod tests {
     #[test]
     fn a_report_is_the_last_error_and_raises_the_signal() {
         let rig = Rig::open();
-        let seen = rig.owner.shared.signal.wait(u64::MAX, Some(Duration::ZERO));
-        rig.handle.take_changed();
-        assert!(!rig.handle.take_changed());
+        let signal = &rig.owner.shared.signal;
+        rig.handle.show_as(3);
+        let seen = signal.wait(u64::MAX, Some(Duration::ZERO));
+        assert_eq!((signal.take_changed(), signal.take_changed()), (vec![3], vec![]));
         rig.handle.report(
             super::super::operations::CONTROL.itself(),
             &Error::new("control", Cause::Invalid, "no such subcommand"),
         );
         assert_eq!(&*rig.handle.published().last_error, "control: no such subcommand");
-        assert_eq!(rig.owner.shared.signal.wait(seen, None), seen + 1);
-        assert!(rig.handle.take_changed());
+        assert_eq!(signal.wait(seen, None), seen + 1);
+        assert_eq!(signal.take_changed(), [3]);
     }
 }
