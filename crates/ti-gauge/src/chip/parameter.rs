@@ -102,7 +102,7 @@ pub struct Parameter {
     /// Names of its bits, if it is a flag word.
     pub bits: &'static [Bit],
     /// The DM_CODE of parts of which the default is another integer, and that default.
-    pub flavour: Option<(u16, i64)>,
+    pub flavour: Option<(u16, i16)>,
     /// Rewritten by the gauge itself: cycle counts, lifetime data, learned Qmax and Ra.
     pub learned: bool,
     /// Narrower limits than the manual's, where its range allows values that ruin a pack.
@@ -209,7 +209,7 @@ impl Parameter {
 
     /// Parts with that DM_CODE have another default.
     #[must_use]
-    pub const fn flavour(mut self, dm_code: u16, default: i64) -> Self {
+    pub const fn flavour(mut self, dm_code: u16, default: i16) -> Self {
         self.flavour = Some((dm_code, default));
         self
     }
@@ -220,7 +220,7 @@ impl Parameter {
         match self.flavour {
             None => default,
             Some((other, other_default)) => {
-                dm_code.and_then(|code| if code == other { Some(other_default) } else { default })
+                dm_code.and_then(|code| if code == other { Some(other_default.into()) } else { default })
             }
         }
     }
@@ -307,7 +307,7 @@ pub enum Range {
 #[derive(Debug)]
 pub enum Safe {
     /// A minimum.
-    AtLeast(i64, &'static str),
+    AtLeast(i32, &'static str),
     /// Not above the voltage that the gauge will measure with all values of the transaction, as its flash gate
     /// compares it.
     BelowVoltage(&'static str),

@@ -110,8 +110,8 @@ impl Change {
         let Some((_, parameter)) = self.row else { return Ok(()) };
         let number = integer(parameter, &self.bytes);
         match &parameter.safe {
-            Some(Safe::AtLeast(least, why)) if number < *least => {
-                let unsafe_value = Reason::Unsafe { number, least: *least, why };
+            Some(Safe::AtLeast(least, why)) if number < i64::from(*least) => {
+                let unsafe_value = Reason::Unsafe { number, least: (*least).into(), why };
                 Err(Error::of(self.subject(), unsafe_value).at(Step::Check))
             }
             _ => Ok(()),
@@ -140,7 +140,7 @@ impl Change {
             Range::Float { default, .. } => default.map(Value::Float),
             Range::Text { default } => default.map(|text| Value::Text(text.into())),
         };
-        let flavour = parameter.flavour.map(|(_, default)| Value::Int(default));
+        let flavour = parameter.flavour.map(|(_, default)| Value::Int(default.into()));
         let is =
             |default: Value| codec::encode(parameter.kind, &default).is_some_and(|default| default == bytes);
         // Where none is printed, nothing can be told.

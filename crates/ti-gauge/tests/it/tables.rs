@@ -419,8 +419,9 @@ fn ranges_fit_types_and_defaults_and_safe_limits_fit_ranges() {
         };
         let why = match safe {
             Safe::AtLeast(least, why) => {
-                assert!(min < *least && *least <= max, "{at}: at least {least} narrows nothing");
-                assert!(default.is_none_or(|default| default >= *least), "{at}: unsafe default");
+                let least = i64::from(*least);
+                assert!(min < least && least <= max, "{at}: at least {least} narrows nothing");
+                assert!(default.is_none_or(|default| default >= least), "{at}: unsafe default");
                 why
             }
             Safe::BelowVoltage(why) => why,
