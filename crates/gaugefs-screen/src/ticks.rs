@@ -3,7 +3,6 @@
 //! Round numbers and round times for axes.
 
 use jiff::Timestamp;
-use jiff::tz::TimeZone;
 
 /// A position on an axis and its label.
 pub(super) type Tick = (f64, String);
@@ -91,7 +90,7 @@ fn lasting(span: f64, step: f64) -> Vec<Tick> {
 /// Formats a time in UTC, as strftime(3) does.
 pub(super) fn utc(seconds: f64, format: &str) -> String {
     let time = Timestamp::from_millisecond((seconds * 1000.0).round() as i64).unwrap_or_default();
-    time.to_zoned(TimeZone::UTC).strftime(format).to_string()
+    time.strftime(format).to_string()
 }
 
 #[cfg(test)]

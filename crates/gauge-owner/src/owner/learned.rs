@@ -136,8 +136,7 @@ impl Learned {
 
 /// A second after the time in the name of a file.
 fn later(time: &str) -> Option<String> {
-    let time = jiff::civil::DateTime::strptime("%Y%m%dT%H%M%SZ", time).ok()?;
-    let time = time.checked_add(SignedDuration::from_secs(1)).ok()?;
+    let time = time.parse::<Timestamp>().ok()?.checked_add(SignedDuration::from_secs(1)).ok()?;
     Some(time.strftime("%Y%m%dT%H%M%SZ").to_string())
 }
 

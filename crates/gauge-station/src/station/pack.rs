@@ -9,7 +9,6 @@
 use std::time::Duration;
 
 use jiff::Timestamp;
-use jiff::tz::TimeZone;
 use ti_gauge::calibration::Job;
 use ti_gauge::chip::{Chip, Role};
 use ti_gauge::dataflash::{Change, Decision};
@@ -881,7 +880,7 @@ fn taken_by(serial: &str, pack: u64) -> String {
 
 /// Today's date in UTC, by this machine's clock.
 pub(super) fn today() -> String {
-    Timestamp::now().to_zoned(TimeZone::UTC).date().to_string()
+    Timestamp::now().strftime("%F").to_string()
 }
 
 /// A date as data flash has it. A clock that nobody has set shows a date before the first of gaugefs, or before the last
