@@ -182,7 +182,7 @@ fn clear(path: &Path) -> Result<(PathBuf, Mounted)> {
 /// they delay it for the time limit of one look.
 pub(super) fn clear_all() -> Result<()> {
     let mut places = list();
-    places.sort_unstable();
+    places.sort();
     places.dedup();
     let looks: Vec<_> = places.iter().map(|place| (place, Look::begin(place))).collect();
     let mut outcome = Ok(());

@@ -108,11 +108,9 @@ impl Staged {
 
     /// All changes, those of the latest line last. Adjacent undocumented bytes of a block are one change.
     pub(super) fn changes(&self, chip: &Chip) -> Vec<Change> {
-        let mut entries: Vec<_> = self.entries.iter().collect();
-        entries.sort_by_key(|(_, (line, _))| *line);
-        let mut changes = Vec::with_capacity(entries.len());
-        for (&(_, subclass, base), (_, entry)) in entries {
-            match entry {
+        let mut changes = Vec::with_capacity(self.entries.len());
+        for key @ (_, subclass, base) in self.keys() {
+            match &self.entries[&key].1 {
                 Entry::Parameter(change) => changes.push(change.clone()),
                 Entry::Raw { bytes, is_staged } => {
                     let offsets: Vec<usize> = (0..WINDOW).filter(|at| is_staged & 1 << at != 0).collect();
@@ -125,6 +123,13 @@ impl Staged {
             }
         }
         changes
+    }
+
+    /// What is staged, by lines.
+    fn keys(&self) -> Vec<Key> {
+        let mut keys: Vec<_> = self.entries.iter().map(|(key, (line, _))| (*line, *key)).collect();
+        keys.sort_unstable();
+        keys.into_iter().map(|(_, key)| key).collect()
     }
 
     fn stage(&mut self, key: Key, entry: Entry) {
@@ -145,11 +150,11 @@ impl Staged {
     }
 
     /// Stages all that `later` has.
-    fn extend(&mut self, later: Self) {
-        let mut entries: Vec<_> = later.entries.into_iter().collect();
-        entries.sort_by_key(|(_, (line, _))| *line);
-        for (key, (_, entry)) in entries {
-            self.stage(key, entry);
+    fn extend(&mut self, mut later: Self) {
+        for key in later.keys() {
+            if let Some((_, entry)) = later.entries.remove(&key) {
+                self.stage(key, entry);
+            }
         }
     }
 }

@@ -334,9 +334,10 @@ fn acts(knobs: &BTreeMap<String, Value>, step: usize) -> Result<Vec<Act>, String
         let text = text(value).ok_or_else(|| format!("{knob}: not a number or a string"))?;
         Ok(Act { knob: knob.clone(), text, step })
     };
-    let mut acts = knobs.iter().map(act).collect::<Result<Vec<_>, String>>()?;
-    acts.sort_by_key(|act| act.knob != PACK);
-    Ok(acts)
+    let acts = knobs.iter().map(act).collect::<Result<Vec<_>, String>>()?;
+    let (mut first, others): (Vec<_>, Vec<_>) = acts.into_iter().partition(|act| act.knob == PACK);
+    first.extend(others);
+    Ok(first)
 }
 
 /// A scenario that is played.

@@ -344,7 +344,7 @@ impl Journal {
             return Ok(Vec::new());
         }
         self.check_folder()?;
-        let mut found = Vec::with_capacity(paths.len());
+        let (mut found, mut elsewhere) = (Vec::new(), Vec::new());
         for path in paths {
             let Some(content) = self.content(&path) else { continue };
             let is_ours = match &content {
@@ -352,9 +352,9 @@ impl Journal {
                 Content::InUse(_) | Content::Unreadable(_) => true,
             };
             let is_here = !waiting && self.is_key_of(&path) && is_ours;
-            found.push(Found { path, is_here, content });
+            if is_here { &mut found } else { &mut elsewhere }.push(Found { path, is_here, content });
         }
-        found.sort_by_key(|found| !found.is_here);
+        found.extend(elsewhere);
         Ok(found)
     }
 

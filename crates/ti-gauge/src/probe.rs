@@ -91,13 +91,15 @@ fn reading(gauge: &mut Gauge) -> Result<Reading> {
 
 /// The polled registers of all chips, as address and length of reads that have no register in common.
 fn spans() -> Vec<(u8, u8)> {
-    let mut reads: Vec<_> = CHIPS.iter().flat_map(|chip| bursts(chip.registers, is_polled)).collect();
-    reads.sort_unstable();
+    let mut is_read = [false; 0x80];
+    for (start, length) in CHIPS.iter().flat_map(|chip| bursts(chip.registers, is_polled)) {
+        is_read[usize::from(start)..usize::from(start + length)].fill(true);
+    }
     let mut spans: Vec<(u8, u8)> = Vec::new();
-    for (start, length) in reads {
+    for (at, _) in (0..).zip(is_read).filter(|(_, is_read)| *is_read) {
         match spans.last_mut() {
-            Some((first, all)) if start <= *first + *all => *all = (*all).max(start + length - *first),
-            _ => spans.push((start, length)),
+            Some((first, all)) if at == *first + *all => *all += 1,
+            _ => spans.push((at, 1)),
         }
     }
     spans

@@ -35,7 +35,7 @@ pub(super) fn check(host: &Host) -> Vec<Finding> {
             _ => {}
         }
     }
-    key_files.sort_unstable();
+    key_files.sort();
     key_files.dedup();
     findings.extend(key_files.iter().map(|path: &PathBuf| keys(host, path)));
     findings

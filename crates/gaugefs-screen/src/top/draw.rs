@@ -450,9 +450,10 @@ fn learning(frame: &mut Frame<'_>, gauge: &Gauge, now: f64, area: Rect) {
     }
     lines.extend(columns(&cells, area.width));
     lines.push(heading("Registers".into()));
-    let mut registers: Vec<_> = registers(model_name, sample).collect();
-    registers.sort_by_key(|(name, _)| !LEARNING.iter().any(|word| name.contains(word)));
-    lines.extend(columns(&registers, area.width));
+    let (mut first, others): (Vec<_>, Vec<_>) =
+        registers(model_name, sample).partition(|(name, _)| LEARNING.iter().any(|word| name.contains(word)));
+    first.extend(others);
+    lines.extend(columns(&first, area.width));
     // Changes get the remaining lines, and always a few.
     let room = usize::from(area.height);
     let least = (room / 3).min(gauge.changes.len().max(1) + 1);

@@ -52,8 +52,13 @@ pub(super) fn gather(
         }
     }
     // In the order of the manual's table, which is that of the addresses.
-    dirty.sort_by_key(|block| (block.place.subclass, block.place.base));
+    arrange(&mut dirty, &|block| (block.place.subclass, block.place.base));
     Ok(dirty)
+}
+
+/// Sorts blocks, which is one function whatever the key is.
+pub(super) fn arrange(dirty: &mut [Dirty], key: &dyn Fn(&Dirty) -> (u8, u16)) {
+    dirty.sort_by_key(key);
 }
 
 /// Whether a change gives a string the value that it has. Its bytes then remain as they are, also those after its end

@@ -3,7 +3,7 @@
 //! Checks that need the unsealed gauge: whether the table's addresses are this firmware's, whether the
 //! voltage lets the gauge program flash and will let it, and whether the values are safe.
 
-use super::blocks::old_bytes;
+use super::blocks::{arrange, old_bytes};
 use super::schemes::sequence;
 use super::state::read_word;
 use super::window::locate;
@@ -112,7 +112,8 @@ impl DataFlash {
             let raised = after.limit > before.limit;
             let [high, low] = both(gate.limit);
             let holds = |block: &Dirty| block.changes(high) || block.changes(low);
-            dirty.sort_by_key(|block| after.limit != before.limit && holds(block) == raised);
+            let is_late = |block: &Dirty| after.limit != before.limit && holds(block) == raised;
+            arrange(dirty, &|block| (is_late(block).into(), 0));
         }
         let setting = |stored: usize| Setting::of(gate, known, cells, dirty, stored);
         let before = setting(0);

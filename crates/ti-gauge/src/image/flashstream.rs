@@ -750,8 +750,13 @@ impl Stream {
                 _ => image.raw.push(Raw { subclass, offset, bytes: vec![byte], line }),
             }
         }
-        image.raw.sort_by_key(|raw| raw.line);
+        by_line(&mut image.raw);
     }
+}
+
+/// Sorts what is of no parameter by the lines that set it.
+fn by_line(raw: &mut [Raw]) {
+    raw.sort_by_key(|raw| raw.line);
 }
 
 fn counted(bytes: usize) -> String {

@@ -378,7 +378,7 @@ impl Rom {
                 }
             }
         }
-        image.raw.sort_by_key(|raw| raw.line);
+        super::by_line(&mut image.raw);
         let chemistry = usize::from(layout.chemistry.0)..usize::from(layout.chemistry.1);
         let others =
             is_named.iter().enumerate().filter(|(at, named)| !**named && !chemistry.contains(at)).count();
