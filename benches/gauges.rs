@@ -11,6 +11,7 @@
 
 #![allow(clippy::disallowed_methods, reason = "it reads what it has made, and /proc")]
 
+use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitCode, Stdio};
@@ -29,48 +30,48 @@ const WINDOW: Duration = Duration::from_secs(12);
 const MEMORY_MIB: f64 = 8.0;
 const OWN_MIB: f64 = 2.0;
 /// What one gauge more costs, everything in its tree read, at most.
-const ANOTHER_KIB: f64 = 64.0;
+const ANOTHER_KIB: f64 = 48.0;
+/// What 512 gauges cost, polled every 3 s, before and after everything in their trees is read, at most.
+const ALL_MB: f64 = 25.0;
+const ALL_PERCENT: f64 = 2.0;
 /// Between polls that are so far apart, the daemon has nothing to do.
 const LONG: &str = "600";
 
 /// What a daemon has used up so far.
-#[derive(Clone, Copy)]
 struct Used {
-    cpu_ms: f64,
-    switches: u64,
+    /// The milliseconds on a processor of each thread, and how often it was switched.
+    threads: BTreeMap<PathBuf, (f64, u64)>,
     rss_kib: u64,
     own_kib: u64,
-    threads: u64,
 }
 
 impl Used {
     fn now(pid: u32) -> Self {
-        let read = |name: &str| fs::read_to_string(format!("/proc/{pid}/{name}")).expect("the daemon runs");
         let field = |text: &str, name: &str| -> u64 {
             let line = text.lines().find(|line| line.starts_with(name)).expect("a line of status");
             line.split_ascii_whitespace().nth(1).and_then(|word| word.parse().ok()).expect("a number")
         };
-        let status = read("status");
-        // Nanoseconds on a processor, of each thread.
-        let tasks: Vec<PathBuf> = fs::read_dir(format!("/proc/{pid}/task"))
-            .expect("the daemon runs")
-            .map(|task| task.expect("an entry").path())
-            .collect();
-        let ran = |task: &PathBuf| -> f64 {
-            let text = fs::read_to_string(task.join("schedstat")).unwrap_or_default();
-            text.split(' ').next().and_then(|word| word.parse().ok()).unwrap_or(0.0)
+        let tasks = fs::read_dir(format!("/proc/{pid}/task")).expect("the daemon runs");
+        // One that has ended meanwhile is left out.
+        let thread = |task: PathBuf| -> Option<(PathBuf, (f64, u64))> {
+            let ran = fs::read_to_string(task.join("schedstat")).ok()?;
+            let status = fs::read_to_string(task.join("status")).ok()?;
+            let ns: f64 = ran.split(' ').next()?.parse().ok()?;
+            let switches =
+                field(&status, "voluntary_ctxt_switches") + field(&status, "nonvoluntary_ctxt_switches");
+            Some((task, (ns / 1e6, switches)))
         };
-        let switched = |task: &PathBuf| {
-            let text = fs::read_to_string(task.join("status")).expect("a thread");
-            field(&text, "voluntary_ctxt_switches") + field(&text, "nonvoluntary_ctxt_switches")
-        };
-        Self {
-            cpu_ms: tasks.iter().map(ran).sum::<f64>() / 1e6,
-            switches: tasks.iter().map(switched).sum(),
-            rss_kib: field(&status, "VmRSS:"),
-            own_kib: field(&status, "RssAnon:"),
-            threads: field(&status, "Threads:"),
-        }
+        let threads = tasks.filter_map(|task| thread(task.expect("an entry").path())).collect();
+        let status = fs::read_to_string(format!("/proc/{pid}/status")).expect("the daemon runs");
+        Self { threads, rss_kib: field(&status, "VmRSS:"), own_kib: field(&status, "RssAnon:") }
+    }
+
+    /// Milliseconds on a processor and switches since then.
+    fn since(&self, before: &Self) -> (f64, u64) {
+        self.threads.iter().fold((0.0, 0), |(ms, switches), (task, now)| {
+            let before = before.threads.get(task).copied().unwrap_or_default();
+            (ms + now.0 - before.0, switches + now.1 - before.1)
+        })
     }
 }
 
@@ -168,7 +169,7 @@ fn one(report: &mut Report) {
     loop {
         std::thread::sleep(SETTLE);
         let now = used();
-        if now.switches == before.switches || begun.elapsed() > 10 * SETTLE {
+        if now.since(&before).1 == 0 || begun.elapsed() > 10 * SETTLE {
             break;
         }
         before = now;
@@ -177,7 +178,7 @@ fn one(report: &mut Report) {
     std::thread::sleep(WINDOW);
     let after = used();
     let (mib, own) = (after.rss_kib as f64 / 1024.0, after.own_kib as f64 / 1024.0);
-    let wakeups = after.switches - before.switches;
+    let (_, wakeups) = after.since(&before);
     println!(
         "one gauge, {files} files read: {mib:.1} MiB resident, {own:.1} MiB of them its own, {wakeups} wake-ups in \
          {WINDOW:?} between polls"
@@ -200,7 +201,7 @@ fn cost(pid: u32) -> (f64, f64) {
     let (before, start) = (Used::now(pid), Instant::now());
     std::thread::sleep(WINDOW);
     let after = Used::now(pid);
-    let busy = (after.cpu_ms - before.cpu_ms) / 10.0 / start.elapsed().as_secs_f64();
+    let busy = after.since(&before).0 / 10.0 / start.elapsed().as_secs_f64();
     (after.rss_kib as f64, busy)
 }
 
@@ -233,6 +234,13 @@ fn whole(report: &mut Report) {
                 format!("{another:.1} KiB for one gauge more; the limit is {ANOTHER_KIB}")
             });
         }
+        if gauges == 512 {
+            let (most, busiest) = (mb(rss.max(read_rss)), busy.max(read_busy));
+            report.promise(most <= ALL_MB, || format!("{most:.1} MB for {gauges}; the limit is {ALL_MB}"));
+            report.promise(busiest <= ALL_PERCENT, || {
+                format!("{busiest:.1} % of a processor for {gauges}; the limit is {ALL_PERCENT}")
+            });
+        }
         if gauges > 1 {
             report.row(
                 &format!("simulated gauges in one mount, {gauges} of them polled every 3 s"),
@@ -261,11 +269,8 @@ fn many() {
                     std::thread::sleep(Duration::from_secs(1));
                 }
                 let (after, seconds) = (Used::now(pid), start.elapsed().as_secs_f64());
-                let figures = [
-                    after.rss_kib as f64 / 1024.0,
-                    (after.cpu_ms - before.cpu_ms) / seconds,
-                    (after.switches - before.switches) as f64 / seconds,
-                ];
+                let (cpu_ms, switches) = after.since(&before);
+                let figures = [after.rss_kib as f64 / 1024.0, cpu_ms / seconds, switches as f64 / seconds];
                 let first = *one.get_or_insert(figures);
                 let [rss, cpu, switches] = figures;
                 let [rss_ratio, cpu_ratio, switches_ratio] = [0, 1, 2].map(|at| figures[at] / first[at]);
@@ -273,7 +278,7 @@ fn many() {
                     "{poll:>4}  {gauges:6}  {:>7}  {:7}  {rss:7.1}  {rss_ratio:7.1}  {cpu:8.2}  {cpu_ratio:7.1}  \
                      {switches:10.1}  {switches_ratio:7.1}",
                     if watched { "yes" } else { "no" },
-                    after.threads
+                    after.threads.len()
                 );
             }
         }
