@@ -68,6 +68,9 @@ static FILES: &[File] = &[
     asks(&op::REFRESH, Mode::Write, |_| empty()),
     file("age_ms", Mode::Public, |gauge| gauge.fresh().and(line(gauge.handle.age()?.as_millis()))),
     file("last_error", Mode::Public, last_error),
+    file("last_error_facts", Mode::Public, |gauge| {
+        gauge.published().failed.as_ref().map_or_else(empty, |failed| line(&failed.facts))
+    }),
 ];
 
 /// Files that are shown by one rule, with mode 0444.
@@ -378,7 +381,8 @@ mod tests {
         let at = |second: i64| Timestamp::from_second(1_800_000_000 + second).expect("a time");
         let shown = |owed: &'static str, error: &'static str| {
             let owes = Some((at(0), owed)).filter(|_| !owed.is_empty());
-            let failure = Failure { at: at(7), attempt: Attempt::Poll, owed: error == REFUSED };
+            let failure =
+                Failure { at: at(7), attempt: Attempt::Poll, owed: error == REFUSED, facts: "{}".into() };
             owed_and(owes, Some((&failure, error)).filter(|_| !error.is_empty())).expect("the file is there")
         };
         let owed = "a seal is owed";

@@ -260,7 +260,7 @@ cd "$mount/BAT0"
 echo 3100 > df/80/53 || echo write failed
 # The second poll reads what no attribute needs.
 until [ "$(cat gauge/statistics/polls)" -ge 2 ] && [ -e gauge/registers/true_rc ]; do sleep 0.1; done
-find . -type f ! -path './sim/*' ! -path './gauge/report' ! -path './gauge/last_error' | sort | while read -r file; do
+find . -type f ! -path './sim/*' ! -path './gauge/report' ! -path './gauge/last_error*' | sort | while read -r file; do
     printf '%s: ' "$file"; timeout 60 cat "$file" 2>&1 | od -An -c | tr -s ' \n' ' '; echo
 done
 cd /

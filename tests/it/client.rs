@@ -82,6 +82,8 @@ fn a_program_writes_parameters_by_name_with_units_and_all_of_them_or_none() {
     let error = gauge.send("df/80/53", b"9000\n").expect_err("out of range");
     assert_eq!(error.errno(), Some(Errno::ERANGE as i32));
     assert!(error.last_error().is_some_and(|text| text.contains("1000 to 3700 mV")), "{error}");
+    let facts = error.facts().expect("the daemon's");
+    assert!(facts.contains(r#""greatest":"3700""#) && facts.contains(r#""place":"80/53""#), "{facts}");
     assert_eq!(shown(NAME), "3200 mV");
 
     assert_eq!(gauge.unsettled().expect("it can be asked"), None);

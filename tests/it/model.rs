@@ -335,6 +335,7 @@ impl Model {
             ("present", Class::Steady),
             ("model_name", Class::Steady),
             ("gauge/last_error", Class::Steady),
+            ("gauge/last_error_facts", Class::Steady),
             ("gauge/statistics/polls", Class::Steady),
             ("voltage_now", Class::Measured),
             ("capacity", Class::Measured),

@@ -210,6 +210,10 @@ fn writes_below_the_flash_voltage_are_refused() {
     let before = mount.sim.flash();
     assert_eq!(mount.echo("3100", "df/80/53"), Err(Errno::EAGAIN));
     assert!(mount.cat("gauge/last_error").contains("2700 mV"));
+    let facts: serde_json::Value =
+        serde_json::from_str(&mount.cat("gauge/last_error_facts")).expect("one object");
+    assert_eq!((&facts["errno"], &facts["reason"]), (&"EAGAIN".into(), &"flash-voltage".into()));
+    assert_eq!((&facts["value"], &facts["least"]), (&2700.into(), &2800.into()));
     assert!(mount.sim.flash() == before);
 }
 

@@ -245,6 +245,12 @@ fn several_gauges_are_each_done_for_themselves() {
     let fact = |name: &str| details[name].as_str().unwrap_or_default();
     assert_eq!((fact("errno"), fact("cause"), fact("place")), ("ERANGE", "out-of-range", "80/53"));
     assert_eq!((fact("least"), fact("greatest")), ("1000", "3700"));
+    // What only the gauge can refuse has its facts, too.
+    fs::write(Path::new(&one).join("sim/voltage_mv"), "2700").expect("a knob");
+    let ran = gaugefs(&["set", "--json", &one, &format!("{NAME}=3300")]);
+    let details = &json(&ran.out)[0]["error_details"];
+    assert_eq!((&details["errno"], &details["reason"]), (&"EAGAIN".into(), &"flash-voltage".into()));
+    assert_eq!((&details["value"], &details["least"]), (&2700.into(), &2800.into()));
     let ran = gaugefs(&["get", "--json", &one, NAME]).done();
     let value = &json(&ran)[0]["values"][0];
     assert_eq!(

@@ -32,7 +32,7 @@ enum Why {
     /// A file could not be opened, so the daemon has not heard of it; and what may be said about that beside the errno.
     Unopened { file: String, hint: &'static str, error: io::Error },
     /// The daemon has refused it, and says why.
-    Told { text: String, error: io::Error },
+    Told { text: String, facts: String, error: io::Error },
     /// The file operation has failed, and nothing else is certain to be about it.
     Failed(io::Error),
     /// What the host has, and a remedy.
@@ -50,8 +50,8 @@ impl Error {
         Self::new(gauge.display().to_string(), Why::Unopened { file: file.into(), hint, error })
     }
 
-    pub(crate) fn told(gauge: &Path, text: String, error: io::Error) -> Self {
-        Self::new(gauge.display().to_string(), Why::Told { text, error })
+    pub(crate) fn told(gauge: &Path, text: String, facts: String, error: io::Error) -> Self {
+        Self::new(gauge.display().to_string(), Why::Told { text, facts, error })
     }
 
     pub(crate) fn failed(gauge: &Path, error: io::Error) -> Self {
@@ -92,6 +92,14 @@ impl Error {
     pub fn last_error(&self) -> Option<&str> {
         match &self.0.why {
             Why::Told { text, .. } => Some(text),
+            _ => None,
+        }
+    }
+
+    /// What `gauge/last_error_facts` has on this failure: one JSON object. It is empty if that is not known.
+    pub fn facts(&self) -> Option<&str> {
+        match &self.0.why {
+            Why::Told { facts, .. } => Some(facts),
             _ => None,
         }
     }

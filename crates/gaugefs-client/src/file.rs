@@ -80,12 +80,18 @@ impl GaugeFile {
         let is_owed = || is_set(&read(OWED));
         match told.trim() {
             told if !told.is_empty() && (is_new || is_owed()) => {
-                Error::told(&self.gauge, with_path(told, &self.gauge), error)
+                let facts = read(FACTS);
+                // Another failure may have come in between.
+                let facts = if read(EVERY).trim() == told { facts } else { String::new() };
+                Error::told(&self.gauge, with_path(told, &self.gauge), facts, error)
             }
             _ => Error::failed(&self.gauge, error),
         }
     }
 }
+
+/// What a program reads of the failure that `gauge/last_error` shows.
+const FACTS: &str = "gauge/last_error_facts";
 
 /// It has 1 while a seal is owed, or a write that is neither done nor undone.
 pub(crate) const OWED: &str = "gauge/owed";

@@ -110,6 +110,7 @@ static FILES: &[(&str, &str)] = &[
     ("poll_interval", "s"),
     ("age_ms", "ms"),
     ("last_error", ""),
+    ("last_error_facts", ""),
 ];
 
 /// A file of `gauge/` with a text of its own.

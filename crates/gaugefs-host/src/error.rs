@@ -7,8 +7,8 @@ use std::path::Path;
 use std::{fmt, io};
 
 use nix::errno::Errno;
-use serde::ser::{Serialize, Serializer};
-use serde_json::Value;
+use serde::Serialize;
+use serde_json::{Map, Value};
 use ti_gauge::dataflash::Place;
 use ti_gauge::error::Fact;
 pub use ti_gauge::error::{Cause, Reason, Step};
@@ -27,6 +27,8 @@ pub fn shown(path: &Path) -> String {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Error {
     inner: ti_gauge::error::Error,
+    /// What the daemon of a mount knows of it.
+    told: Option<Box<Details>>,
     /// What else is wrong with the same file.
     others: Vec<ti_gauge::error::Error>,
 }
@@ -74,7 +76,7 @@ impl Error {
     #[must_use]
     pub fn within(self, subject: &str) -> Self {
         let others = self.others.into_iter().map(|other| other.within(subject)).collect();
-        Self { inner: self.inner.within(subject), others }
+        Self { inner: self.inner.within(subject), told: self.told, others }
     }
 
     /// What is wrong with a file: the first mistake, and those that a person is told of as well.
@@ -122,44 +124,47 @@ impl Error {
 
     /// What a program is told of it.
     pub fn details(&self) -> Details {
-        Details::of(&self.inner)
+        self.told.as_deref().cloned().unwrap_or_else(|| Details::of(&self.inner))
     }
 }
 
 /// An error's facts as an object of `--json`. What is not known is left out.
-#[derive(Debug)]
-pub struct Details {
-    errno: Errno,
-    facts: Vec<(&'static str, Fact)>,
-}
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[serde(transparent)]
+pub struct Details(Map<String, Value>);
 
 impl Details {
     fn of(error: &ti_gauge::error::Error) -> Self {
-        Self { errno: Errno::from_raw(error.errno()), facts: error.facts() }
+        let errno = ("errno", format!("{:?}", Errno::from_raw(error.errno())).into());
+        let facts = error.facts().into_iter().map(|(name, fact)| (name, json(fact)));
+        Self(std::iter::once(errno).chain(facts).map(|(name, value)| (name.into(), value)).collect())
     }
 
-    fn fields(&self) -> impl Iterator<Item = (&'static str, Value)> {
-        let errno = ("errno", format!("{:?}", self.errno).into());
-        std::iter::once(errno).chain(self.facts.iter().map(|(name, fact)| (*name, json(fact))))
-    }
-}
-
-impl Serialize for Details {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        serializer.collect_map(self.fields())
+    /// What a daemon has told of a failure, if it is the one of a file operation that was answered with `errno`.
+    fn told(text: &str, errno: Option<i32>) -> Option<Self> {
+        let fields: Map<_, _> = serde_json::from_str(text).ok()?;
+        let is_its = fields.get("errno")?.as_str()? == format!("{:?}", Errno::from_raw(errno?));
+        is_its.then_some(Self(fields))
     }
 }
 
-fn json(fact: &Fact) -> Value {
+/// One line.
+impl fmt::Display for Details {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&serde_json::to_string(&self.0).map_err(|_| fmt::Error)?)
+    }
+}
+
+fn json(fact: Fact) -> Value {
     match fact {
         Fact::Yes => true.into(),
-        Fact::Number(number) => (*number).into(),
-        Fact::Text(text) => (**text).into(),
-        Fact::Place(place) => Place::from(*place).to_string().into(),
+        Fact::Number(number) => number.into(),
+        Fact::Text(text) => text.into(),
+        Fact::Place(place) => Place::from(place).to_string().into(),
         Fact::Failure(error) => {
-            let text = ("error", text::printable(&error.to_string()).into());
-            let fields = std::iter::once(text).chain(Details::of(error).fields().collect::<Vec<_>>());
-            Value::Object(fields.map(|(name, value)| (name.to_string(), value)).collect())
+            let Details(mut fields) = Details::of(&error);
+            fields.insert("error".into(), text::printable(&error.to_string()).into());
+            fields.into()
         }
     }
 }
@@ -180,20 +185,22 @@ impl std::error::Error for Error {
 impl From<gaugefs_client::Error> for Error {
     fn from(error: gaugefs_client::Error) -> Self {
         let (subject, text) = (error.subject(), error.text());
-        match (error.refused(), error.io_error()) {
+        let told = error.facts().and_then(|facts| Details::told(facts, error.errno())).map(Box::new);
+        let failed = match (error.refused(), error.io_error()) {
             (Some(refused), _) => refused.clone().into(),
             (None, Some(io)) => match io.raw_os_error() {
                 Some(errno) => Self::host(subject, Errno::from_raw(errno), text),
                 None => Self::new(subject, Cause::Io(io.kind()), text),
             },
             (None, None) => Self::new(subject, Cause::Io(io::ErrorKind::Other), text),
-        }
+        };
+        Self { told, ..failed }
     }
 }
 
 impl From<ti_gauge::error::Error> for Error {
     fn from(inner: ti_gauge::error::Error) -> Self {
-        Self { inner, others: Vec::new() }
+        Self { inner, told: None, others: Vec::new() }
     }
 }
 

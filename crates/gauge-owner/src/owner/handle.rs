@@ -101,6 +101,8 @@ pub struct Failure {
     pub attempt: Attempt,
     /// It has left what is owed, or was refused because of it.
     pub owed: bool,
+    /// The facts, as one line of JSON.
+    pub facts: Arc<str>,
 }
 
 impl Published {
@@ -235,7 +237,8 @@ impl Shared {
     /// more important.
     pub(super) fn record(&self, attempt: Attempt, error: &Error) {
         let line = error.to_string();
-        let failure = Failure { at: Timestamp::now(), attempt, owed: error.is_owed() };
+        let facts = error.details().to_string().into();
+        let failure = Failure { at: Timestamp::now(), attempt, owed: error.is_owed(), facts };
         self.publish(|published| {
             let shown = published.failed.as_ref().filter(|_| !published.owed.is_empty());
             if shown.is_none_or(|shown| shown.attempt.importance() <= failure.attempt.importance()) {
