@@ -328,7 +328,9 @@ fn is_source(path: &Path, text: &[u8]) -> bool {
 
 #[test]
 fn every_source_file_says_its_license() {
-    const LINES: [&str; 2] = ["// SPDX-License-Identifier: MIT", "# SPDX-License-Identifier: MIT"];
+    // In two parts, so that REUSE does not take it for this file's.
+    let tag = ["SPDX", "License", "Identifier: MIT"].join("-");
+    let lines = ["//", "#"].map(|mark| format!("{mark} {tag}"));
     let mut all = Vec::new();
     files(Path::new(env!("CARGO_MANIFEST_DIR")), &mut all);
     let (mut sources, mut without) = (0, Vec::new());
@@ -339,12 +341,12 @@ fn every_source_file_says_its_license() {
         }
         sources += 1;
         let head = String::from_utf8_lossy(&text[..text.len().min(200)]).into_owned();
-        if !head.lines().take(2).any(|line| LINES.contains(&line)) {
+        if !head.lines().take(2).any(|line| lines.iter().any(|one| one == line)) {
             without.push(path);
         }
     }
     assert!(sources > 400, "{sources}");
-    assert!(without.is_empty(), "these need a line such as {:?}: {without:?}", LINES[0]);
+    assert!(without.is_empty(), "these need a line such as {:?}: {without:?}", lines[0]);
 }
 
 /// What a reader of crates.io and of docs.rs looks for.
