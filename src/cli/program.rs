@@ -203,7 +203,15 @@ impl Screen for Fields {
 
     fn totals(&self, totals: &Totals) {
         let lines = totals.lines();
-        self.board.totals(lines.first().cloned().unwrap_or_default());
+        // One line of 80 columns.
+        let mut short = format!("passed {}, failed {}", totals.passed, totals.failures());
+        if let Some(percent) = totals.first_pass_yield() {
+            short += &format!(", first-pass yield {percent:.1} %");
+        }
+        if let Some(mean) = totals.mean_seconds() {
+            short += &format!(", {mean:.1} s a pack");
+        }
+        self.board.totals(short);
         *self.lines.lock().unwrap_or_else(PoisonError::into_inner) = lines;
     }
 }

@@ -676,7 +676,7 @@ impl Station {
             self.first.has_failed();
             return true;
         }
-        let what = "the first pack of this run has passed; check it, then type yes to go on, or no to end";
+        let what = "the first pack has passed; check it, then type yes, or no to end";
         let answer = self.desk.ask(&entry.gauge, what, |line| match line.to_lowercase().as_str() {
             "yes" | "y" => Ok(true),
             "no" | "n" => Ok(false),
