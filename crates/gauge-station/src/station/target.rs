@@ -174,3 +174,12 @@ pub(super) fn check(asked: &Image, now: &Flash, but: &[Place]) -> Result<()> {
         None => Ok(()),
     }
 }
+
+/// Makes sure that a pack has everything that is asked for, and nothing else that it had not before: a row next to those
+/// that were written could have been lost.
+pub(super) fn check_programmed(asked: &Image, now: &Flash, before: &Flash) -> Result<()> {
+    check(asked, now, &[])?;
+    let places: Vec<Place> =
+        asked.entries.iter().map(|entry| (entry.subclass.id, entry.parameter.offset)).collect();
+    now.check_same(before, &places)
+}

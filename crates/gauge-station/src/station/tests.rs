@@ -1506,7 +1506,9 @@ fn what_is_rehearsed_goes_wrong_as_it_is_called() {
     assert!(!run.expect("it runs"));
     let steps: Vec<_> = folder.lines().into_iter().filter(|line| line.event != Event::Begun).collect();
     let steps: Vec<_> = steps.iter().map(|line| line.step.as_deref().unwrap_or("pass")).collect();
-    assert_eq!(steps, ["image", "identification", "reading", "checks", "pass"], "{:?}", said.all());
+    // The transfer is one of the write, or one of those after it.
+    assert!(["image", "verification"].contains(&steps[0]), "{:?}", said.all());
+    assert_eq!(steps[1..], ["identification", "reading", "checks", "pass"], "{:?}", said.all());
     check_record(&folder);
     let told = said.all();
     assert!(told.iter().any(|line| line.starts_with("? packs: 5, passed: 1, failed: 4,")), "{told:?}");
