@@ -587,3 +587,20 @@ fn ram_has_no_limit_and_0_means_no_limit() {
         assert_eq!(rig.write(80, 53, text), WRITTEN);
     }
 }
+
+/// What a pack does not change by itself: its number, a count of cycles that falls, its capacity by design.
+#[test]
+fn a_poll_that_contradicts_the_last_one_shows_another_pack() {
+    const CYCLES: u8 = 0x2C;
+    for (code, now, is_another) in
+        [(0x28, 8, true), (CYCLES, 6, true), (CYCLES, 8, false), (0x3C, 8, true), (0x08, 8, false)]
+    {
+        let mut rig = Rig::new("bq34z100-g1");
+        let answers = rig.gauge.identify().expect("it answers");
+        rig.dataflash.meet(rig.gauge.chip, &answers);
+        let chip = rig.gauge.chip;
+        assert!(!rig.dataflash.polled(chip, |_| Some(7)), "{code:#x}");
+        let shown = rig.dataflash.polled(chip, |at| Some(if at == code { now } else { 7 }));
+        assert_eq!(shown, is_another, "{code:#x} is {now}");
+    }
+}
