@@ -7,8 +7,8 @@
 //!
 //! Three parts:
 //!
-//! - **speed**: one operation is open, pread and close of one small file; only its ratio to sysfs means
-//!   something. `GAUGEFS_BENCH_PEERS` adds files of other file systems: `NAME=PATH`, separated by colons.
+//! - **speed**: one operation is open, pread and close of one small file; only its ratio to others of the same run means
+//!   something, and that to tmpfs is a promise. `GAUGEFS_BENCH_PEERS` adds files of other file systems: `NAME=PATH`, separated by colons.
 //! - **traffic**: a thousand readers read every attribute, and the transfers on the bus are counted. There must
 //!   be none.
 //! - **exactness**: 16 threads read while a gauge is polled up to 200 times a second, each poll with another
@@ -44,6 +44,8 @@ const CHIP: &str = "bq34z100-g1";
 const ROUNDS: usize = 200;
 /// So few that some rounds pass without an interruption by other load.
 const READS_A_ROUND: usize = 500;
+/// Time of a read, that of the same read of a tmpfs being 1, at most, where the kernel keeps the names of files.
+const OF_TMPFS: f64 = 1.5;
 const READERS: u64 = 16;
 const READS: u64 = 1_000_000;
 /// How much faster than the machine's clock the gauge's runs.
@@ -224,7 +226,26 @@ fn speed(bench: &Bench, report: &mut Report) {
         &format!("{:.2}", ns[1] / ns[0]),
         &others.join(", "),
     );
+    let of_tmpfs = ns[1] / ns[2];
+    report.row(
+        "the same, tmpfs in the same run being 1",
+        &format!("{of_tmpfs:.2}"),
+        &format!("the limit: {OF_TMPFS} (Linux 6.16 or later)"),
+    );
+    // Before that the kernel sends a message for each open.
+    if keeps_names() {
+        report.promise(of_tmpfs <= OF_TMPFS, || {
+            format!("a read takes {of_tmpfs:.2} of the time of tmpfs; the limit is {OF_TMPFS}")
+        });
+    }
     let _ = fs::remove_file(tmpfs);
+}
+
+/// Whether this kernel has the notification without which it may keep no names.
+fn keeps_names() -> bool {
+    let release = fs::read_to_string("/proc/sys/kernel/osrelease").unwrap_or_default();
+    let mut numbers = release.split(['.', '-']).map_while(|number| number.parse::<u32>().ok());
+    (numbers.next(), numbers.next()) >= (Some(6), Some(16))
 }
 
 fn traffic(bench: &Bench, report: &mut Report) {

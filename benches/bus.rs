@@ -74,6 +74,11 @@ impl Cost {
         Self::of(self.transfers - before.transfers, self.bytes - before.bytes)
     }
 
+    /// How long its bits are on the bus at so many kHz: nine for a byte, with START and STOP for a transfer.
+    fn time(self, khz: u64) -> Duration {
+        Duration::from_micros((self.bytes * 9 + self.transfers * 2) * 1000 / khz)
+    }
+
     /// The larger of each.
     fn max(self, other: Self) -> Self {
         Self::of(self.transfers.max(other.transfers), self.bytes.max(other.bytes))
@@ -136,6 +141,10 @@ fn measure(chip: &'static Chip, report: &mut Report) -> Result<()> {
         chip.name,
         kernel.map_or("-".to_string(), |kernel| kernel.to_string()),
     );
+    let times = [poll, first, image].map(|cost| {
+        let [slow, fast] = [100, 400].map(|khz| cost.time(khz).as_secs_f64() * 1e3);
+        format!("{slow:.1} or {fast:.1}")
+    });
     let kernel = kernel.map_or(String::new(), |kernel| format!("a poll of the kernel's driver: {kernel}; "));
     report.row(
         &format!(
@@ -144,6 +153,11 @@ fn measure(chip: &'static Chip, report: &mut Report) -> Result<()> {
         ),
         &format!("{poll}; {first}; {image}"),
         &format!("{kernel}the image needs {needed} transfers"),
+    );
+    report.row(
+        &format!("{}, ms on the bus at 100 or 400 kHz: a poll; a parameter; an image", chip.model),
+        &times.join("; "),
+        "without the waits of the gauge",
     );
     if chip.name == BUDGETED {
         for (what, cost, budget) in
