@@ -121,7 +121,9 @@ impl GaugeSetup {
             limits: self.limits,
             auth_order: self.auth_order,
             profile: self.profile(chip)?,
-            learned: place.clone().map(|(folder, key)| Learned::new(folder, key, self.pack.clone())),
+            learned: place.clone().map(|(folder, key)| {
+                Learned::new(folder, key, self.pack.clone()).trusting(folders::service())
+            }),
             journal: place
                 .clone()
                 .map(|(folder, key)| Journal::new(folder, key, subject.into()).trusting(folders::service())),

@@ -521,6 +521,12 @@ impl Journal {
     }
 }
 
+/// Makes sure that nobody but this account, root or a trusted one can have written a file, or can replace what is in a
+/// folder.
+pub fn check(path: &Path, trusted: Option<u32>) -> Result<()> {
+    disk::Host.check(path, trusted).map_err(|error| untrusted(path, &error))
+}
+
 fn untrusted(path: &Path, error: &io::Error) -> Error {
     let why = format!(
         "{error}, so what is there is not believed, and nothing is written to the gauge: make it your own and only yours \

@@ -6,7 +6,7 @@
 //! was named is believed (`--pack`); otherwise it waits for a person.
 
 use std::fs;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use jiff::{SignedDuration, Timestamp};
@@ -15,10 +15,10 @@ use super::operation::Asked;
 use super::{Attempt, Owner};
 use crate::error::{Cause, Error, Result};
 use gauge_bus::regular;
-use ti_gauge::chip::{Chip, Stays, Subclass};
+use ti_gauge::chip::{Chip, Parameter, Stays, Subclass};
 use ti_gauge::dataflash::Change;
 use ti_gauge::gauge::Seal;
-use ti_gauge::image::{self, Entry, Image, toml};
+use ti_gauge::image::{self, Image, toml};
 use ti_gauge::journal;
 use ti_gauge::value::Value;
 
@@ -29,8 +29,8 @@ const SUFFIX: &str = ".learned.toml";
 /// opened for it.
 const EVERY: Duration = Duration::from_secs(15 * 60);
 const EVERY_SEALED: Duration = Duration::from_secs(60 * 60);
-/// Where no pack was named.
-const UNNAMED: &str = "unnamed";
+/// The first look comes early: a gauge learns while the host is off, too, and not every host is on for long.
+const FIRST: Duration = Duration::from_secs(60);
 
 /// The folder with what the gauges in one place have learned.
 #[derive(Clone, Debug)]
@@ -38,6 +38,7 @@ pub struct Learned {
     folder: PathBuf,
     key: String,
     pack: Option<String>,
+    trusted: Option<u32>,
 }
 
 /// What somebody wants of it.
@@ -54,11 +55,18 @@ pub enum Wish {
 impl Learned {
     /// What is learned at the place that `key` identifies, by a pack of that name.
     pub fn new(folder: PathBuf, key: String, pack: Option<String>) -> Self {
-        Self { folder, key, pack }
+        Self { folder, key, pack, trusted: None }
     }
 
+    /// Also believes versions of that account, as [`journal::Journal::trusting`] does.
+    #[must_use]
+    pub fn trusting(self, account: Option<u32>) -> Self {
+        Self { trusted: account, ..self }
+    }
+
+    /// The part of a file's name that tells packs apart. No pack has an empty name.
     fn pack(&self) -> &str {
-        self.pack.as_deref().unwrap_or(UNNAMED)
+        self.pack.as_deref().unwrap_or_default()
     }
 
     /// The versions of this pack, oldest first, with the time in their names.
@@ -80,16 +88,28 @@ impl Learned {
     fn newest(&self, chip: &'static Chip, design: Option<i64>) -> (Option<(String, Image)>, Vec<String>) {
         let mut dropped = Vec::new();
         for (time, path) in self.files(chip).into_iter().rev() {
-            let image = Image::open(&path, Some(chip)).map_err(|error| error.to_string());
-            match image.and_then(|image| match implausible(&image, design) {
-                None => Ok(image),
-                Some(why) => Err(format!("{}: {why}", path.display())),
-            }) {
+            match self.read(&path, chip, design) {
                 Ok(image) => return (Some((time, image)), dropped),
                 Err(why) => dropped.push(why),
             }
         }
         (None, dropped)
+    }
+
+    /// A version, or why it does not count.
+    fn read(&self, path: &Path, chip: &'static Chip, design: Option<i64>) -> Result<Image, String> {
+        let trusted =
+            [&self.folder, path].into_iter().try_for_each(|path| journal::check(path, self.trusted));
+        trusted.map_err(|error| error.to_string())?;
+        let image = Image::open(path, Some(chip)).map_err(|error| error.to_string())?;
+        let was = image.entries.iter().find(|entry| is_design(entry.parameter));
+        let why = match (was.map(|entry| &entry.value), design) {
+            (Some(&Value::Int(was)), Some(now)) if was != now => {
+                Some(format!("it was learned with a Design Capacity of {was} mAh, and the profile has {now}"))
+            }
+            _ => implausible(&image, design),
+        };
+        why.map_or(Ok(image), |why| Err(format!("{}: {why}", path.display())))
     }
 
     /// Saves a version, unless the newest one is the same. On return it is on disk.
@@ -149,6 +169,18 @@ fn learning(chip: &'static Chip) -> Vec<usize> {
     rows.filter(|(_, row)| learns(row)).map(|(index, _)| index).collect()
 }
 
+/// Whether Qmax is in parts of this parameter.
+fn is_design(parameter: &Parameter) -> bool {
+    parameter.name == "Design Capacity"
+}
+
+/// The changes that restore what was learned. The image has Design Capacity besides, for comparison.
+fn restored(image: &Image) -> ti_gauge::error::Result<Vec<Change>> {
+    let mut changes = image.to_restore()?;
+    changes.retain(|change| change.row().is_some_and(|row| image.chip.stays(row) == Stays::Pack));
+    Ok(changes)
+}
+
 /// Why values cannot be what a gauge has learned. It limits Qmax itself to 120 % of its default (Max % Default Qmax). Design Capacity is needed for those in mAh.
 fn implausible(image: &Image, design: Option<i64>) -> Option<String> {
     image.entries.iter().find_map(|entry| {
@@ -161,7 +193,9 @@ fn implausible(image: &Image, design: Option<i64>) -> Option<String> {
             _ => None,
         };
         let is_ra = name.starts_with("R_a") || name.starts_with("Ra ");
+        let is_capacity = name == "Qmax Cell 0" || name == "Full Charge Capacity";
         match full {
+            _ if is_capacity && value <= 0 => Some(format!("{name} is {value}, which is no capacity")),
             Some(full) if value * 3 < full || value * 2 > full * 3 => Some(format!(
                 "{name} is {value}, which is not between a third and one and a half times {full}"
             )),
@@ -174,7 +208,7 @@ fn implausible(image: &Image, design: Option<i64>) -> Option<String> {
 impl Owner {
     /// Design Capacity by the profile.
     fn design_capacity(&self) -> Option<i64> {
-        let is_it = |change: &&Change| change.row().is_some_and(|(_, row)| row.name == "Design Capacity");
+        let is_it = |change: &&Change| change.row().is_some_and(|(_, row)| is_design(row));
         let change = self.memory.profile().iter().find(is_it)?;
         Some(change.bytes().iter().fold(0, |word, &byte| word << 8 | i64::from(byte)))
     }
@@ -182,15 +216,21 @@ impl Owner {
     /// The profile with what the pack has learned in the place of the profile's own, and from when that is.
     pub(super) fn profile_with_learned(&mut self) -> (Vec<Change>, Option<String>) {
         let profile = self.memory.profile().to_vec();
-        let Some(store) = self.learned.clone().filter(|store| store.pack.is_some()) else {
+        let Some(store) = self.learned.clone() else { return (profile, None) };
+        if store.pack.is_none() {
+            if !store.files(self.gauge.chip).is_empty() {
+                let why = "what it had learned is kept and not restored, because its pack has no name; see \
+                           `gaugefs learned`";
+                log::info!("{}: {why}", self.shared.name());
+            }
             return (profile, None);
-        };
+        }
         let (newest, dropped) = store.newest(self.gauge.chip, self.design_capacity());
         for why in dropped {
             log::warn!("{}: {why}; it is not restored", self.shared.name());
         }
         let Some((time, image)) = newest else { return (profile, None) };
-        match image.to_restore() {
+        match restored(&image) {
             Ok(learned) => (over(profile, learned), Some(time)),
             Err(error) => {
                 log::warn!("{}: what it has learned is not restored: {error}", self.shared.name());
@@ -207,11 +247,10 @@ impl Owner {
         let (Some(store), true) = (self.learned.clone(), is_good) else { return };
         let now = self.gauge.clock.now();
         let pause = if published.seal == Seal::Sealed { EVERY_SEALED } else { EVERY };
-        let last = *self.memory.last_look.get_or_insert(now);
-        if now < last + pause {
+        if now < *self.memory.next_look.get_or_insert(now + FIRST) {
             return;
         }
-        self.memory.last_look = Some(now);
+        self.memory.next_look = Some(now + pause);
         match self.look_at_learned().and_then(|image| match image {
             Some(image) => store.save(&image, Timestamp::now()),
             None => Ok(false),
@@ -237,18 +276,22 @@ impl Owner {
         let read = indices.iter().zip(&read).map(|(&index, bytes)| (index, &**bytes));
         let mut image = Image::of_flash(chip, Some(firmware), read);
         image.entries.retain(|entry| {
-            !entry.parameter.unproven && chip.stays((entry.subclass, entry.parameter)) == Stays::Pack
+            let is_of_pack = chip.stays((entry.subclass, entry.parameter)) == Stays::Pack;
+            !entry.parameter.unproven && (is_of_pack || is_design(entry.parameter))
         });
         if let Some(why) = implausible(&image, self.design_capacity()) {
             log::warn!("{}: what it has learned is not saved: {why}", self.shared.name());
             return Ok(None);
         }
-        // A memory that was lost unnoticed must not become the newest version.
-        let is_new = |entry: &Entry| {
-            let change = Change::of_value((entry.subclass, entry.parameter), &entry.value, false);
-            change.is_ok_and(|change| !change.is_default(change.bytes()))
+        // A memory that was lost unnoticed must not become the newest version, nor the profile what was learned.
+        let is_written = |change: &Change| {
+            let mut written = self.memory.profile().iter().filter(|wrote| wrote.place() == change.place());
+            written.any(|wrote| wrote.stored_over(change.bytes()) == change.bytes())
         };
-        Ok(image.entries.iter().any(is_new).then_some(image))
+        // Bits that are never restored say nothing.
+        let is_default = |change: &Change| change.is_default(&change.stored_over(&[0; 8]));
+        let is_new = |change: &Change| !is_default(change) && !is_written(change);
+        Ok(restored(&image)?.iter().any(is_new).then_some(image))
     }
 
     /// Shows what is kept of the gauge's pack, writes it, or removes it.
@@ -271,7 +314,7 @@ impl Owner {
                     let why = dropped.into_iter().next().unwrap_or_else(|| "nothing is kept of it".into());
                     return Err(Error::new("learned", Cause::NotNow, why));
                 };
-                let learned = over(self.memory.profile().to_vec(), image.to_restore()?);
+                let learned = over(self.memory.profile().to_vec(), restored(&image)?);
                 let outcome = self.dataflash.restore(&mut self.gauge, &learned, true, asked.waited);
                 let outcome = self.noted(outcome);
                 self.forget_values();
@@ -289,7 +332,8 @@ impl Owner {
         let (newest, dropped) = store.newest(chip, self.design_capacity());
         let mut text = String::new();
         if let Some((time, image)) = &newest {
-            text += &format!("pack {}: learned until {time}\n", store.pack());
+            let pack = store.pack.as_ref().map_or("without a name".into(), |name| format!("pack {name}"));
+            text += &format!("{pack}: learned until {time}\n");
             for entry in &image.entries {
                 text += &format!("  {} = {}\n", image.name(entry), entry.shown());
             }
@@ -358,9 +402,13 @@ mod tests {
 
     /// The gauge learns a Qmax and an Ra, and is looked at.
     fn learn(rig: &mut Rig, qmax: u16) {
+        learn_now(rig, qmax);
+        rig.poll_after(EVERY_SEALED);
+    }
+
+    fn learn_now(rig: &mut Rig, qmax: u16) {
         rig.sim.set_flash(QMAX.0, QMAX.1, &qmax.to_be_bytes());
         rig.sim.set_flash(89, 0, &77_u16.to_be_bytes());
-        rig.poll_after(EVERY_SEALED);
     }
 
     fn lose_power(rig: &mut Rig) {
@@ -508,6 +556,96 @@ mod tests {
             number += 1;
         }
         assert!(number > 10, "{number}");
+    }
+
+    /// It would be the newest version, and hide what was learned before.
+    #[test]
+    fn regression_what_the_profile_has_was_saved_as_learned() {
+        let folder = folder("profile");
+        let mut rig = rig(&folder, None);
+        rig.poll_after(EVERY_SEALED);
+        assert!(fs::read_dir(&folder).is_err(), "nothing was learned");
+        learn(&mut rig, 15_432);
+        lose_power(&mut rig);
+        assert_eq!(words(&mut rig), (16_000, 102));
+        rig.poll_after(EVERY_SEALED);
+        rig.ask(&op::LEARNED, Wish::Restore).expect("a person knows");
+        assert_eq!(words(&mut rig), (15_432, 77));
+        fs::remove_dir_all(folder).expect("it is there");
+    }
+
+    /// Qmax is in parts of Design Capacity.
+    #[test]
+    fn regression_qmax_of_another_design_capacity_was_restored() {
+        let folder = folder("design");
+        let mut rig = rig(&folder, Some("A"));
+        learn(&mut rig, 15_432);
+        let file = fs::read_dir(&folder).expect("a folder").next().expect("a file").expect("it").path();
+        let text = fs::read_to_string(&file).expect("text");
+        fs::write(&file, text.replace("design-capacity = 1234", "design-capacity = 1235")).expect("written");
+        lose_power(&mut rig);
+        assert_eq!(words(&mut rig), (16_000, 102));
+        let told = told(&mut rig);
+        assert!(told.contains("Design Capacity of 1235 mAh, and the profile has 1234"), "{told}");
+        fs::remove_dir_all(folder).expect("it is there");
+    }
+
+    #[test]
+    fn regression_a_capacity_of_zero_was_plausible_without_a_design_capacity() {
+        let chip = Chip::by_name("bq27220").expect("it has a table");
+        let rows =
+            chip.subclasses.iter().flat_map(|class| class.parameters.iter().map(move |row| (class, row)));
+        let row = rows.into_iter().find(|(_, row)| row.name == "Full Charge Capacity").expect("it has one");
+        let name = chip.name_of(row);
+        let (group, name) = name.split_once('/').expect("a group and a name");
+        for (value, is_plausible) in [(0, false), (1000, true)] {
+            let image = format!("chip = \"bq27220\"\n[{group}]\n{name} = {value}\n");
+            let image = Image::parse(&image, Some(chip)).expect("an image");
+            assert_eq!(implausible(&image, None).is_none(), is_plausible, "{value}");
+        }
+    }
+
+    #[test]
+    fn regression_a_version_that_others_may_write_was_believed() {
+        use std::os::unix::fs::PermissionsExt as _;
+        let folder = folder("planted");
+        let mut rig = rig(&folder, Some("A"));
+        learn(&mut rig, 15_432);
+        let file = fs::read_dir(&folder).expect("a folder").next().expect("a file").expect("it").path();
+        for path in [&file, &folder] {
+            let mode = fs::metadata(path).expect("it is there").permissions().mode();
+            fs::set_permissions(path, fs::Permissions::from_mode(mode | 0o022)).expect("it is mine");
+            lose_power(&mut rig);
+            assert_eq!(words(&mut rig), (16_000, 102), "{}", path.display());
+            let told = told(&mut rig);
+            assert!(told.contains("others may write to it"), "{told}");
+            fs::set_permissions(path, fs::Permissions::from_mode(mode)).expect("it is mine");
+        }
+        lose_power(&mut rig);
+        assert_eq!(words(&mut rig), (15_432, 77));
+        fs::remove_dir_all(folder).expect("it is there");
+    }
+
+    #[test]
+    fn regression_a_pack_named_unnamed_got_what_others_had_learned() {
+        let folder = folder("unnamed-name");
+        let mut rig = rig(&folder, None);
+        learn(&mut rig, 15_432);
+        let mut rig = self::rig(&folder, Some("unnamed"));
+        lose_power(&mut rig);
+        assert_eq!(words(&mut rig), (16_000, 102));
+        fs::remove_dir_all(folder).expect("it is there");
+    }
+
+    #[test]
+    fn a_host_that_is_on_for_two_minutes_saves_what_was_learned_while_it_was_off() {
+        let folder = folder("short");
+        let mut rig = rig(&folder, Some("A"));
+        learn_now(&mut rig, 15_432);
+        rig.poll_after(FIRST);
+        lose_power(&mut rig);
+        assert_eq!(words(&mut rig), (15_432, 77));
+        fs::remove_dir_all(folder).expect("it is there");
     }
 
     #[test]

@@ -30,8 +30,8 @@ pub(super) struct Memory {
     lost_again: u32,
     /// The gauge was told that it has a battery.
     inserted: Fact<(), Presence>,
-    /// When what it has learned was last looked at.
-    pub(super) last_look: Option<Duration>,
+    /// When what it has learned is looked at.
+    pub(super) next_look: Option<Duration>,
 }
 
 /// The loss of the configuration.
@@ -59,7 +59,7 @@ impl Memory {
             design: None,
             lost_again: 0,
             inserted: Fact::default(),
-            last_look: None,
+            next_look: None,
         }
     }
 
