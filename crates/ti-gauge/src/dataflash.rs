@@ -341,6 +341,11 @@ impl DataFlash {
             let why = "its data memory is flash, and nothing of it is lost with the power";
             return Err(Error::new(gauge.chip.model, Cause::NotPermitted, why).at(Step::Check));
         }
+        // Whichever gauge it was begun on: nothing of it outlives the memory, and all of it is written now.
+        if self.find_pending().is_some_and(|pending| pending.is_written_again(changes)) {
+            let told = self.decide(gauge, Decision::Discard, waited)?;
+            log::warn!("{}: {told}", gauge.chip.name);
+        }
         self.write_with(gauge, changes, Extras { soon: true, lost, ..Extras::default() }, waited)
     }
 

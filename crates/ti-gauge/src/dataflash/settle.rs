@@ -26,12 +26,12 @@ use super::session::{Left, Reference, Session, in_time};
 use super::state::has_lost_memory;
 use super::verdict::{Verdict, unrestored};
 use super::window::{Window, holds_keys, secrets};
-use super::{DataFlash, Place};
+use super::{Change, DataFlash, Place};
 use crate::chip::{Chip, KeyStorage, Kind};
 use crate::codec::{self, WINDOW};
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::{Gauge, Moment, Seal, agreed};
-use crate::journal::{Content, Entry, Found, Identity, Mark, OpenJournal, Plan};
+use crate::journal::{Content, Entry, Found, Identity, Mark, OpenJournal, Plan, PlannedBlock};
 use crate::keys::Name;
 use crate::notation;
 
@@ -886,6 +886,21 @@ impl Plan {
     pub(super) fn of_marks(marks: Vec<Mark>) -> Self {
         Self { marks, ..Self::default() }
     }
+
+    /// Whether these changes write all of what an interrupted write was about to change.
+    pub(super) fn is_covered(&self, changes: &[Change]) -> bool {
+        let is_written = |subclass: u8, offset: usize| {
+            changes.iter().any(|change| {
+                let begin = usize::from(change.place.offset);
+                change.place.subclass == subclass && (begin..begin + change.bytes.len()).contains(&offset)
+            })
+        };
+        let covers = |block: &PlannedBlock| {
+            let mut written = (0..WINDOW).filter(|&at| block.written.has(at));
+            written.all(|at| is_written(block.subclass, usize::from(block.base) + at))
+        };
+        self.key.is_none() && !self.blocks.is_empty() && self.blocks.iter().all(covers)
+    }
 }
 
 impl Entry {
@@ -901,6 +916,11 @@ impl Entry {
 }
 
 impl Pending {
+    /// Whether a person has to decide about a write of which these changes write all, so that nothing is lost without one.
+    pub(super) fn is_written_again(&self, changes: &[Change]) -> bool {
+        self.undecided && self.plan().is_some_and(|plan| plan.is_covered(changes))
+    }
+
     /// What was about to be written.
     pub(super) fn plan(&self) -> Option<Plan> {
         self.entry.as_ref()?.plan.clone()
