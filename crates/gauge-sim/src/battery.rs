@@ -53,6 +53,8 @@ pub(super) struct Battery {
     /// Cells that there really are, if that is not what data flash says.
     pub(super) series: Option<f64>,
     pub(super) capacity_mah: f64,
+    /// The capacity is the pack's own, and not what data flash says.
+    pub(super) is_own: bool,
     pub(super) charge_mah: f64,
     /// The load; negative for a charger.
     pub(super) load_ma: f64,
@@ -77,6 +79,7 @@ impl Battery {
             cells,
             series: None,
             capacity_mah,
+            is_own: false,
             charge_mah,
             load_ma: 0.0,
             ambient: 25.0,
@@ -95,11 +98,18 @@ impl Battery {
         Self { curve, ohms, diffusion: 0.0, ..Self::new(cells, capacity_mah, soc) }
     }
 
-    /// Changes the size and keeps the state of charge.
+    /// Changes the size to what data flash says, and keeps the state of charge.
     pub(super) fn resize(&mut self, cells: f64, capacity_mah: f64) {
+        if !self.is_own {
+            self.set_capacity(capacity_mah);
+        }
+        self.cells = self.series.unwrap_or(cells);
+    }
+
+    /// Changes the capacity and keeps the state of charge.
+    pub(super) fn set_capacity(&mut self, capacity_mah: f64) {
         self.charge_mah *= capacity_mah / self.capacity_mah;
         self.capacity_mah = capacity_mah;
-        self.cells = self.series.unwrap_or(cells);
     }
 
     pub(super) fn percent(&self) -> f64 {
@@ -180,6 +190,17 @@ impl Battery {
         area / 100.0 * self.capacity_mah / 1000.0 * self.cells
     }
 
+    /// The state of charge in percent at which a cell has this open-circuit voltage.
+    pub(super) fn percent_at(&self, mv: f64) -> f64 {
+        for pair in self.curve.windows(2) {
+            let ((from, low), (to, high)) = (pair[0], pair[1]);
+            if mv <= high {
+                return (from + (to - from) * (mv - low) / (high - low)).max(0.0);
+            }
+        }
+        100.0
+    }
+
     /// Open-circuit voltage of one cell at a state of charge, in mV.
     pub(super) fn open_circuit(&self, percent: f64) -> f64 {
         for pair in self.curve.windows(2) {
@@ -220,6 +241,15 @@ mod tests {
         assert!(battery.slope_mv_s() > 0.004, "{}", battery.slope_mv_s());
         battery.step(10.0 * 3600.0);
         assert!((battery.cell_mv() - 3000.0).abs() < 1e-3);
+    }
+
+    #[test]
+    fn an_open_circuit_voltage_shows_the_state_of_charge() {
+        let battery = Battery::new(1.0, 1000.0, 60.0);
+        for percent in [0.0, 1.0, 33.0, 50.0, 99.0, 100.0] {
+            assert!((battery.percent_at(battery.open_circuit(percent)) - percent).abs() < 1e-9, "{percent}");
+        }
+        assert_eq!((battery.percent_at(2000.0), battery.percent_at(4300.0)), (0.0, 100.0));
     }
 
     #[test]

@@ -750,6 +750,8 @@ impl Wire for Block {
             "sealed_writes" => knob::SEALED_WRITES.show(self.ignores_sealed),
             "auth_order" => knob::AUTH_ORDER.show(self.as_sent),
             "cells" => knob::show_or_auto(self.gauging.battery().series),
+            "real_mah" => knob::show_or_auto(self.gauging.own_capacity()),
+            "real_soc" => format!("{:.2}", self.gauging.battery().percent()),
             "board_divider" => {
                 let fits = self.board == self.part.scale(&device.flash);
                 knob::show_or_auto(self.board.filter(|_| !fits).map(|board| board.divider.into()))
@@ -791,6 +793,10 @@ impl Wire for Block {
             }
             "cells" => {
                 self.gauging.set_series(knob::or_auto(name, text, 1.0, 32.0)?);
+                Ok(())
+            }
+            "real_mah" => {
+                self.gauging.set_capacity(knob::or_auto(name, text, 1.0, 32_767.0)?);
                 Ok(())
             }
             "board_divider" => {

@@ -50,9 +50,23 @@ pub(super) struct Map {
     pub(super) cycles: Option<Place>,
     /// The classes of the lifetime data and of their count of samples.
     pub(super) lifetime: Option<(u16, u16)>,
-    /// The places of the values that Impedance Track learns: Qmax, the cycle count at that time, and Update Status.
-    pub(super) learned: Option<[Place; 3]>,
+    /// What Impedance Track learns is stored here.
+    pub(super) learned: Option<Learns>,
 }
+
+/// The places of the values that Impedance Track learns.
+#[derive(Debug)]
+pub(super) struct Learns {
+    pub(super) qmax: Place,
+    /// Qmax is in parts of Design Capacity, 16384 for all of it, and not in mAh.
+    pub(super) of_design: bool,
+    /// The cycle count at that time.
+    pub(super) count: Option<Place>,
+    pub(super) status: Option<Place>,
+}
+
+/// The most that a learned Qmax can be in parts of Design Capacity (Max % Default Qmax).
+const MOST_QMAX: f64 = 1.2;
 
 /// A quantity that a register can show.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -317,9 +331,42 @@ impl Gauging {
     }
 
     fn take_ocv(&mut self) {
-        self.ram.dod = 16384.0 * (1.0 - self.battery.percent() / 100.0);
+        let percent = self.ocv_percent();
+        self.ram.dod = 16384.0 * (1.0 - percent / 100.0);
         (self.ram.dod_s, self.ram.drift_mah) = (0.0, 0.0);
+        if self.battery.is_own {
+            self.ram.drift_mah = self.capacity() * percent / 100.0 - self.battery.charge_mah;
+        }
         self.simulate();
+    }
+
+    /// The state of charge that the present voltage shows, if the pack is at rest. Of a pack with a capacity of its own the
+    /// gauge knows nothing else.
+    fn ocv_percent(&self) -> f64 {
+        if self.battery.is_own {
+            self.battery.percent_at(self.battery.cell_mv())
+        } else {
+            self.battery.percent()
+        }
+    }
+
+    /// The capacity of the pack as the gauge has it.
+    fn capacity(&self) -> f64 {
+        if self.battery.is_own { self.settings.qmax_mah } else { self.battery.capacity_mah }
+    }
+
+    /// The capacity that the pack really has, if that is not what data flash says.
+    pub(super) fn own_capacity(&self) -> Option<f64> {
+        self.battery.is_own.then_some(self.battery.capacity_mah)
+    }
+
+    /// Gives the pack a capacity of its own, or the one that data flash says.
+    pub(super) fn set_capacity(&mut self, own: Option<f64>) {
+        self.battery.is_own = own.is_some();
+        self.battery.set_capacity(own.unwrap_or(self.settings.qmax_mah));
+        // What the gauge has counted goes on.
+        let counted = self.ram.start_mah + self.ram.passed_mah + self.settings.reserve_mah;
+        self.ram.drift_mah = if own.is_some() { counted - self.battery.charge_mah } else { 0.0 };
     }
 
     /// Impedance Track is enabled. A pack that is at rest shows its depth of discharge at once.
@@ -341,14 +388,20 @@ impl Gauging {
             return;
         }
         let degrees = (self.temperature() - FREEZING) / 10.0;
-        let ocv = Ocv { dod: 1.0 - self.battery.percent() / 100.0, cell_mv: self.cell_mv(), degrees };
+        let ocv = Ocv { dod: 1.0 - self.ocv_percent() / 100.0, cell_mv: self.cell_mv(), degrees };
         let s = &mut self.settings;
-        let lesson = self.ram.learning.take(&ocv, f64::from(s.design_mah), s.learned);
+        let design_mah = f64::from(s.design_mah);
+        let lesson = self.ram.learning.take(&ocv, design_mah, s.learned);
         if let Some(Lesson { qmax_mah, learned }) = lesson {
             s.learned = s.learned & !LEARNED | learned;
-            s.qmax_mah = qmax_mah.round().clamp(1.0, 32_767.0);
+            let of_design = self.map.learned.as_ref().is_some_and(|learns| learns.of_design);
+            let most = if of_design { design_mah * MOST_QMAX } else { 32_767.0 };
+            s.qmax_mah = qmax_mah.round().clamp(1.0, most.max(1.0));
             self.ram.max_error = if learned == QMAX_AND_RA { 1 } else { 3 };
             self.ram.learned_changed = true;
+            if self.battery.is_own {
+                self.take_ocv();
+            }
         }
     }
 
@@ -364,11 +417,11 @@ impl Gauging {
 
     /// The pack's charge according to the coulomb counter.
     fn counted(&self) -> f64 {
-        (self.battery.charge_mah + self.ram.drift_mah).clamp(0.0, self.battery.capacity_mah)
+        (self.battery.charge_mah + self.ram.drift_mah).clamp(0.0, self.capacity())
     }
 
     fn full(&self) -> f64 {
-        (self.battery.capacity_mah - self.settings.reserve_mah).max(0.0)
+        (self.capacity() - self.settings.reserve_mah).max(0.0)
     }
 
     /// Voltage() of the whole stack.
@@ -511,7 +564,7 @@ impl Gauging {
         if current == 0.0 {
             return;
         }
-        let open = self.battery.open_circuit(100.0 * self.counted() / self.battery.capacity_mah);
+        let open = self.battery.open_circuit(100.0 * self.counted() / self.capacity());
         let (rate, cell) = (current / f64::from(self.settings.design_mah.max(1)), self.cell_mv());
         self.ram.learning.discharge(seconds, rate, cell, open);
     }
@@ -526,7 +579,7 @@ impl Gauging {
         if tapering && !self.ram.tapered && self.ram.taper_s >= 2.0 * s.taper_s {
             self.ram.tapered = true;
             if s.full_at_taper {
-                self.ram.drift_mah = self.battery.capacity_mah - self.battery.charge_mah;
+                self.ram.drift_mah = self.capacity() - self.battery.charge_mah;
             }
             self.ram.end_dod = 16384.0 * (1.0 - self.battery.percent() / 100.0);
             self.ram.flags_b |= DODEOC;
@@ -679,7 +732,7 @@ impl Gauging {
             Quantity::MaxError => u16::from(self.ram.max_error),
             Quantity::MaxLoadCurrent => signed(s.max_load_ma),
             Quantity::MaxLoadTimeToEmpty => self.minutes_at(s.max_load_ma),
-            Quantity::NominalFull => whole(self.battery.capacity_mah),
+            Quantity::NominalFull => whole(self.capacity()),
             Quantity::NominalRemaining => whole(self.counted()),
             // CAL_ENABLE toggles the bit of the running copy.
             Quantity::PackConfiguration if calibration => s.pack | 0x4000,
@@ -719,6 +772,11 @@ impl Model for Gauging {
     }
 
     fn set_percent(&mut self, percent: f64) {
+        if self.battery.is_own {
+            self.battery.set_percent(percent);
+            self.battery.rest();
+            return self.take_ocv();
+        }
         let reserve = self.settings.reserve_mah.min(self.battery.capacity_mah);
         self.battery.charge_mah = reserve + self.full() * percent / 100.0;
         self.battery.rest();
@@ -761,6 +819,10 @@ impl Model for Gauging {
             self.ram.drift_mah = (self.ram.drift_mah - 2.0 * moved).clamp(low, high);
             moved = -moved;
         }
+        if self.battery.is_own {
+            // The counter stops at empty and at full.
+            self.ram.drift_mah = self.counted() - self.battery.charge_mah;
+        }
         let current = self.current_ma();
         self.ram.average_ma += (current - self.ram.average_ma) * (1.0 - libm::exp(-seconds / AVERAGE_S));
         self.ram.passed_mah += moved;
@@ -786,12 +848,18 @@ impl Model for Gauging {
             kept.push(Kept::new(id, offset, &self.ram.cycles.to_be_bytes()));
         }
         let learned = mem::take(&mut self.ram.learned_changed);
-        if let Some([qmax, count, status]) = self.map.learned.filter(|_| learned) {
+        if let Some(learns) = self.map.learned.as_ref().filter(|_| learned) {
             let word = |(id, offset): Place, word: u16| Kept::new(id, offset, &word.to_be_bytes());
-            let bits = flash.u8(status.0, status.1) & !LEARNED | self.settings.learned & LEARNED;
-            kept.push(word(qmax, whole(self.settings.qmax_mah)));
-            kept.push(word(count, self.ram.cycles));
-            kept.push(Kept::new(status.0, status.1, &[bits]));
+            let (qmax, design) = (self.settings.qmax_mah, f64::from(self.settings.design_mah.max(1)));
+            kept.push(word(
+                learns.qmax,
+                whole(if learns.of_design { qmax * 16_384.0 / design } else { qmax }),
+            ));
+            kept.extend(learns.count.map(|count| word(count, self.ram.cycles)));
+            kept.extend(learns.status.map(|(id, offset)| {
+                let bits = flash.u8(id, offset) & !LEARNED | self.settings.learned & LEARNED;
+                Kept::new(id, offset, &[bits])
+            }));
         }
         let lifetime = mem::take(&mut self.ram.lifetime_changed);
         if let Some((data, samples)) = self.map.lifetime.filter(|_| lifetime) {

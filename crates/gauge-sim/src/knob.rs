@@ -74,6 +74,8 @@ pub(super) static KNOBS: &[Knob] = &[
     Of::Gauge
         .set("voltage_mv", "what Voltage() shows in mV with the present calibration; `auto` for the model's"),
     Of::Block.set("cells", "cells in series that the pack really has; `auto` for as many as data flash says"),
+    Of::Block.set("real_mah", "charge of the full pack in mAh, whatever data flash says; `auto` for Qmax there"),
+    Of::Block.show("real_soc", "what the pack really has left of that, in percent"),
     Of::Block.set(
         "board_divider",
         "the Voltage Divider that fits the board in mV, with the internal divider off; `auto` if data flash fits it",

@@ -4,7 +4,7 @@
 
 // A part's file names them as `super::part` and so on.
 use super::part::Part;
-use super::{battery, flash, flat, gauging, model, part, rom, seal, timing, update};
+use super::{battery, flash, flat, gauging, learning, model, part, rom, seal, timing, update};
 
 mod bq27220;
 mod bq27426;

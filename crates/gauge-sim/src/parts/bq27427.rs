@@ -9,7 +9,7 @@
 
 use std::time::Duration;
 
-use super::bq27441_g1::{self, FLAGS, OWN, UPDATE_STATUS, family, rate};
+use super::bq27441_g1::{self, FLAGS, LEARNS, OWN, UPDATE_STATUS, family, rate};
 use super::flash::{Flash, Image};
 use super::gauging::Quantity as Q;
 use super::gauging::{Map, Settings};
@@ -38,7 +38,7 @@ pub(super) const TIMING: Timing = Timing { update_enter: Duration::from_millis(1
 pub(super) const SCHEME: BlockPart = BlockPart {
     // Not documented.
     code: 0x0001,
-    map: Map { settings, registers: REGISTERS, flags: FLAGS, cycles: None, lifetime: None, learned: None },
+    map: Map { settings, registers: REGISTERS, flags: FLAGS, cycles: None, lifetime: None, learned: LEARNS },
     subcommands: SUBCOMMANDS,
     status: STATUS,
     // The bq27441-G1's.

@@ -10,7 +10,8 @@ use std::time::Duration;
 
 use super::flash::{Flash, Image};
 use super::gauging::Quantity as Q;
-use super::gauging::{CHG, DSG, FC, Map, OCVTAKEN, OT, SOC1, SOCF, Settings, UT};
+use super::gauging::{CHG, DSG, FC, Learns, Map, OCVTAKEN, OT, SOC1, SOCF, Settings, UT};
+use super::learning::QMAX;
 use super::model::Host;
 use super::part::Action::*;
 use super::part::{Action, BlockPart, DataMemory, Own, Part, Scheme, Status};
@@ -51,7 +52,7 @@ pub(super) const TIMING: Timing = Timing {
 const SCHEME: BlockPart = BlockPart {
     // SLUSBH1C, device comparison.
     code: 0x0048,
-    map: Map { settings, registers: REGISTERS, flags: FLAGS, cycles: None, lifetime: None, learned: None },
+    map: Map { settings, registers: REGISTERS, flags: FLAGS, cycles: None, lifetime: None, learned: LEARNS },
     subcommands: SUBCOMMANDS,
     status: STATUS,
     // 4.1.5.
@@ -74,6 +75,10 @@ const SCHEME: BlockPart = BlockPart {
 
 /// Bit 7 of Update Status (6.4.2.3.2).
 pub(super) const UPDATE_STATUS: (u16, usize, u8) = (82, 2, 0x80);
+
+/// The family stores Qmax alone: the low bits of Update Status are set by the host, for a learning cycle (6.4.2.3.2).
+pub(super) const LEARNS: Option<Learns> =
+    Some(Learns { qmax: (82, 0), of_design: true, count: None, status: None });
 
 pub(super) const OWN: Own = Own {
     update_status: None,
@@ -202,6 +207,8 @@ pub(super) fn family(flash: &Flash, design: usize) -> Settings {
         internal_offset: f64::from(i8(104, 1)),
         deadband_ma: u8(107, 1),
         qmax_mah: (i16(82, 0) * design_mah / 16384.0).max(1.0),
+        // In ROM there is a Qmax already.
+        learned: QMAX,
         ..Settings::none()
     }
 }

@@ -7,10 +7,11 @@
 //! those of the chemistry are invented, each class filled with its own number. The estimate of the current
 //! is as good as a measurement here.
 
-use super::bq27441_g1::{FLAGS, OWN, TIMING};
+use super::bq27441_g1::{FLAGS, LEARNS, OWN, TIMING};
 use super::flash::{Flash, Image};
 use super::gauging::Quantity as Q;
 use super::gauging::{Map, Settings};
+use super::learning::QMAX;
 use super::model::Host;
 use super::part::Action::*;
 use super::part::{Action, BlockPart, DataMemory, Own, Part, Scheme, Status};
@@ -31,7 +32,7 @@ static REWRITES: &[(u16, usize, usize)] = &[(82, 0, 2), (82, 28, 2), (85, 0, 2),
 static SCHEME: BlockPart = BlockPart {
     // There is no DM_CODE.
     code: 0,
-    map: Map { settings, registers: REGISTERS, flags: FLAGS, cycles: None, lifetime: None, learned: None },
+    map: Map { settings, registers: REGISTERS, flags: FLAGS, cycles: None, lifetime: None, learned: LEARNS },
     subcommands: SUBCOMMANDS,
     status: STATUS,
     // The bq27441-G1's.
@@ -142,6 +143,7 @@ fn settings(flash: &Flash) -> Settings {
         internal_offset: f64::from(i8(104, 1)),
         // Qmax Cell 0 is a fraction of Design Capacity, as in the family.
         qmax_mah: (i16(82, 0) * design_mah / 16384.0).max(1.0),
+        learned: QMAX,
         ..Settings::none()
     }
 }

@@ -13,7 +13,7 @@ use std::array;
 use super::flash::{Flash, Image};
 use super::gauging::Quantity as Q;
 use super::gauging::{
-    BATHI, BATLOW, CF, CHG, CHG_INH, DSG, FC, Map, OCVTAKEN, OTC, OTD, SOC1, SOCF, Settings, XCHG,
+    BATHI, BATLOW, CF, CHG, CHG_INH, DSG, FC, Learns, Map, OCVTAKEN, OTC, OTD, SOC1, SOCF, Settings, XCHG,
 };
 use super::part::Action::*;
 use super::part::{Action, BlockPart, Gate, Own, Part, Scheme, Status};
@@ -44,7 +44,12 @@ static SCHEME: BlockPart = BlockPart {
         flags: FLAGS,
         cycles: Some((48, 6)),
         lifetime: Some((59, 60)),
-        learned: Some([(82, 0), (82, 2), (82, 4)]),
+        learned: Some(Learns {
+            qmax: (82, 0),
+            of_design: false,
+            count: Some((82, 2)),
+            status: Some((82, 4)),
+        }),
     },
     subcommands: SUBCOMMANDS,
     status: STATUS,
