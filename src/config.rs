@@ -3,11 +3,13 @@
 //! The options of a mount and of its gauges, from the command line or a configuration file. `options` defines each of them
 //! once.
 
+use std::os::unix::fs::MetadataExt as _;
 use std::path::{Path, PathBuf};
 
 use crate::error::{Cause, Error, Result};
 use crate::fs::Scales;
 
+mod choice;
 mod file;
 mod node;
 mod option;
@@ -16,6 +18,7 @@ mod source;
 mod station;
 mod values;
 
+pub(crate) use choice::ChoiceOptions;
 use node::Node;
 pub(crate) use option::{At, Given, Opt, Options, names};
 pub(crate) use options::{AlertOptions, GaugeOptions, MountOptions};
@@ -93,6 +96,9 @@ impl Setup {
         let name = path.display().to_string();
         let refuse = |why: &'static str| Err(Error::new(&name, Cause::Invalid, why));
         let (mut mount, gauges) = file::read(path, bus.as_deref())?;
+        if gauges.iter().flat_map(|gauge| &gauge.choose).any(ChoiceOptions::runs) {
+            check_own(path)?;
+        }
         over(&mut mount);
         mount.check_log()?;
         make_absolute(&mut mount, Path::new(""))?;
@@ -116,13 +122,18 @@ impl Setup {
     }
 }
 
-/// The mount point that a configuration file names, and its alerts. Their programs run with the rights of whoever
-/// reads the file, so nobody else may be able to change it.
+/// The mount point that a configuration file names, and its alerts, whose programs run with the rights of whoever reads
+/// the file.
 #[cfg(feature = "screen")]
 pub(crate) fn alerts(path: &Path) -> Result<(Option<PathBuf>, Vec<AlertOptions>)> {
-    use std::os::unix::fs::MetadataExt;
+    check_own(path)?;
+    file::alerts(path)
+}
+
+/// Makes sure that nobody else can have written a file with programs to run.
+fn check_own(path: &Path) -> Result<()> {
     let name = path.display().to_string();
-    if path == Path::new("-") {
+    if path == Path::new("-") || path == Path::new(STANDARD_INPUT) {
         let why = "programs are run from it, so it must be a file that nobody else may change";
         return Err(Error::new("standard input", Cause::Invalid, why));
     }
@@ -138,7 +149,7 @@ pub(crate) fn alerts(path: &Path) -> Result<(Option<PathBuf>, Vec<AlertOptions>)
         let mode = status.mode() & 0o777;
         return refuse(format!("others may change the programs in it (mode {mode:03o}); chmod go-w {name}"));
     }
-    file::alerts(path)
+    Ok(())
 }
 
 /// The file that `-` stands for on a command line, in place of a file to read.

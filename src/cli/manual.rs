@@ -12,7 +12,7 @@ use jiff::Timestamp;
 use roff::{Inline, Roff, bold, italic, roman};
 
 use super::Cli;
-use crate::config::{AlertOptions, At, GaugeOptions, MountOptions, Opt, Options};
+use crate::config::{AlertOptions, At, ChoiceOptions, GaugeOptions, MountOptions, Opt, Options};
 use crate::error::Result;
 use crate::output::print_file;
 
@@ -62,6 +62,7 @@ pub(super) fn file() -> String {
         .replace("@MOUNT@\n", &keys(MountOptions::TABLE.iter()))
         .replace("@DEFAULTS@\n", &keys(GaugeOptions::TABLE.iter().filter(is_default)))
         .replace("@GAUGE@\n", &keys(GaugeOptions::TABLE.iter().filter(|row| !is_default(row))))
+        .replace("@CHOOSE@\n", &keys(ChoiceOptions::TABLE.iter()))
         .replace("@ALERT@\n", &keys(AlertOptions::TABLE.iter()))
 }
 

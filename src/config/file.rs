@@ -14,7 +14,7 @@ use toml::Spanned;
 use toml::de::{DeString, DeTable, DeValue};
 
 use super::make_absolute;
-use super::option::{At, Opt, Options, names};
+use super::option::{At, Opt, Options, Wrong, names};
 use super::options::{AlertOptions, GaugeOptions, MountOptions};
 use crate::error::{Cause, Error, Result};
 use gauge_bus::regular;
@@ -247,7 +247,10 @@ impl<'a, H: Head> File<'a, H> {
             {
                 return Err(refuse(format!("has no meaning at a {}; remove it", H::NAME)));
             }
-            row.read(&mut options, value).map_err(refuse)?;
+            row.read(&mut options, value).map_err(|Wrong { why, within }| match within {
+                Some((key, at)) => self.refuse(at, &key, &why),
+                None => refuse(why),
+            })?;
         }
         Ok(options)
     }
@@ -281,6 +284,9 @@ impl<'a, H: Head> File<'a, H> {
         let mut taken: HashMap<Mark, usize> = HashMap::new();
         for (written, gauge) in self.gauges.iter().zip(&mut gauges) {
             make_absolute(gauge, folder(path))?;
+            for choice in &mut gauge.choose {
+                make_absolute(choice, folder(path))?;
+            }
             if !["bus", "sim", "replay"].iter().any(|source| written.has(source)) {
                 gauge.bus = bus.map(Path::to_path_buf).or(gauge.bus.take());
             }

@@ -69,6 +69,9 @@ pub(crate) enum At {
     Station,
 }
 
+/// In a file only.
+pub(super) const IN_FILE: &[At] = &[At::Table];
+
 /// The value of an option, with its name in the help, and how it is checked and stored.
 pub(crate) enum Effect<T> {
     Switch(fn(&mut T, bool)),
@@ -83,8 +86,23 @@ pub(crate) enum Effect<T> {
     SwitchOrText(&'static str, fn(&mut T, Option<Option<&str>>) -> Result<(), String>),
     /// Names, each with a value: a table in a file, whose values are numbers or strings.
     Table(&'static str, fn(&mut T, Vec<(String, String)>)),
+    /// Tables of which there may be any number, in a file only.
+    Tables(fn(&mut T, &DeValue<'_>) -> Result<(), Wrong>),
     /// Words up to a `;`, each of which is checked on the command line.
     Words(&'static str, fn(&str) -> Result<String, String>, fn(&mut T, Vec<String>)),
+}
+
+/// What is wrong with a value, and in a table within which key.
+#[derive(Debug)]
+pub(super) struct Wrong {
+    pub(super) why: String,
+    pub(super) within: Option<(String, usize)>,
+}
+
+impl<Text: Into<String>> From<Text> for Wrong {
+    fn from(why: Text) -> Self {
+        Self { why: why.into(), within: None }
+    }
 }
 
 /// Stores a value that was accepted.
@@ -161,6 +179,7 @@ impl<T: Options> Opt<T> {
                 let arg = arg.action(ArgAction::Append).value_name(name).num_args(1..);
                 arg.allow_hyphen_values(true).value_terminator(";").value_parser(word)
             }
+            Effect::Tables(_) => unreachable!("it is in files only"),
         }
     }
 
@@ -196,23 +215,24 @@ impl<T: Options> Opt<T> {
                     set(to, words.cloned().collect());
                 }
             }
+            Effect::Tables(_) => {}
         }
         Ok(())
     }
 
     /// Stores what a file says.
-    pub(super) fn read(&self, to: &mut T, value: &DeValue<'_>) -> Result<(), String> {
+    pub(super) fn read(&self, to: &mut T, value: &DeValue<'_>) -> Result<(), Wrong> {
         let string = |value: &DeValue<'_>| value.as_str().map(str::to_string);
         match self.effect {
             Effect::Switch(set) => set(to, value.as_bool().ok_or("expected a boolean")?),
             Effect::File(_, field) | Effect::NameOrFile(_, field) => {
                 *field(to) = Some(string(value).ok_or("expected a string")?.into())
             }
-            Effect::Number(_, set) | Effect::Text(_, set) => return set(to, &word(value)?),
-            Effect::Chip(field) => return put(field(to), values::chip(&word(value)?)),
+            Effect::Number(_, set) | Effect::Text(_, set) => set(to, &word(value)?)?,
+            Effect::Chip(field) => put(field(to), values::chip(&word(value)?))?,
             Effect::SwitchOrText(_, set) => match (value.as_bool(), value.as_str()) {
-                (Some(is_on), _) => return set(to, is_on.then_some(None)),
-                (None, Some(text)) => return set(to, Some(Some(text))),
+                (Some(is_on), _) => set(to, is_on.then_some(None))?,
+                (None, Some(text)) => set(to, Some(Some(text)))?,
                 (None, None) => return Err("expected true, false or a name".into()),
             },
             Effect::Table(_, set) => {
@@ -231,6 +251,7 @@ impl<T: Options> Opt<T> {
                     words.and_then(Iterator::collect).ok_or("expected an array of strings")?;
                 set(to, words);
             }
+            Effect::Tables(set) => set(to, value)?,
         }
         Ok(())
     }
@@ -244,6 +265,7 @@ impl<T: Options> Opt<T> {
             Effect::SwitchOrText(..) => "boolean or string",
             Effect::Table(..) => "table",
             Effect::Words(..) => "array",
+            Effect::Tables(_) => "tables",
         }
     }
 

@@ -6,7 +6,8 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
-use super::option::{self, At, Effect, Opt, Options, put};
+use super::choice::ChoiceOptions;
+use super::option::{self, At, Effect, IN_FILE, Opt, Options, put};
 use super::values::{self, Key};
 use gauge_station::{Options as StationOptions, Seen, SerialFrom, Unsettled};
 use gaugefs_client::condition::Condition;
@@ -21,8 +22,6 @@ const ANY_MOUNTED: &[At] = &[At::Line, At::Table, At::Defaults];
 const ONE_GAUGE: &[At] = &[At::Line, At::Table, At::Station];
 /// For one gauge that is mounted.
 const ONE_MOUNTED: &[At] = &[At::Line, At::Table];
-/// In a file only.
-const IN_FILE: &[At] = &[At::Table];
 
 // The headings of the help.
 const GAUGE: &str = "Gauge";
@@ -45,6 +44,7 @@ pub(crate) struct GaugeOptions {
     pub(crate) replay: Option<PathBuf>,
     pub(crate) byte_writes: bool,
     pub(crate) profile: Option<PathBuf>,
+    pub(crate) choose: Vec<ChoiceOptions>,
     pub(crate) pack: Option<String>,
     pub(crate) name: Option<String>,
     pub(crate) poll: Option<Duration>,
@@ -209,6 +209,19 @@ impl Options for GaugeOptions {
             not_with: &["replay", "profile"],
             of: "profile",
             sample: "'image'",
+            ..Opt::NEW
+        },
+        Opt {
+            name: "choose",
+            effect: Effect::Tables(|to, rules| {
+                to.choose = ChoiceOptions::read(rules)?;
+                Ok(())
+            }),
+            doc: "In place of a profile, the rules by which one of several is chosen, each below [[gauge.choose]]",
+            heading: GAUGE,
+            at: IN_FILE,
+            not_with: &["replay", "profile", "restore", "pack"],
+            sample: "[{ profile = 'image' }]",
             ..Opt::NEW
         },
         Opt {
@@ -710,7 +723,7 @@ mod tests {
             let text = format!("x = {}", row.sample);
             let document = DeTable::parse(&text).expect("TOML").into_inner();
             let (_, value) = document.into_iter().next().expect("a value");
-            row.read(&mut options, value.get_ref()).unwrap_or_else(|why| panic!("{}: {why}", row.name));
+            row.read(&mut options, value.get_ref()).unwrap_or_else(|wrong| panic!("{}: {wrong:?}", row.name));
         }
         options
     }
@@ -746,6 +759,7 @@ mod tests {
         check::<GaugeOptions>();
         check::<MountOptions>();
         check::<AlertOptions>();
+        check::<ChoiceOptions>();
         check::<StationOptions>();
     }
 }

@@ -2,7 +2,7 @@
 
 //! The gauge that the options of a gauge name.
 
-use super::GaugeOptions;
+use super::{ChoiceOptions, GaugeOptions};
 use gauge_bus::GAUGE_ADDRESS;
 use gauge_owner::{GaugeSetup, Script, Source};
 use ti_gauge::dataflash::{Limits, WRITES_PER_HOUR};
@@ -44,6 +44,7 @@ impl GaugeOptions {
             },
             auth_order: self.auth_order.unwrap_or_default(),
             profile: self.profile.clone(),
+            choose: self.choose.iter().map(ChoiceOptions::rule).collect(),
             pack: self.pack.clone(),
             trace: self.trace.clone(),
             trace_replace: self.trace_replace,

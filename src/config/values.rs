@@ -104,6 +104,18 @@ pub(crate) fn address(text: &str) -> Result<u8, String> {
     }
 }
 
+/// A word that documents print in hexadecimal, with or without 0x.
+pub(super) fn hexadecimal(text: &str) -> Result<u16, String> {
+    let digits = text.strip_prefix("0x").unwrap_or(text);
+    u16::from_str_radix(digits, 16)
+        .map_err(|_| "expected up to four hexadecimal digits, such as 0x1202".into())
+}
+
+pub(super) fn number(text: &str) -> Result<f64, String> {
+    let number = text.parse().ok().filter(|number: &f64| number.is_finite());
+    number.ok_or_else(|| "expected a number".into())
+}
+
 pub(super) fn interval(text: &str) -> Result<Duration, String> {
     seconds(text, (0.5, 3600.0))
 }

@@ -165,7 +165,9 @@ fn needs_of(name: &str, gauge: &GaugeSetup, mountpoint: &Path) -> Vec<Error> {
     }));
     if let Some(chip) = gauge.source.chip() {
         found.extend(gauge.profile(chip).err());
+        found.extend(gauge.choices(chip).err());
     }
+    found.extend(gauge.choose.iter().filter_map(|rule| rule.evidence.as_ref()?.check().err()));
     found
 }
 

@@ -2,7 +2,8 @@
 
 //! A gauge with RAM behind a mount: its profile, and what it has learned.
 
-use std::fs;
+use std::fs::{self, Permissions};
+use std::os::unix::fs::PermissionsExt as _;
 use std::path::Path;
 use std::time::Duration;
 
@@ -48,6 +49,70 @@ fn a_profile_is_there_again_after_a_loss_of_power() {
         forgotten.out,
         forgotten.err
     );
+    gaugefs(&["umount", &at]).done();
+}
+
+/// Two makers of cells: a resistor tells them apart, and a program knows the serial number of the pack.
+#[test]
+fn the_pack_decides_which_profile_a_gauge_gets() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let [at, adc, state] = ["m", "adc", "state"].map(|name| folder.file(name));
+    for (name, capacity) in [("atl.toml", 2100), ("scud.toml", 2250), ("own.toml", 2300)] {
+        let image = format!("chip = \"bq27441-g1\"\n[state]\ndesign-capacity = {capacity}\n");
+        fs::write(folder.file(name), image).expect("a file");
+    }
+    let config = folder.file("gauges.toml");
+    let text = format!(
+        "[mount]\nmountpoint = 'm'\nstate-dir = '{state}'\n\
+         [[gauge]]\nname = 'PACK'\nsim = 'bq27441-g1'\npoll = 0.5\n\
+         [[gauge.choose]]\nfile = 'adc'\nfrom = 100\nto = 200\nprofile = 'atl.toml'\n\
+         [[gauge.choose]]\nfile = 'adc'\nfrom = 300\nto = 400\nprofile = 'scud.toml'\n\
+         [[gauge.choose]]\ncommand = ['/bin/sh', '-c', 'cat {}']\npack-by-text = true\nprofile = 'own.toml'\n",
+        folder.file("serial")
+    );
+    fs::write(&config, &text).expect("a file");
+    fs::write(&adc, "150\n").expect("a file");
+    // Whoever can change the file chooses what is run.
+    fs::set_permissions(&config, Permissions::from_mode(0o664)).expect("a mode");
+    gaugefs(&["mount", "--config", &config]).failed(&["others may change the programs"]);
+    fs::set_permissions(&config, Permissions::from_mode(0o644)).expect("a mode");
+    // A check runs nothing, and names what is missing.
+    gaugefs(&["mount", "--config", &config, "--check"]).done();
+    let wrong = folder.file("wrong.toml");
+    fs::write(&wrong, text.replace("'scud.toml'", "'none.toml'").replace("/bin/sh", "/bin/none"))
+        .expect("a file");
+    let check = gaugefs(&["mount", "--config", &wrong, "--check"]);
+    assert_eq!(check.code, Some(1), "{}{}", check.out, check.err);
+    assert!(check.err.contains("none.toml") && check.err.contains("/bin/none"), "{}", check.err);
+
+    gaugefs(&["mount", "--config", &config]).done();
+    let shows = |text: &str| {
+        fs::read_to_string(format!("{at}/PACK/charge_full_design"))
+            .is_ok_and(|found| found.trim_end() == text)
+    };
+    let exchange = |reading: &str, serial: &str| {
+        for position in ["off", "on"] {
+            fs::write(&adc, reading).expect("a file");
+            fs::write(folder.file("serial"), serial).expect("a file");
+            fs::write(format!("{at}/PACK/sim/power"), position).expect("a knob");
+        }
+    };
+    within(Duration::from_secs(20), "the first maker", || shows("2100000"));
+    exchange("350\n", "");
+    within(Duration::from_secs(20), "the second maker", || shows("2250000"));
+    exchange("500\n", "");
+    within(Duration::from_secs(20), "what is wrong", || {
+        read(&at, "PACK/gauge/last_error").contains("shows nothing")
+    });
+    assert!(fs::read_to_string(format!("{at}/PACK/capacity")).is_err(), "it is a guess");
+    exchange("500\n", "SN-17\n");
+    within(Duration::from_secs(20), "the pack of its own", || shows("2300000"));
+    assert_eq!(read(&at, "PACK/gauge/last_error"), "");
+    let shown = gaugefs(&["learned", &format!("{at}/PACK")]).done();
+    assert!(shown.contains("own.toml of the pack SN-17"), "{shown}");
     gaugefs(&["umount", &at]).done();
 }
 

@@ -7,7 +7,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
-use super::room::{command, gaugefs};
+use super::room::{Folder, command, gaugefs};
 
 fn docs() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("docs")
@@ -121,7 +121,7 @@ fn the_page_lists_every_command_with_its_options() {
 #[test]
 fn the_page_of_the_configuration_lists_every_option() {
     let page = plain(&printed("gaugefs.toml"));
-    for place in ["@DATE@", "@VERSION@", "@MOUNT@", "@DEFAULTS@", "@GAUGE@", "@ALERT@"] {
+    for place in ["@DATE@", "@VERSION@", "@MOUNT@", "@DEFAULTS@", "@GAUGE@", "@CHOOSE@", "@ALERT@"] {
         assert!(!page.contains(place), "{place}");
     }
     let terms = page.lines().zip(page.lines().skip(1)).filter(|(before, _)| *before == ".TP");
@@ -139,7 +139,13 @@ fn the_page_of_the_configuration_lists_every_option() {
     let help = gaugefs(&["watch", "--help"]).done();
     let of_alerts = help.lines().filter_map(|line| line.strip_prefix("      --")).map(name);
     options.extend(of_alerts.filter(|option| option != "config"));
-    options.extend(["when", "gauge"].map(String::from));
+    options.extend(["when", "gauge", "choose"].map(String::from));
+    let folder = Folder::new();
+    let file = folder.file("rules.toml");
+    fs::write(&file, "[[gauge]]\nsim = 'bq27427'\nchoose = [{ resistor = 1 }]\n").expect("a file");
+    let refused = gaugefs(&["mount", "--config", &file, &folder.file("m")]).err;
+    let (_, of_rules) = refused.trim_end().split_once("[[gauge.choose]] are ").expect("their names");
+    options.extend(of_rules.split(", ").map(String::from));
     assert_eq!(keys, options);
 }
 

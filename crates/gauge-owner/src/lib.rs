@@ -51,6 +51,7 @@
 pub use gaugefs_host::error;
 use gaugefs_host::folders;
 
+mod choose;
 pub mod journal_dir;
 pub mod key_file;
 pub mod lock;
@@ -59,6 +60,7 @@ mod owner;
 mod setup;
 mod source;
 
+pub use choose::{Choice, Evidence, Rule};
 pub use opening::{Opening, Ready};
 #[cfg(feature = "rig")]
 pub use owner::rig;

@@ -19,6 +19,7 @@ use std::time::Duration;
 
 use nix::errno::Errno;
 
+use crate::choose::Choice;
 use crate::error::{Error, Result};
 use gauge_bus::Bus;
 use gauge_bus::clock::Clock;
@@ -92,6 +93,8 @@ pub struct Settings {
     pub auth_order: Order,
     /// Configuration that a gauge whose data memory is RAM gets again after it has lost its power.
     pub profile: Vec<Change>,
+    /// In its place, several of which one is chosen whenever the gauge comes, or has lost its power.
+    pub choices: Vec<Choice>,
     /// Lets a write that a power cut of the host interrupts be settled afterwards.
     pub journal: Option<Journal>,
     /// Saves the configuration before the first write; `None` for not at all.
@@ -111,6 +114,7 @@ impl Default for Settings {
             limits: Limits::default(),
             auth_order: Order::default(),
             profile: Vec::new(),
+            choices: Vec::new(),
             journal: None,
             backup: None,
             learned: None,
@@ -232,7 +236,7 @@ impl Owner {
             control_status: 0,
             identified: Duration::ZERO,
             unmeasured: 0,
-            memory: Memory::new(settings.profile),
+            memory: Memory::new(settings.profile, settings.choices),
             backup: settings.backup,
             learned: settings.learned.filter(|_| chip.volatile.is_some()),
             backed_up: Fact::default(),

@@ -3,11 +3,13 @@
 //! A gauge, and how it is run: what its options come to.
 
 use std::io::ErrorKind;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+use std::ptr;
 use std::time::Duration;
 
 use nix::errno::Errno;
 
+use crate::choose::{Choice, Rule};
 use crate::error::{Error, Result};
 use crate::folders;
 use crate::key_file;
@@ -42,6 +44,8 @@ pub struct GaugeSetup {
     pub auth_order: Order,
     /// Image that a gauge without flash gets again after it has lost power.
     pub profile: Option<PathBuf>,
+    /// In its place, the rules by which one of several profiles is chosen.
+    pub choose: Vec<Rule>,
     /// The name of a pack that is never exchanged unnoticed.
     pub pack: Option<String>,
     /// File in which every transfer is recorded.
@@ -63,6 +67,7 @@ impl GaugeSetup {
             limits: Limits::default(),
             auth_order: Order::default(),
             profile: None,
+            choose: Vec::new(),
             pack: None,
             trace: None,
             trace_replace: false,
@@ -81,9 +86,14 @@ impl GaugeSetup {
 
     /// The configuration that it gets again after it has lost power, if its part is a `chip`.
     pub fn profile(&self, chip: &'static Chip) -> Result<Vec<Change>> {
-        let Some(path) = &self.profile else { return Ok(Vec::new()) };
-        let image = Image::open(path, Some(chip))?;
-        Ok(image.to_restore().map_err(|error| error.within(&path.display().to_string()))?)
+        self.profile.as_ref().map_or(Ok(Vec::new()), |path| profile(path, chip))
+    }
+
+    /// The profiles of which one is chosen, if its part is a `chip`.
+    pub fn choices(&self, chip: &'static Chip) -> Result<Vec<Choice>> {
+        let rules = self.choose.iter().filter(|rule| rule.chip.is_none_or(|named| ptr::eq(named, chip)));
+        let choice = |rule: &Rule| Ok(Choice { profile: profile(&rule.profile, chip)?, rule: rule.clone() });
+        rules.map(choice).collect()
     }
 
     /// Whether its trace can be recorded. A file that is there is not recorded over.
@@ -121,6 +131,7 @@ impl GaugeSetup {
             limits: self.limits,
             auth_order: self.auth_order,
             profile: self.profile(chip)?,
+            choices: self.choices(chip)?,
             learned: place.clone().map(|(folder, key)| {
                 Learned::new(folder, key, self.pack.clone()).trusting(folders::service())
             }),
@@ -130,4 +141,9 @@ impl GaugeSetup {
             backup: place.filter(|_| !no_backup).map(|(folder, key)| Backup::new(folder, key)),
         })
     }
+}
+
+fn profile(path: &Path, chip: &'static Chip) -> Result<Vec<Change>> {
+    let image = Image::open(path, Some(chip))?;
+    Ok(image.to_restore().map_err(|error| error.within(&path.display().to_string()))?)
 }

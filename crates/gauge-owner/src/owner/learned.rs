@@ -64,6 +64,11 @@ impl Learned {
         Self { trusted: account, ..self }
     }
 
+    /// What a pack of another name, or of none, learns there.
+    pub(super) fn of_pack(self, pack: Option<String>) -> Self {
+        Self { pack, ..self }
+    }
+
     /// The part of a file's name that tells packs apart. No pack has an empty name.
     fn pack(&self) -> &str {
         self.pack.as_deref().unwrap_or_default()
@@ -330,7 +335,10 @@ impl Owner {
     fn kept_text(&self, store: &Learned) -> String {
         let chip = self.gauge.chip;
         let (newest, dropped) = store.newest(chip, self.design_capacity());
-        let mut text = String::new();
+        let mut text = self.memory.why().to_string();
+        if !text.is_empty() {
+            text.push('\n');
+        }
         if let Some((time, image)) = &newest {
             let pack = store.pack.as_ref().map_or("without a name".into(), |name| format!("pack {name}"));
             text += &format!("{pack}: learned until {time}\n");

@@ -6,6 +6,7 @@
 use std::time::Duration;
 
 use super::{Attempt, Owner, Presence};
+use crate::choose::{Choice, choose};
 use crate::error::{Cause, Error, Step};
 use ti_gauge::chip::{Chip, Role};
 use ti_gauge::dataflash::{self, Change, Outcome};
@@ -19,8 +20,14 @@ const TRIES: u32 = 3;
 /// What is known of data memory in RAM.
 #[derive(Debug)]
 pub(super) struct Memory {
-    /// See [`super::Settings::profile`].
+    /// See [`super::Settings::profile`]; the chosen one, where there are several.
     profile: Vec<Change>,
+    /// See [`super::Settings::choices`].
+    choices: Vec<Choice>,
+    /// The choice was made for this gauge, which nobody may have exchanged since.
+    chosen: Fact<(), Presence>,
+    /// What was chosen, and why.
+    why: String,
     loss: Loss,
     /// The profile has been compared with this gauge, which nobody may have exchanged or switched off since.
     compared: Fact<(), Presence>,
@@ -51,9 +58,12 @@ enum Loss {
 }
 
 impl Memory {
-    pub(super) fn new(profile: Vec<Change>) -> Self {
+    pub(super) fn new(profile: Vec<Change>, choices: Vec<Choice>) -> Self {
         Self {
             profile,
+            choices,
+            chosen: Fact::default(),
+            why: String::new(),
             loss: Loss::None,
             compared: Fact::default(),
             design: None,
@@ -65,6 +75,16 @@ impl Memory {
 
     pub(super) fn profile(&self) -> &[Change] {
         &self.profile
+    }
+
+    /// What was chosen, and why; empty where there is no choice, or none was made.
+    pub(super) fn why(&self) -> &str {
+        &self.why
+    }
+
+    /// Whether there is a profile, or will be.
+    fn is_managed(&self) -> bool {
+        !self.profile.is_empty() || !self.choices.is_empty()
     }
 
     /// Whether no loss of it is known, and it is configured.
@@ -81,11 +101,12 @@ impl Memory {
     /// The gauge may have lost its power unnoticed.
     pub(super) fn is_doubtful(&mut self) {
         self.compared = Fact::default();
+        self.chosen = Fact::default();
     }
 
     /// Whether the registers that are copies of data memory are read with each poll: no flag shows its loss.
     pub(super) fn watches_copies(&self, chip: &Chip) -> bool {
-        chip.volatile == Some(0) && !self.profile.is_empty()
+        chip.volatile == Some(0) && self.is_managed()
     }
 
     /// Whether what data memory holds now is about to be replaced, or should be.
@@ -98,7 +119,7 @@ impl Owner {
     /// Whether the registers of a poll follow from the profile, or the gauge has none.
     pub(super) fn is_configured(&mut self, registers: &Registers) -> bool {
         let chip = self.gauge.chip;
-        let Some(flag) = chip.volatile.filter(|_| !self.memory.profile.is_empty()) else { return true };
+        let Some(flag) = chip.volatile.filter(|_| self.memory.is_managed()) else { return true };
         // The register is a copy of data memory.
         let design = chip.register(Role::ChargeFullDesign).and_then(|design| registers.value(design));
         if flag == 0 && std::mem::replace(&mut self.memory.design, design) != design {
@@ -143,7 +164,7 @@ impl Owner {
             (Loss::Written, false) if flag == 0 => (0, false),
             (Loss::None | Loss::Accepted | Loss::Written | Loss::Stopped, false) => {
                 (self.memory.loss, self.memory.lost_again) = (Loss::None, 0);
-                if is_compared || self.memory.profile.is_empty() {
+                if is_compared || !self.memory.is_managed() {
                     return;
                 }
                 (0, false)
@@ -159,7 +180,7 @@ impl Owner {
             self.shared.forget_scales();
         }
         self.publish_seal();
-        if self.memory.profile.is_empty() {
+        if !self.memory.is_managed() {
             let why = "lost its configuration with its power; mount with --profile to write it again";
             log::warn!("{}: {why}", self.shared.name());
             self.memory.loss = Loss::Accepted;
@@ -169,7 +190,42 @@ impl Owner {
         if self.memory.lost_again >= TRIES {
             return self.stop_restoring();
         }
-        self.write_profile(attempts, is_lost);
+        match self.choose_profile(is_lost) {
+            Ok(()) => self.write_profile(attempts, is_lost),
+            Err(why) if is_lost => self.still_owed(&why, false, attempts),
+            Err(why) => {
+                let error =
+                    Error::new("profile", Cause::NotNow, format!("{why}; tried again with the next poll"));
+                self.shared.report(Attempt::RESTORE, &error);
+            }
+        }
+    }
+
+    /// Makes the choice among several profiles, for a gauge that has come or has lost its memory.
+    fn choose_profile(&mut self, is_lost: bool) -> Result<(), String> {
+        let published = self.shared.published();
+        if self.memory.choices.is_empty() || !is_lost && self.memory.chosen.is_known(published.presence) {
+            return Ok(());
+        }
+        let clock = self.gauge.clock.clone();
+        let name = self.shared.name();
+        let chosen = choose(&self.memory.choices, &published.answers, name, |pause| clock.sleep(pause));
+        // Whatever was chosen before may be for another pack.
+        let chosen = chosen.inspect_err(|_| {
+            self.memory.profile = Vec::new();
+            self.memory.why = String::new();
+            self.learned = self.learned.take().map(|learned| learned.of_pack(None));
+        })?;
+        let pack = chosen.pack.as_ref().map_or(String::new(), |pack| format!(" of the pack {pack}"));
+        let why = format!("profile {}{pack}: {}", chosen.choice.rule.profile.display(), chosen.why);
+        if self.memory.why != why {
+            log::info!("{}: {why}", self.shared.name());
+        }
+        self.memory.profile = chosen.choice.profile.clone();
+        self.learned = self.learned.take().map(|learned| learned.of_pack(chosen.pack));
+        self.memory.why = why;
+        self.memory.chosen.learn(published.presence, ());
+        Ok(())
     }
 
     fn write_profile(&mut self, attempts: u32, is_lost: bool) {
@@ -218,7 +274,7 @@ impl Owner {
                 }
                 match self.memory.lost_again >= TRIES {
                     true => self.stop_restoring(),
-                    false => self.still_owed(&error, attempts),
+                    false => self.still_owed(&error.to_string(), error.is_owed(), attempts),
                 }
             }
         }
@@ -277,9 +333,8 @@ impl Owner {
     }
 
     /// The profile could not be written; it is tried again.
-    fn still_owed(&mut self, error: &ti_gauge::error::Error, attempts: u32) {
-        let owed = error.is_owed();
-        let why = format!("{error}; tried again with the next poll");
+    fn still_owed(&mut self, why: &str, owed: bool, attempts: u32) {
+        let why = format!("{why}; tried again with the next poll");
         let error = Error::new("profile", Cause::NotNow, why).owing(owed);
         let line = error.to_string();
         match &self.memory.loss {
@@ -320,9 +375,11 @@ mod tests {
     use gauge_bus::clock::Clock as _;
     use gauge_bus::{Bus, BusError};
     use gauge_sim::{Sim, SimBus};
+    use std::sync::atomic::{AtomicU64, Ordering};
     use std::sync::{Arc, Mutex};
     use ti_gauge::chip::CHIPS;
     use ti_gauge::image::Image;
+    use ti_gauge::journal::Journal;
 
     const CAPACITY: i64 = 1234;
 
@@ -508,6 +565,212 @@ mod tests {
                 assert_eq!(shown(&rig), expected, "{}, round {round}", chip.name);
             }
         }
+    }
+
+    /// What ends at a transfer of a restoration.
+    #[derive(Clone, Copy, Debug)]
+    enum Lost {
+        /// The gauge's power, for a moment.
+        Gauge,
+        /// The host's: another daemon begins where this one was.
+        Host,
+    }
+
+    /// A bus that ends at the transfer of that number.
+    struct Ends {
+        bus: SimBus,
+        left: Arc<AtomicU64>,
+    }
+
+    impl Bus for Ends {
+        fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
+            let left = self.left.load(Ordering::Relaxed);
+            if left == 0 {
+                return Err(BusError::NoAck);
+            }
+            self.left.store(left.saturating_sub(1), Ordering::Relaxed);
+            self.bus.transfer(write, read)
+        }
+    }
+
+    /// Half a profile is never shown as a whole one, and is whole in the end.
+    #[test]
+    fn a_loss_of_power_at_any_transfer_of_a_restoration_is_made_good() {
+        let folder = std::env::temp_dir().join(format!("gaugefs-memory-{}", std::process::id()));
+        for (chip, lost) in parts().flat_map(|chip| [(chip, Lost::Gauge), (chip, Lost::Host)]) {
+            let expected = chip.register(Role::ChargeFullDesign).map(|_| CAPACITY);
+            // A restoration has a hundred transfers.
+            let every = if std::env::var_os("GAUGEFS_ALL_FAULTS").is_some() { 1 } else { 23 };
+            for number in (1..).step_by(every) {
+                let left = Arc::new(AtomicU64::new(u64::MAX));
+                let journal = || Journal::new(folder.clone(), "i2c-1-55".into(), "i2c-1 address 0x55".into());
+                let journal = || matches!(lost, Lost::Host).then(journal);
+                let settings =
+                    || Settings { profile: profile(chip, ""), journal: journal(), ..Settings::default() };
+                let mut rig = Rig::on(chip.name, settings(), Startup::default(), |bus| {
+                    Box::new(Ends { bus, left: left.clone() })
+                });
+                rig.start().expect("it answers");
+                rig.poll_after(INTERVAL);
+                lose_power(&rig.sim);
+                rig.clock.sleep(Duration::from_secs(3));
+                let before = rig.transfers();
+                match lost {
+                    Lost::Gauge => rig.sim.set("fault", &format!("power-cut {number} 300")).expect("a fault"),
+                    Lost::Host => left.store(number, Ordering::Relaxed),
+                }
+                rig.poll_after(Duration::ZERO);
+                let is_done = rig.transfers() - before < number;
+                rig.sim.set("fault", "none").expect("a knob");
+                if let Lost::Host = lost {
+                    let (bus, clock) = (Box::new(rig.sim.bus()), rig.clock.clone());
+                    rig.direct = super::super::Direct::new(chip, bus, clock, settings(), Startup::default());
+                    // A gauge that has just come may still be in CONFIG UPDATE, or on its way out.
+                    rig.clock.sleep(Duration::from_secs(3));
+                    let _ = rig.start();
+                }
+                for _ in 0..6 {
+                    rig.poll_after(INTERVAL);
+                    let shown = shown(&rig);
+                    assert!(
+                        shown.is_none() || shown == expected,
+                        "{} {lost:?} {number}: {shown:?}",
+                        chip.name
+                    );
+                }
+                let error = rig.handle.published().last_error.to_string();
+                assert_eq!(shown(&rig), expected, "{} {lost:?} {number}: {error}", chip.name);
+                if is_done {
+                    break;
+                }
+            }
+        }
+        let _ = std::fs::remove_dir_all(folder);
+    }
+
+    /// Neither is a gauge with flash looked at for what it has lost.
+    #[test]
+    fn a_gauge_with_flash_keeps_its_own_configuration() {
+        for chip in CHIPS.iter().copied().filter(|chip| chip.volatile.is_none() && chip.has_table()) {
+            let rows = || {
+                chip.subclasses.iter().flat_map(|class| class.parameters.iter().map(move |row| (class, row)))
+            };
+            let value = ti_gauge::value::Value::Int(CAPACITY);
+            let change = rows().find_map(|row| Change::of_value(row, &value, false).ok());
+            let change = change.expect("a row that takes this number");
+            let choice = Choice { rule: crate::choose::Rule::default(), profile: vec![change.clone()] };
+            for settings in [
+                Settings { profile: vec![change.clone()], ..Settings::default() },
+                Settings { choices: vec![choice], ..Settings::default() },
+            ] {
+                let mut rig = Rig::of(chip.name, settings, Startup::default());
+                let flash = rig.sim.flash();
+                rig.start().expect("it answers");
+                lose_power(&rig.sim);
+                for _ in 0..12 {
+                    rig.poll_after(INTERVAL);
+                }
+                assert!(rig.sim.flash() == flash, "{}", chip.name);
+                assert_eq!(rig.sim.get("programmed").as_deref(), Some("0"), "{}", chip.name);
+            }
+        }
+    }
+
+    /// Two makers of cells, told apart by a resistor.
+    fn two_makers(file: &std::path::Path, chip: &'static Chip) -> Vec<Choice> {
+        use crate::choose::{Evidence, Rule};
+        let rule = |from: f64, to: f64, pack: &str| Rule {
+            evidence: Some(Evidence::File(file.into())),
+            from: Some(from),
+            to: Some(to),
+            profile: pack.into(),
+            pack: Some(pack.into()),
+            ..Rule::default()
+        };
+        let second: Vec<Change> =
+            profile(chip, "").iter().map(|change| with_capacity(change, 4321)).collect();
+        vec![
+            Choice { rule: rule(100.0, 200.0, "first"), profile: profile(chip, "") },
+            Choice { rule: rule(300.0, 400.0, "second"), profile: second },
+        ]
+    }
+
+    fn with_capacity(change: &Change, capacity: i64) -> Change {
+        let row = change.row().expect("a parameter");
+        Change::of_value(row, &ti_gauge::value::Value::Int(capacity), false).expect("it fits").saved()
+    }
+
+    #[test]
+    fn the_pack_decides_which_profile_is_written_and_an_unknown_one_gets_none() {
+        for chip in parts() {
+            let file =
+                std::env::temp_dir().join(format!("gaugefs-maker-{}-{}", chip.name, std::process::id()));
+            std::fs::write(&file, "150").expect("a file");
+            let settings = Settings { choices: two_makers(&file, chip), ..Settings::default() };
+            let mut rig = Rig::of(chip.name, settings, Startup::default());
+            rig.start().expect("it answers");
+            // Each time another pack, whose gauge had no power until then. The last one is back.
+            for (reading, expected) in [
+                ("150", Some(CAPACITY)),
+                ("350", Some(4321)),
+                ("250", None),
+                ("", None),
+                ("150", Some(CAPACITY)),
+            ] {
+                std::fs::write(&file, reading).expect("a file");
+                lose_power(&rig.sim);
+                for _ in 0..4 {
+                    rig.poll_after(INTERVAL);
+                    let shown = shown(&rig);
+                    assert!(shown.is_none() || shown == expected, "{} {reading}: {shown:?}", chip.name);
+                }
+                let register = chip.register(Role::ChargeFullDesign);
+                assert_eq!(shown(&rig), expected.filter(|_| register.is_some()), "{} {reading}", chip.name);
+                let error = rig.handle.published().last_error.to_string();
+                assert_eq!(error.is_empty(), expected.is_some(), "{} {reading}: {error}", chip.name);
+                if reading == "250" {
+                    assert!(error.contains("none of its 2 profiles fits"), "{error}");
+                    assert!(error.contains("shows 250"), "{error}");
+                    // Nothing is written.
+                    let flash = rig.sim.flash();
+                    rig.poll_after(INTERVAL);
+                    assert!(rig.sim.flash() == flash);
+                }
+            }
+            std::fs::remove_file(file).expect("it is there");
+        }
+    }
+
+    /// The choice is no reason to write to a gauge that has kept its memory.
+    #[test]
+    fn a_gauge_that_somebody_has_configured_stays_as_it_is_when_no_profile_fits() {
+        let chip = Chip::by_name("bq27441-g1").expect("it has a table");
+        let file = std::env::temp_dir().join(format!("gaugefs-nobody-{}", std::process::id()));
+        std::fs::write(&file, "250").expect("a file");
+        let mut rig = rig(chip, "");
+        let settings = Settings { choices: two_makers(&file, chip), ..Settings::default() };
+        // Another daemon on the same gauge.
+        rig.direct = super::super::Direct::new(
+            chip,
+            Box::new(rig.sim.bus()),
+            rig.clock.clone(),
+            settings,
+            Startup::default(),
+        );
+        rig.start().expect("it answers");
+        rig.poll_after(INTERVAL);
+        assert_eq!(shown(&rig), Some(CAPACITY));
+        assert!(rig.handle.published().last_error.contains("none of its 2 profiles fits"));
+        // A poll without an answer: the pack may be another one, and is looked at again.
+        std::fs::write(&file, "150").expect("a file");
+        rig.sim.set("power", "off").expect("a knob");
+        rig.poll_after(INTERVAL);
+        rig.sim.set("power", "on").expect("a knob");
+        rig.poll_after(INTERVAL);
+        rig.poll_after(INTERVAL);
+        assert_eq!(shown(&rig), Some(CAPACITY));
+        assert_eq!(&*rig.handle.published().last_error, "");
+        std::fs::remove_file(file).expect("it is there");
     }
 
     /// `[BIE]` is bit 13 of OpConfig, and `[BAT_DET]` bit 3 of Flags().
