@@ -13,6 +13,7 @@ use std::time::Duration;
 
 use gauge_bus::clock::Clock as _;
 use gauge_owner::rig::Rig;
+use gauge_owner::rig::days::{Errors, Remedy, days};
 use gauge_owner::{Settings, Startup, operations};
 use ti_gauge::chip::{Chip, Kind, Range, Row};
 use ti_gauge::dataflash::Change;
@@ -21,6 +22,8 @@ use ti_gauge::value::Value;
 mod report;
 use report::Report;
 
+/// Draws the loads, charges and losses of power of the 1000 days.
+const SEED: u64 = 7;
 const PARTS: &[&str] = &["bq27421-g1", "bq27441-g1", "bq27426", "bq27427", "bq27621-g1", "bq27220"];
 /// What a profile usually has: parameters whose names begin so.
 const USUAL: &[&str] = &[
@@ -109,5 +112,27 @@ fn main() -> ExitCode {
             report.promise(time <= MODES(name) + added, || format!("{name}, {what}: {time:?}"));
         }
     }
+    for name in PARTS.iter().filter(|name| **name != "bq27220") {
+        life(&mut report, Chip::by_name(name).expect("it has a table"));
+    }
     report.finish()
+}
+
+/// How right the state of charge is over 1000 days with random losses of power, while the device is in use.
+fn life(report: &mut Report, chip: &'static Chip) {
+    let folder = std::env::temp_dir().join(format!("gaugefs-bench-days-{}", std::process::id()));
+    let [nothing, profile, learned] = [Remedy::Nothing, Remedy::Profile, Remedy::Learned(&folder)]
+        .map(|remedy| days(chip, 0..1000, SEED, remedy));
+    let _ = std::fs::remove_dir_all(&folder);
+    let shown = |errors: &Errors| {
+        format!("median {:.1} %, worst {:.1} %", errors.quantile(0.5), errors.quantile(1.0))
+    };
+    report.row(
+        &format!(
+            "error of the state of charge of a {} in use, 1000 days, {} losses of power, seed {SEED}",
+            chip.name, learned.losses
+        ),
+        &format!("{}; with the profile alone {}", shown(&learned), shown(&profile)),
+        &format!("{} configured once", shown(&nothing)),
+    );
 }

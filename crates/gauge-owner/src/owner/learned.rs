@@ -656,6 +656,25 @@ mod tests {
         fs::remove_dir_all(folder).expect("it is there");
     }
 
+    /// `cargo bench --bench restore` lets 1000 days pass.
+    #[test]
+    fn the_state_of_charge_is_nearer_to_the_truth_with_what_was_learned() {
+        use super::super::rig::days::{Remedy, days};
+        for name in ["bq27441-g1", "bq27427", "bq27621-g1"] {
+            let chip = Chip::by_name(name).expect("it has a table");
+            let folder = folder(&format!("days-{name}"));
+            let remedies = [Remedy::Nothing, Remedy::Profile, Remedy::Learned(&folder)];
+            let errors = remedies.map(|remedy| days(chip, 900..908, 7, remedy));
+            let [nothing, profile, learned] =
+                errors.map(|errors| (errors.quantile(0.5), errors.quantile(1.0)));
+            let shown = format!("{name}: {nothing:?} {profile:?} {learned:?}");
+            // It shows 0 % while a third of the charge is left.
+            assert!(nothing.1 > 30.0 && learned.1 < 15.0 && learned.1 <= profile.1, "{shown}");
+            assert!(learned.0 < 1.0 && learned.0 * 3.0 < nothing.0, "{shown}");
+            let _ = fs::remove_dir_all(folder);
+        }
+    }
+
     #[test]
     fn every_part_with_ram_has_something_to_learn() {
         for chip in CHIPS.iter().filter(|chip| chip.volatile.is_some()) {
