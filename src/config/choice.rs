@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! The rules by which one of several profiles is chosen: `[[gauge.choose]]`.
 
 use std::path::{Path, PathBuf};

@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Which of several profiles a gauge gets: rules, of which the first that fits counts. They look at what the gauge answers,
 //! at a file, such as that of a converter which measures a resistor in the pack, or at what a program prints.
 

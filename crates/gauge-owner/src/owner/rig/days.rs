@@ -1,3 +1,5 @@
+// SPDX-License-Identifier: MIT
+
 //! Days in the life of a device whose gauge loses its power now and then, with a pack that ages: how far the state of
 //! charge that is shown is from the one that the pack really has.
 
