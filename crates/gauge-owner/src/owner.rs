@@ -15,7 +15,7 @@
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::sync::mpsc::{self, Receiver, SendError, Sender};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use nix::errno::Errno;
 
@@ -73,6 +73,10 @@ pub use report::{Effect, Origin, Report, Times};
 /// Longest time without a look at the clock. The gauge's clock counts the time in which the host is asleep, and a wait does not: what
 /// fell due then is done at most this long after the host is awake.
 const NAP: Duration = Duration::from_secs(30);
+/// The same for a gauge that may have lost its memory while the host was asleep.
+const NAP_OF_RAM: Duration = Duration::from_secs(1);
+/// Time by which the gauge's clock may be ahead of one that stops with the host, although the host was awake.
+const AWAKE: Duration = Duration::from_millis(500);
 
 /// How a gauge is run.
 #[derive(Clone, Debug)]
@@ -205,6 +209,8 @@ struct Owner {
     opening: Option<Sender<Result<()>>>,
     /// It was asked to end: from then on it does nothing.
     has_ended: bool,
+    /// The end of its last turn, by the gauge's clock and by one that stops while the host is asleep.
+    turned: Option<(Duration, Instant)>,
 }
 
 impl Owner {
@@ -244,6 +250,7 @@ impl Owner {
             missing: startup.missing,
             opening: None,
             has_ended: false,
+            turned: None,
         });
         (owner, shared)
     }
@@ -277,6 +284,12 @@ impl Owner {
         }
         let next_poll = |owner: &Self| owner.schedule.due(owner.shared.published().interval);
         let now = self.gauge.clock.now();
+        let was_asleep =
+            |(then, awake): (Duration, Instant)| now.saturating_sub(then) > awake.elapsed() + AWAKE;
+        let is_watched = self.memory.is_watched(self.gauge.chip);
+        if is_watched && self.turned.is_some_and(was_asleep) {
+            self.schedule.hurry();
+        }
         if let Some((submitted, request)) = request {
             self.carry_out(submitted, request);
         } else if next_poll(self) <= now {
@@ -285,7 +298,10 @@ impl Owner {
             let _ = self.survive(operations::SETTLE.itself(), Self::pay);
         }
         let due = self.debt.due().unwrap_or(Duration::MAX).min(next_poll(self));
-        (!self.has_ended).then(|| due.saturating_sub(self.gauge.clock.now()).min(NAP))
+        let now = self.gauge.clock.now();
+        self.turned = Some((now, Instant::now()));
+        let nap = if is_watched { NAP_OF_RAM } else { NAP };
+        (!self.has_ended).then(|| due.saturating_sub(now).min(nap))
     }
 
     /// Does some work. A panic in it is a failure of this gauge only: what is known of the gauge is thrown away, and it

@@ -284,19 +284,27 @@ impl Owner {
             let is_of_pack = chip.stays((entry.subclass, entry.parameter)) == Stays::Pack;
             !entry.parameter.unproven && (is_of_pack || is_design(entry.parameter))
         });
+        let changes = restored(&image)?;
+        // Where no default is printed, only a change shows that something was learned.
+        self.memory.first.get_or_insert_with(|| changes.clone());
         if let Some(why) = implausible(&image, self.design_capacity()) {
             log::warn!("{}: what it has learned is not saved: {why}", self.shared.name());
             return Ok(None);
         }
         // A memory that was lost unnoticed must not become the newest version, nor the profile what was learned.
+        let profile = self.memory.profile().to_vec();
         let is_written = |change: &Change| {
-            let mut written = self.memory.profile().iter().filter(|wrote| wrote.place() == change.place());
+            let mut written = profile.iter().filter(|wrote| wrote.place() == change.place());
             written.any(|wrote| wrote.stored_over(change.bytes()) == change.bytes())
         };
         // Bits that are never restored say nothing.
         let is_default = |change: &Change| change.is_default(&change.stored_over(&[0; 8]));
-        let is_new = |change: &Change| !is_default(change) && !is_written(change);
-        Ok(restored(&image)?.iter().any(is_new).then_some(image))
+        let first = self.memory.first.iter().flatten();
+        let has_changed = |change: &Change| {
+            first.clone().any(|first| first.place() == change.place() && first.bytes() != change.bytes())
+        };
+        let is_new = |change: &Change| !is_written(change) && (!is_default(change) || has_changed(change));
+        Ok(changes.iter().any(is_new).then_some(image))
     }
 
     /// Shows what is kept of the gauge's pack, writes it, or removes it.
@@ -381,7 +389,7 @@ mod tests {
     use super::super::{Settings, Startup, operations as op};
     use super::*;
     use gauge_bus::clock::Clock as _;
-    use ti_gauge::chip::CHIPS;
+    use ti_gauge::chip::{CHIPS, FLAT};
 
     const QMAX: (u16, usize) = (82, 0);
 
@@ -672,6 +680,45 @@ mod tests {
             assert!(nothing.1 > 30.0 && learned.1 < 15.0 && learned.1 <= profile.1, "{shown}");
             assert!(learned.0 < 1.0 && learned.0 * 3.0 < nothing.0, "{shown}");
             let _ = fs::remove_dir_all(folder);
+        }
+    }
+
+    /// Of some parts no document prints what they learn with.
+    #[test]
+    fn regression_a_part_without_printed_defaults_had_nothing_saved() {
+        for chip in CHIPS.iter().copied().filter(|chip| chip.volatile.is_some()) {
+            let folder = folder(&format!("part-{}", chip.name));
+            let rows = || {
+                chip.subclasses.iter().flat_map(|class| class.parameters.iter().map(move |row| (class, row)))
+            };
+            let named = |name: &str| rows().find(|(_, row)| row.name == name);
+            let design = named("Design Capacity").expect("each has one");
+            let profile = Change::of_value(design, &Value::Int(1200), false).expect("it fits").saved();
+            let (class, row) = named("Qmax Cell 0").or(named("Full Charge Capacity")).expect("each has one");
+            let learned = Learned::new(folder.clone(), "i2c-1-55".into(), Some("A".into()));
+            let settings = Settings { profile: vec![profile], learned: Some(learned), ..Settings::default() };
+            let mut rig = Rig::of(chip.name, settings, Startup::default());
+            rig.start().expect("it answers");
+            for pause in [INTERVAL, INTERVAL, FIRST, INTERVAL] {
+                rig.poll_after(pause);
+            }
+            let value = if row.unit == "mAh" { 1111_u16 } else { 15_555 }.to_be_bytes();
+            let (area, at) = match class.id {
+                // The first address of its data memory.
+                FLAT => (0, usize::from(row.offset) - 0x9180),
+                id => (u16::from(id), usize::from(row.offset)),
+            };
+            rig.sim.set_flash(area, at, &value);
+            rig.poll_after(EVERY_SEALED);
+            assert!(fs::read_dir(&folder).is_ok(), "{}: nothing was saved", chip.name);
+            rig.sim.set_flash(area, at, &[0x04, 0x56]);
+            lose_power(&mut rig);
+            let index = chip.subclasses.iter().position(|other| std::ptr::eq(other, class)).expect("its own");
+            rig.ask(&op::REFRESH, ()).expect("it answers");
+            let read = rig.ask(&op::READ, vec![index]).expect("it is read");
+            let begin = usize::from(row.offset - class.start());
+            assert_eq!(read[0][begin..begin + 2], value, "{}", chip.name);
+            fs::remove_dir_all(folder).expect("it is there");
         }
     }
 

@@ -39,6 +39,8 @@ pub(super) struct Memory {
     inserted: Fact<(), Presence>,
     /// When what it has learned is looked at.
     pub(super) next_look: Option<Duration>,
+    /// What was found there first since it has come, or was written.
+    pub(super) first: Option<Vec<Change>>,
 }
 
 /// The loss of the configuration.
@@ -70,6 +72,7 @@ impl Memory {
             lost_again: 0,
             inserted: Fact::default(),
             next_look: None,
+            first: None,
         }
     }
 
@@ -80,6 +83,11 @@ impl Memory {
     /// What was chosen, and why; empty where there is no choice, or none was made.
     pub(super) fn why(&self) -> &str {
         &self.why
+    }
+
+    /// Whether a loss of it is looked for.
+    pub(super) fn is_watched(&self, chip: &Chip) -> bool {
+        chip.volatile.is_some() && self.is_managed()
     }
 
     /// Whether there is a profile, or will be.
@@ -94,7 +102,7 @@ impl Memory {
 
     /// A gauge has come, or come back.
     pub(super) fn arrives(&mut self) {
-        (self.loss, self.lost_again) = (Loss::None, 0);
+        (self.loss, self.lost_again, self.first) = (Loss::None, 0, None);
         self.is_doubtful();
     }
 
@@ -261,6 +269,7 @@ impl Owner {
                 }
                 self.memory.loss = Loss::Written;
                 self.memory.inserted = Fact::default();
+                (self.memory.first, self.memory.next_look) = (None, None);
                 self.schedule.hurry();
             }
             Err(error) => {
@@ -372,9 +381,9 @@ mod tests {
     use super::super::rig::{INTERVAL, Rig};
     use super::super::{Settings, Startup, operations as op};
     use super::*;
-    use gauge_bus::clock::Clock as _;
+    use gauge_bus::clock::{Clock, RealClock};
     use gauge_bus::{Bus, BusError};
-    use gauge_sim::{Sim, SimBus};
+    use gauge_sim::{Options, Sim, SimBus};
     use std::sync::atomic::{AtomicU64, Ordering};
     use std::sync::{Arc, Mutex};
     use ti_gauge::chip::CHIPS;
@@ -646,6 +655,80 @@ mod tests {
             }
         }
         let _ = std::fs::remove_dir_all(folder);
+    }
+
+    /// The time of a machine that may be put to sleep.
+    struct Sleeps {
+        clock: RealClock,
+        asleep: AtomicU64,
+    }
+
+    impl Clock for Sleeps {
+        fn now(&self) -> Duration {
+            self.clock.now() + Duration::from_secs(self.asleep.load(Ordering::SeqCst))
+        }
+
+        fn sleep(&self, time: Duration) {
+            self.clock.sleep(time);
+        }
+    }
+
+    /// Its next poll is due in an hour.
+    #[test]
+    fn a_loss_while_the_host_was_asleep_is_found_when_it_is_awake() {
+        let chip = Chip::by_name("bq27441-g1").expect("it has a table");
+        let clock = Arc::new(Sleeps { clock: RealClock::new(), asleep: AtomicU64::new(10) });
+        let sim = Sim::new(chip.name, &Options::default(), clock.clone()).expect("it is simulated");
+        for knob in ["cfgupdate_ms", "cfgexit_ms"] {
+            sim.set(knob, "1").expect("a knob");
+        }
+        let settings = Settings {
+            profile: profile(chip, ""),
+            interval: Duration::from_secs(3600),
+            ..Settings::default()
+        };
+        let bus = Box::new(sim.bus());
+        let handle =
+            super::super::spawn(chip, bus, clock.clone(), settings, Arc::default()).expect("it answers");
+        let shows = || {
+            let published = handle.published();
+            let snapshot = published.snapshot.as_ref().filter(|snapshot| snapshot.is_configured)?;
+            snapshot.value(chip.register(Role::ChargeFullDesign)?)
+        };
+        let is_lost = || {
+            let mut flags = [0; 2];
+            let read = sim.bus().transfer(&[0x06], &mut flags);
+            read.is_err() || u16::from_le_bytes(flags) & chip.volatile.unwrap_or(0) != 0
+        };
+        let within = |what: &str| {
+            let begun = std::time::Instant::now();
+            while is_lost() || shows() != Some(CAPACITY) {
+                assert!(begun.elapsed() < Duration::from_secs(60), "{what}");
+                std::thread::sleep(Duration::from_millis(50));
+            }
+        };
+        within("at first");
+        lose_power(&sim);
+        clock.asleep.fetch_add(600, Ordering::SeqCst);
+        within("after ten minutes asleep");
+    }
+
+    /// A mount waits for the first polls, so that this is when its values are there.
+    #[test]
+    fn the_first_values_are_right_within_three_seconds_of_the_bus() {
+        for chip in parts().filter(|chip| chip.volatile != Some(0)) {
+            let settings = Settings { profile: profile(chip, ""), ..Settings::default() };
+            let mut rig = Rig::of(chip.name, settings, Startup::default());
+            lose_power(&rig.sim);
+            rig.clock.sleep(Duration::from_secs(2));
+            let begun = rig.clock.now();
+            rig.start().expect("it answers");
+            let due = rig.owner.schedule.due(INTERVAL);
+            rig.poll_after(due.saturating_sub(rig.clock.now()));
+            assert_eq!(shown(&rig), chip.register(Role::ChargeFullDesign).map(|_| CAPACITY), "{}", chip.name);
+            let took = rig.clock.now() - begun;
+            assert!(took < Duration::from_secs(3), "{}: {took:?}", chip.name);
+        }
     }
 
     /// Neither is a gauge with flash looked at for what it has lost.
