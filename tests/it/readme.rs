@@ -70,6 +70,7 @@ fn each_figure_has_a_measurement() {
         "benches/attributes.rs",
         "benches/bus.rs",
         "benches/gauges.rs",
+        "benches/restore.rs",
         "crates/gauge-station/src/station/tests.rs",
     ];
     let sources = sources.map(|path| fs::read_to_string(root().join(path)).expect("a measurement"));
@@ -86,6 +87,7 @@ fn each_figure_has_a_measurement() {
         ("bus transfers caused by 1000 readers", "bus transfers for 1000 readers of all attributes"),
         ("a full poll of a bq34z100-G1", "transfers/bytes: a poll"),
         ("one parameter of a bq34z100-G1", "a parameter, found sealed"),
+        ("error of the state of charge of a bq27427", "error of the state of charge of a {} in use"),
         ("a golden image that changes all 23 blocks", "an image of {blocks} blocks"),
     ];
     let is_measured = |row: &&Vec<String>| {
