@@ -1410,6 +1410,15 @@ fn a_program_gets_every_outcome_and_its_failure_is_one() {
     assert_eq!((last.event, last.step.as_deref()), (Event::Fail, Some("exec")));
     check_record(&folder);
     drop(line);
+    // What an interrupted pack has become is told by the next start.
+    let begun = Entry { event: Event::Begun, number: 9, gauge: "BAT0".into(), ..Entry::default() };
+    let mut text = fs::read_to_string(folder.file("line1.jsonl")).expect("a record");
+    text += &(serde_json::to_string(&begun).expect("JSON") + "\n");
+    fs::write(folder.file("line1.jsonl"), text).expect("a file");
+    fs::remove_file(&refuses).expect("it is there");
+    drop(Line::start(folder.plan(&lines), &[], None).expect("a record"));
+    let text = fs::read_to_string(&told).expect("it was told");
+    assert!(text.contains("\"number\":9") && text.ends_with("\nfail\n"), "{text}");
     // A program that is missing is no reason for PASS either.
     let line = Line::start(folder.plan(&format!("{PLAIN}\nexec = ['/nonexistent/printer']")), &[], None)
         .expect("a record");
