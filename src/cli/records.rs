@@ -29,7 +29,7 @@ Examples:
 #[derive(Args, Debug)]
 #[command(after_help = RECORDS)]
 pub(super) struct Show {
-    /// The record
+    /// The record; - is standard input
     file: PathBuf,
     /// Print a table for a spreadsheet
     #[arg(long, conflicts_with = "by")]

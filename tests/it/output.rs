@@ -41,6 +41,8 @@ fn printing<'a>(
         "import" => vec!["--dry-run", "--set", "80/53=3105", gauge, file],
         "diff" => vec!["--exclude", "learned", config, file],
         "lint" => vec![file],
+        // An empty one.
+        "records" => vec!["-"],
         "calibrate leave" => vec![],
         "auth" => vec!["--key-file", keys, gauge],
         "keys change" => vec!["--key-file", keys, "--new-key-file", new_keys, gauge, "unseal"],
@@ -575,7 +577,7 @@ enum Dash {
 }
 
 /// Every such option and argument.
-const DASHES: [(&str, &str, Dash); 31] = [
+const DASHES: [(&str, &str, Dash); 32] = [
     ("mount", "config", Dash::Input),
     ("mount", "replay", Dash::Input),
     ("mount", "profile", Dash::Input),
@@ -596,6 +598,7 @@ const DASHES: [(&str, &str, Dash); 31] = [
     ),
     ("program", "image", Dash::Input),
     ("program", "station", Dash::Refused("standard input: it has the serial numbers that are scanned")),
+    ("records", "file", Dash::Input),
     ("rescue", "file", Dash::Input),
     ("report", "output", Dash::Output),
     ("report", "key_file", Dash::Refused("standard input: keys are not read from it")),
@@ -643,9 +646,10 @@ fn a_dash_is_standard_input_or_standard_output_of_every_command() {
         return;
     }
     let folder = Folder::new();
-    let [at, other, toml, keys, station, csv, config, trace] =
-        ["m", "n", "pack.toml", "keys", "station.toml", "log.csv", "mount.toml", "trace"]
+    let [at, other, toml, keys, station, csv, config, trace, empty] =
+        ["m", "n", "pack.toml", "keys", "station.toml", "log.csv", "mount.toml", "trace", "empty"]
             .map(|name| folder.file(name));
+    fs::write(&empty, "").expect("a file");
     let gauge = format!("{at}/BAT0");
     fs::write(&keys, "unseal = 0414 3672\nauthentication = 0123456789abcdeffedcba9876543210\n")
         .expect("keys");
@@ -679,6 +683,7 @@ fn a_dash_is_standard_input_or_standard_output_of_every_command() {
             ("mount", "sim_state") => vec!["mount", "--sim", CHIP, "--sim-state", "-", &other],
             ("program", "image") => vec!["program", "--check", "--image", "-", "--station", &station],
             ("program", "station") => vec!["program", "--image", &toml, "--station", "-"],
+            ("records", _) => vec!["records", "-"],
             ("rescue", _) => vec!["rescue", "--yes", "--bus", "/dev/i2c-999", "--chip", CHIP, "-"],
             ("report", "output") => vec!["report", "-o", "-", &gauge],
             ("report", _) => vec!["report", "--sim", CHIP, "--key-file", "-", "-o", "-"],
@@ -708,6 +713,7 @@ fn a_dash_is_standard_input_or_standard_output_of_every_command() {
             ("mount", "config") => &config,
             ("mount" | "sim", "replay") => &trace,
             ("plot", _) => &csv,
+            ("records", _) => &empty,
             _ => &toml,
         };
         let ran = piped(&arguments, file);

@@ -362,7 +362,7 @@ fn a_document_that_is_wrong_is_noticed() {
     }
     let found = steps(
         "\n## A\n```\n$ one     # exit code 3\ntwo\n```\n<!-- sim: load_ma 1 -->\n## B\n```\n$ no\n```\n",
-        Some("A"),
+        Some("## A"),
     );
     let one =
         |code, prints: &str| Step::Run { line: "one".into(), code, prints: prints.into(), ended: false };

@@ -6,7 +6,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use gauge_bus::regular;
+use gaugefs_host::input;
 
 use super::record::{self, Bad, Entry, Event, Measured};
 use super::tally::{Tally, Totals};
@@ -53,11 +53,13 @@ pub enum By {
 }
 
 impl Records {
-    /// Reads a record.
+    /// Reads a record; `-` is standard input.
     pub fn read(path: &Path) -> Result<Self> {
-        let name = path.display().to_string();
-        let text = regular::read_text(path, LONGEST)
-            .map_err(|error| Error::io(&name, "the record cannot be read", &error))?;
+        let name = input::name(path);
+        let read = input::read_file(path, LONGEST);
+        let text = read.map_err(|error| Error::io(&name, "the record cannot be read", &error))?;
+        // A line with something else than text is none of a record.
+        let text = String::from_utf8_lossy(&text);
         let (mut outcomes, mut begun) = (Vec::new(), BTreeMap::new());
         for line in record::lines(&text) {
             match line {
