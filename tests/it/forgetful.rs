@@ -67,10 +67,10 @@ fn the_pack_decides_which_profile_a_gauge_gets() {
     let config = folder.file("gauges.toml");
     let text = format!(
         "[mount]\nmountpoint = 'm'\nstate-dir = '{state}'\n\
-         [[gauge]]\nname = 'PACK'\nsim = 'bq27441-g1'\npoll = 0.5\n\
+         [[gauge]]\nname = 'PACK'\nsim = 'bq27441-g1'\npoll = 0.5\nsim-set = {{ lock_ms = 0 }}\n\
          [[gauge.choose]]\nfile = 'adc'\nfrom = 100\nto = 200\nprofile = 'atl.toml'\n\
          [[gauge.choose]]\nfile = 'adc'\nfrom = 300\nto = 400\nprofile = 'scud.toml'\n\
-         [[gauge.choose]]\ncommand = ['/bin/sh', '-c', 'cat {}']\npack-by-text = true\nprofile = 'own.toml'\n",
+         [[gauge.choose]]\ncommand = ['/bin/sh', '-c', 'cat \"{}\"']\npack-by-text = true\nprofile = 'own.toml'\n",
         folder.file("serial")
     );
     fs::write(&config, &text).expect("a file");
