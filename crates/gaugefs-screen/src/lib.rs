@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: MIT
 
 //! The commands of gaugefs that show, record and watch mounted gauges: `top`, `learn`, `log`, `plot`, `wait`,
-//! `metrics` and `events`, with their options, what `watch` does, and the [screen](line) of a production line. The program `gaugefs` has them if its feature `screen` is on.
+//! `metrics` and `events`, with their options, what `watch` does, and the [screen](mod@line) of a production line. The
+//! program `gaugefs` has them if its feature `screen` is on.
 //!
 //! All that they have of a gauge is `gaugefs-client`.
 //!
