@@ -15,6 +15,11 @@ type Module = Vec<String>;
 
 /// The modules of a crate and their text without comments and tests.
 fn modules(folder: &Path) -> BTreeMap<Module, String> {
+    sources(folder).into_iter().map(|(module, text)| (module, plain(&text))).collect()
+}
+
+/// The modules of a crate and their text.
+fn sources(folder: &Path) -> BTreeMap<Module, String> {
     let mut found = BTreeMap::new();
     let mut folders = vec![(folder.to_path_buf(), Module::new())];
     while let Some((folder, parent)) = folders.pop() {
@@ -32,7 +37,7 @@ fn modules(folder: &Path) -> BTreeMap<Module, String> {
             } else if path.extension().is_some_and(|extension| extension == "rs") {
                 let text = fs::read_to_string(path).expect("a file of the checkout");
                 // A crate's library and its program are one.
-                found.entry(module).or_insert_with(String::new).push_str(&plain(&text));
+                found.entry(module).or_insert_with(String::new).push_str(&text);
             }
         }
     }
@@ -228,6 +233,26 @@ fn a_circle_is_found() {
     let modules: BTreeMap<_, _> = modules.into_iter().filter(|(module, _)| module.len() == 1).collect();
     let uses = self::uses(&modules);
     assert!(!reached(&uses[&Module::new()], "a").contains("a"), "{uses:?}");
+}
+
+/// A file that no module declares is not compiled: whoever repairs it repairs nothing.
+#[test]
+fn every_source_file_is_a_module() {
+    let mut found = Vec::new();
+    for folder in crates().iter().flat_map(|folder| [folder.join("src"), folder.join("tests/it")]) {
+        if !folder.is_dir() {
+            continue;
+        }
+        let sources = sources(&folder);
+        for (name, parent) in sources.keys().filter_map(|module| module.split_last()) {
+            let line = format!("mod {name};");
+            let declares = |text: &String| text.lines().any(|declared| declared.ends_with(&line));
+            if !sources.get(parent).is_some_and(declares) {
+                found.push(folder.join(parent.join("/")).join(name));
+            }
+        }
+    }
+    assert!(found.is_empty(), "no module declares {found:?}");
 }
 
 /// The places in a text where the words of a message are compared with words of the program: the name of what is compared.
