@@ -62,6 +62,15 @@ pub fn errno_of(kind: io::ErrorKind) -> i32 {
     errno.raw_os_error()
 }
 
+/// A kernel driver that is bound to an address.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Driver {
+    /// The driver, such as `bq27xxx-battery`.
+    pub name: String,
+    /// The device it drives, such as `bq34z100`.
+    pub device: String,
+}
+
 /// One failure: its subject, its kind, and one line that says what happened and what to do.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Error {
@@ -71,11 +80,13 @@ pub struct Error {
     pub kind: ErrorKind,
     /// The failure and its remedy, for the user.
     pub text: String,
+    /// The kernel driver that is bound to the address, if that is why.
+    pub driver: Option<Box<Driver>>,
 }
 
 impl Error {
     pub(crate) fn new(subject: impl Into<String>, kind: ErrorKind, text: impl Into<String>) -> Self {
-        Self { subject: subject.into(), kind, text: text.into() }
+        Self { subject: subject.into(), kind, text: text.into(), driver: None }
     }
 
     pub(crate) fn io(subject: impl Into<String>, what: &str, error: &io::Error) -> Self {

@@ -27,7 +27,7 @@ use nix::sys::stat::{major, minor};
 
 use crate::bounded::{Bounded, PATIENCE};
 use crate::clock::Clock;
-use crate::error::{Error, ErrorKind, Result};
+use crate::error::{Driver, Error, ErrorKind, Result};
 use crate::{Bus, BusError, regular};
 
 /// Major number of the i2c-dev character devices; the minor number is the adapter's.
@@ -175,15 +175,6 @@ impl fmt::Display for Adapter {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         self.path.display().fmt(f)
     }
-}
-
-/// A kernel driver that is bound to an address.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Driver {
-    /// The driver, such as `bq27xxx-battery`.
-    pub name: String,
-    /// The device it drives, such as `bq34z100`.
-    pub device: String,
 }
 
 /// One target address of an adapter. A driver that hangs in a transfer is waited for no longer than [`PATIENCE`].
@@ -430,7 +421,8 @@ fn busy(adapter: &Adapter, address: u8, driver: Option<&Driver>) -> Error {
         ),
         None => "a kernel driver is bound to that address; unbind it first".into(),
     };
-    Error::new(subject(adapter, address), ErrorKind::Busy, why)
+    let driver = driver.cloned().map(Box::new);
+    Error { driver, ..Error::new(subject(adapter, address), ErrorKind::Busy, why) }
 }
 
 fn forbidden(gid: u32) -> String {

@@ -27,7 +27,7 @@ use nix::fcntl::{Flock, FlockArg};
 use nix::sys::stat::{major, minor};
 use nix::unistd::{Uid, User, geteuid};
 
-use crate::error::{Cause, Error, Result, shown};
+use crate::error::{Cause, Error, Reason, Result, shown};
 use crate::folders;
 use gauge_bus::clock::Clock;
 use gauge_bus::linux::Adapter;
@@ -107,11 +107,13 @@ impl Lock {
             let mountpoint = holder.as_ref().and_then(|holder| holder.mountpoint.as_deref());
             let wait = mountpoint.is_none_or(&ending);
             if !wait || clock.now().saturating_sub(start) > PATIENCE {
-                let why = match holder {
+                let what = match &holder {
                     Some(holder) => format!("in use by {holder}"),
                     None => "in use by another process, which /proc/locks does not show".into(),
                 };
-                return Err(Error::new(subject, Cause::Busy, why));
+                let process = holder.as_ref().map(|holder| holder.pid.into());
+                let mountpoint = mountpoint.map(shown);
+                return Err(Error::of(subject, Reason::InUse { process, mountpoint, what }));
             }
             clock.sleep(STEP);
         }

@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 use jiff::Timestamp;
 use nix::errno::Errno;
 
-use crate::error::{Cause, Error, Result};
+use crate::error::{Cause, Error, Reason, Result};
 use crate::journal_dir;
 use crate::lock::Lock;
 use crate::owner::{self, Handle, Origin, Signal, Startup};
@@ -194,5 +194,5 @@ fn adapter(node: &Path) -> String {
 }
 
 fn slow() -> Error {
-    Error::new("", Cause::TimedOut, format!("no answer within {} s", PATIENCE.as_secs()))
+    Error::of("", Reason::Silent { seconds: PATIENCE.as_secs() as i64 })
 }

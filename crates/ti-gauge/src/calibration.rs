@@ -204,13 +204,14 @@ impl Task<'_> {
         self.gauge.limit(None);
         let readings = readings?;
         if readings.spread() > target.spread {
-            let why = format!(
-                "{} is too noisy for a calibration, which needs a spread of {:.0} {unit} at most: keep load and \
-                 temperature steady; nothing was changed",
-                readings.show(unit),
-                target.spread
-            );
-            return Err(Error::new(name, Cause::NotNow, why).at(Step::Check));
+            let noisy = Reason::Noisy {
+                least: format!("{:.1}", readings.least),
+                greatest: format!("{:.1}", readings.most),
+                spread: target.spread.round() as i64,
+                unit,
+                shown: readings.show(unit),
+            };
+            return Err(Error::of(name, noisy).at(Step::Check));
         }
         Ok(readings)
     }
@@ -260,11 +261,9 @@ impl Task<'_> {
             // One step of the register is no difference.
             let step = if target.role == Role::Temp { CELSIUS_STEP } else { 1.0 };
             if error.abs() > first.abs() + step || after.spread() > 2.0 * target.spread {
-                let why = format!(
-                    "{} after the calibration, {first:+.1} {unit} off before and {error:+.1} {unit} now",
-                    after.show(unit)
-                );
-                return Err(Error::new(name, Cause::Protocol, why).at(Step::Verify));
+                let (before, now) = (format!("{first:+.1}"), format!("{error:+.1}"));
+                let worse = Reason::Worse { before, after: now, unit, shown: after.show(unit) };
+                return Err(Error::of(name, worse).at(Step::Verify));
             }
             Ok(())
         };
@@ -359,12 +358,12 @@ impl Task<'_> {
         let target = Target { role: Role::CurrentNow, wanted: 0.0, spread: NO_CURRENT_MA };
         let before = self.steady(target, FEW_READINGS)?;
         if before.mean.abs() > NO_CURRENT_MA {
-            let why = format!(
-                "{}, and an offset is measured while no current flows, at {NO_CURRENT_MA} mA at most: disconnect load \
-                 and charger",
-                before.show("mA")
-            );
-            return Err(Error::new("Current()", Cause::NotNow, why).at(Step::Check));
+            let flows = Reason::CurrentFlows {
+                value: before.mean.round() as i64,
+                greatest: NO_CURRENT_MA as i64,
+                shown: before.show("mA"),
+            };
+            return Err(Error::of("Current()", flows).at(Step::Check));
         }
         // CC_OFFSET_SAVE stores the offset of the converter in either case.
         let mut rows = vec![row(self.gauge.chip, offset.row)?];
@@ -401,9 +400,14 @@ impl Task<'_> {
                 ));
             }
             Ok(after) => {
-                let why =
-                    format!("{} with the new offset and {} before", after.show("mA"), before.show("mA"));
-                Error::new(name, Cause::Protocol, why).at(Step::Verify)
+                let error = |readings: &Readings| format!("{:+.1}", readings.mean);
+                let worse = Reason::Worse {
+                    before: error(&before),
+                    after: error(&after),
+                    unit: "mA",
+                    shown: after.show("mA"),
+                };
+                Error::of(name, worse).at(Step::Verify)
             }
             Err(error) => error,
         };
@@ -429,8 +433,9 @@ impl Task<'_> {
             match (seen, running) {
                 (true, false) => break,
                 (false, false) if gauge.clock.now() > started + BEGINS => {
-                    let why = "the gauge does not show that it measures its offset";
-                    return Err(Error::new(gauge.chip.model, Cause::TimedOut, why).at(Step::Control));
+                    let command = gauge.subcommand_name(offset.start).into();
+                    let unseen = Reason::NoEffect { command, times: 1 };
+                    return Err(Error::of(gauge.chip.model, unseen).at(Step::Control));
                 }
                 _ => seen |= running,
             }
@@ -529,12 +534,14 @@ impl Task<'_> {
             gauge.wait(AFTER_RESET);
             let read = readings(gauge, Role::VoltageNow, READINGS)?;
             if read.least < low || read.most > high {
-                let why = format!(
-                    "{} with the new divider, and it should be {low:.0} to {high:.0} {unit}: is the divider right, and \
-                     the number of cells?",
-                    read.show(unit)
-                );
-                return Err(Error::new(name, Cause::Protocol, why).at(Step::Verify));
+                let off = Reason::Implausible {
+                    value: format!("{:.1}", read.mean),
+                    least: low.round() as i64,
+                    greatest: high.round() as i64,
+                    unit,
+                    shown: read.show(unit),
+                };
+                return Err(Error::of(name, off).at(Step::Verify));
             }
             found = Some(read);
             Ok(())

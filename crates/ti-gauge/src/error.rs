@@ -10,7 +10,7 @@ use std::borrow::Cow;
 use std::sync::Arc;
 use std::{error, fmt, io};
 
-use gauge_bus::error::{errno_of, reason};
+use gauge_bus::error::{Driver, errno_of, reason};
 use gauge_bus::{BusError, ErrorKind};
 use rustix::io::Errno;
 
@@ -151,7 +151,8 @@ pub enum Fact {
 
 /// What the field of a reason is for a program.
 trait Told {
-    fn fact(&self) -> Fact;
+    /// `None` if it is not known.
+    fn fact(&self) -> Option<Fact>;
 
     /// The failure that led to this one, if the field is one.
     fn failure(&self) -> Option<&Error> {
@@ -160,32 +161,50 @@ trait Told {
 }
 
 impl Told for u16 {
-    fn fact(&self) -> Fact {
-        Fact::Number((*self).into())
+    fn fact(&self) -> Option<Fact> {
+        Some(Fact::Number((*self).into()))
     }
 }
 
 impl Told for i64 {
-    fn fact(&self) -> Fact {
-        Fact::Number(*self)
+    fn fact(&self) -> Option<Fact> {
+        Some(Fact::Number(*self))
+    }
+}
+
+impl Told for Cow<'static, str> {
+    fn fact(&self) -> Option<Fact> {
+        Some(Fact::Text(self.clone()))
     }
 }
 
 impl Told for String {
-    fn fact(&self) -> Fact {
-        Fact::Text(self.clone().into())
+    fn fact(&self) -> Option<Fact> {
+        Some(Fact::Text(self.clone().into()))
     }
 }
 
 impl Told for &'static str {
-    fn fact(&self) -> Fact {
-        Fact::Text((*self).into())
+    fn fact(&self) -> Option<Fact> {
+        Some(Fact::Text((*self).into()))
+    }
+}
+
+impl Told for bool {
+    fn fact(&self) -> Option<Fact> {
+        self.then_some(Fact::Yes)
+    }
+}
+
+impl<T: Told> Told for Option<T> {
+    fn fact(&self) -> Option<Fact> {
+        self.as_ref().and_then(Told::fact)
     }
 }
 
 impl Told for Error {
-    fn fact(&self) -> Fact {
-        Fact::Failure(self.clone())
+    fn fact(&self) -> Option<Fact> {
+        Some(Fact::Failure(self.clone()))
     }
 
     fn failure(&self) -> Option<&Error> {
@@ -223,8 +242,9 @@ macro_rules! reasons {
                     Self::Text(cause, _) => (None, *cause, Vec::new(), None),
                     Self::Bus(bus) => (None, Cause::Bus(*bus), Vec::new(), None),
                     $(Self::$variant { $($fact,)* .. } => {
-                        let facts = vec![$((stringify!($fact), $fact.fact())),*];
-                        (Some($name), Cause::$cause, facts, None$(.or($fact.failure()))*)
+                        let facts = [$((stringify!($fact), $fact.fact())),*];
+                        let facts = facts.into_iter().filter_map(|(name, fact)| Some((name, fact?)));
+                        (Some($name), Cause::$cause, facts.collect(), None$(.or($fact.failure()))*)
                     })+
                 }
             }
@@ -259,6 +279,12 @@ reasons! {
     /// The gauge programs no flash at this voltage, in mV.
     FlashVoltage { value: i64, least: i64; compared: String, place: String, remedy: String } "flash-voltage", NotNow,
         "the gauge measures {value} mV{compared} and stores nothing below {least} mV ({place}){remedy}";
+    /// A kernel driver is bound to the address.
+    DriverBound { driver: String, device: String; what: String } "driver-bound", Busy, "{what}";
+    /// Another process has the gauge, its state or its journal.
+    InUse { process: Option<i64>, mountpoint: Option<String>; what: String } "in-use", Busy, "{what}";
+    /// Something of an earlier access is left to do first.
+    Owed { decision: bool; what: String } "owed", Busy, "{what}";
     /// A mode is on in which nothing is written.
     Mode { word: u16; what: &'static str, remedy: &'static str } "mode", Busy, "set in 0x{word:04x}: {what}; {remedy}";
     /// The checksum of a block does not fit its bytes.
@@ -270,6 +296,29 @@ reasons! {
     Wear { blocks: i64, greatest: i64, seconds: i64 } "wear", NotNow,
         "{blocks} blocks were programmed within the last hour; the limit is {greatest}, because flash wears out: the next \
          write may come in {} min {} s; --writes-per-hour sets another limit", seconds / 60, seconds % 60;
+    /// The gauge shows no sign of a command.
+    NoEffect { command: Cow<'static, str>, times: i64 } "no-effect", TimedOut,
+        "the gauge was sent {command}{} and shows no sign of it",
+        if *times == 1 { String::new() } else { format!(" {times} times") };
+    /// A flag of a register has not become what it should.
+    NotInTime { flag: &'static str, milliseconds: i64; set: bool } "not-in-time", TimedOut,
+        "{flag} was not {} within {} s", if *set { "set" } else { "cleared" }, *milliseconds as f64 / 1000.0;
+    /// The gauge does not answer at all.
+    Silent { seconds: i64 } "silent", TimedOut, "no answer within {seconds} s";
+    /// A register is too noisy for a calibration. The readings are numbers in `unit`.
+    Noisy { least: String, greatest: String, spread: i64, unit: &'static str; shown: String } "noisy", NotNow,
+        "{shown} is too noisy for a calibration, which needs a spread of {spread} {unit} at most: keep load and \
+         temperature steady; nothing was changed";
+    /// Current flows while an offset is to be measured, in mA.
+    CurrentFlows { value: i64, greatest: i64; shown: String } "current-flows", NotNow,
+        "{shown}, and an offset is measured while no current flows, at {greatest} mA at most: disconnect load and charger";
+    /// A register is further from what it should show than before the calibration. The errors are numbers in `unit`.
+    Worse { before: String, after: String, unit: &'static str; shown: String } "worse", Protocol,
+        "{shown} after the calibration, {before} {unit} off before and {after} {unit} now";
+    /// A register is outside of what it should show. The readings are numbers in `unit`.
+    Implausible { value: String, least: i64, greatest: i64, unit: &'static str; shown: String } "implausible", Protocol,
+        "{shown} with the new divider, and it should be {least} to {greatest} {unit}: is the divider right, and the number \
+         of cells?";
     /// A key is needed and not known.
     NoKey { key: &'static str; before: &'static str, file: String } "no-key", NotPermitted,
         "{before}; put it into {file} and mount again";
@@ -454,12 +503,12 @@ impl Error {
         let Inner { step, reason, register, place, owed, .. } = &*self.0;
         let (name, cause, own, _) = reason.row();
         let more = [
-            ("cause", Some(cause.name().fact())),
-            ("step", step.map(|step| step.as_str().fact())),
-            ("reason", name.map(|name| name.fact())),
-            ("register", register.as_ref().map(Told::fact)),
+            ("cause", cause.name().fact()),
+            ("step", step.map(Step::as_str).fact()),
+            ("reason", name.fact()),
+            ("register", register.fact()),
             ("place", place.map(Fact::Place)),
-            ("owed", owed.then_some(Fact::Yes)),
+            ("owed", owed.fact()),
         ];
         more.into_iter().filter_map(|(name, fact)| Some((name, fact?))).chain(own).collect()
     }
@@ -495,7 +544,13 @@ impl From<BusError> for Error {
 
 impl From<gauge_bus::Error> for Error {
     fn from(error: gauge_bus::Error) -> Self {
-        Self::new(error.subject, Cause::Adapter(error.kind), error.text)
+        let gauge_bus::Error { subject, kind, text, driver } = error;
+        match driver.map(|driver| *driver) {
+            Some(Driver { name, device }) => {
+                Self::of(subject, Reason::DriverBound { driver: name, device, what: text })
+            }
+            None => Self::new(subject, Cause::Adapter(kind), text),
+        }
     }
 }
 
@@ -518,15 +573,43 @@ mod tests {
         assert_eq!(error.to_string(), "Cell Terminate Voltage: check: the value is outside 1000 to 3700 mV");
         assert_eq!(error.errno(), Errno::RANGE.raw_os_error());
         let facts = [
-            ("cause", "out-of-range".fact()),
-            ("step", "check".fact()),
-            ("reason", "out-of-range".fact()),
+            ("cause", Fact::Text("out-of-range".into())),
+            ("step", Fact::Text("check".into())),
+            ("reason", Fact::Text("out-of-range".into())),
             ("place", Fact::Place((80, 53))),
-            ("least", "1000".fact()),
-            ("greatest", "3700".fact()),
-            ("unit", "mV".fact()),
+            ("least", Fact::Text("1000".into())),
+            ("greatest", Fact::Text("3700".into())),
+            ("unit", Fact::Text("mV".into())),
         ];
         assert_eq!(error.facts(), facts);
+    }
+
+    #[test]
+    fn what_is_not_known_is_no_fact() {
+        let in_use = |process| Reason::InUse { process, mountpoint: None, what: "in use".into() };
+        let named = |process| {
+            let facts = Error::of("i2c-1", in_use(process)).facts();
+            facts.into_iter().map(|(name, _)| name).collect::<Vec<_>>()
+        };
+        assert_eq!(named(Some(12)), ["cause", "reason", "process"]);
+        assert_eq!(named(None), ["cause", "reason"]);
+        let owed = |decision| Error::of("", Reason::Owed { decision, what: String::new() }).facts().len();
+        assert_eq!((owed(true), owed(false)), (3, 2));
+    }
+
+    #[test]
+    fn a_bound_driver_is_a_fact() {
+        let driver = Driver { name: "bq27xxx-battery".into(), device: "bq34z100".into() };
+        let text = "unbind it".to_string();
+        let kind = ErrorKind::Busy;
+        let error = gauge_bus::Error { subject: "i2c-1".into(), kind, text, driver: Some(Box::new(driver)) };
+        let error = Error::from(error);
+        assert_eq!(
+            (error.to_string(), error.errno()),
+            ("i2c-1: unbind it".into(), Errno::BUSY.raw_os_error())
+        );
+        let driver = error.facts().into_iter().find(|(name, _)| *name == "driver");
+        assert_eq!(driver, Some(("driver", Fact::Text("bq27xxx-battery".into()))));
     }
 
     #[test]

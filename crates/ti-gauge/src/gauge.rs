@@ -578,7 +578,7 @@ impl Gauge {
         Ok(u16::from_le_bytes([bytes[0], bytes[1]]))
     }
 
-    fn subcommand_name(&self, code: u16) -> String {
+    pub(crate) fn subcommand_name(&self, code: u16) -> String {
         let known = self.chip.subcommands.iter().find(|subcommand| subcommand.code == code);
         known.map_or_else(|| format!("Control(0x{code:04x})"), |known| format!("Control({})", known.name))
     }

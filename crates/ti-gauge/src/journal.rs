@@ -31,7 +31,7 @@ use sha1::{Digest as _, Sha1};
 
 use crate::chip::{Chip, FLAT};
 use crate::codec::{Bytes, WINDOW};
-use crate::error::{Cause, Error, Result};
+use crate::error::{Cause, Error, Reason, Result};
 use crate::gauge::Seal;
 use crate::keys::Name;
 use crate::text::{hex, unhex};
@@ -409,8 +409,8 @@ impl Journal {
                 if self.is_of_other_host(&path) {
                     continue;
                 }
-                let why = "an interrupted write is not settled yet; see gaugefs settle";
-                return Err(Error::new(path.display().to_string(), Cause::Busy, why));
+                let what = "an interrupted write is not settled yet; see gaugefs settle".into();
+                return Err(Error::of(path.display().to_string(), Reason::Owed { decision: false, what }));
             }
             match self.store(&path, true, identity, found, blocks) {
                 Err(error) if error.kind() == ErrorKind::AlreadyExists && self.disk.exists(&path) => {}
@@ -458,8 +458,9 @@ impl Journal {
             file => file.map_err(|error| refused(path, &error))?,
         };
         if !file.lock().map_err(|error| refused(path, &error))? {
-            let why = "another gaugefs works on this journal";
-            return Err(Error::new(path.display().to_string(), Cause::Busy, why));
+            let what = "another gaugefs works on this journal".into();
+            let in_use = Reason::InUse { process: None, mountpoint: None, what };
+            return Err(Error::of(path.display().to_string(), in_use));
         }
         Ok(Some(OpenJournal { disk: self.disk.clone(), file, path: path.into() }))
     }

@@ -9,7 +9,7 @@ use jiff::Timestamp;
 
 use super::operation::Asked;
 use super::{Owner, operations};
-use crate::error::{Cause, Error, Result};
+use crate::error::{Cause, Error, Reason, Result};
 use ti_gauge::dataflash::Decision;
 
 /// Tries when gaugefs ends, and the pause between them.
@@ -107,8 +107,8 @@ impl Owner {
             }
         }
         let Some(owed) = self.dataflash.owed() else { return Ok(()) };
-        let why = format!("gaugefs ends, and this is still owed: {}", owed.why);
-        Err(Error::new(self.shared.name(), Cause::Busy, why))
+        let what = format!("gaugefs ends, and this is still owed: {}", owed.why);
+        Err(Error::of(self.shared.name(), Reason::Owed { decision: owed.needs_decision, what }))
     }
 
     /// Settles what an earlier process has left, before anybody sees what data flash holds.

@@ -10,7 +10,7 @@ use std::time::Duration;
 use super::attempt::Importance;
 use super::operation::{Asked, Operation};
 use super::{Attempt, Owner, Seal, Wish, words};
-use crate::error::{Cause, Error, Result};
+use crate::error::{Error, Reason, Result};
 use ti_gauge::authentication::{self, Message};
 use ti_gauge::calibration::Job;
 use ti_gauge::chip::{Parameter, Subclass};
@@ -193,9 +193,10 @@ impl Owner {
         match self.dataflash.owed() {
             None => Ok(()),
             Some(owed) => {
-                let why =
+                let what =
                     format!("no subcommand is sent while an interrupted access is not settled: {}", owed.why);
-                Err(Error::new(self.gauge.chip.name, Cause::Busy, why).owing(true))
+                let owed = Reason::Owed { decision: owed.needs_decision, what };
+                Err(Error::of(self.gauge.chip.name, owed).owing(true))
             }
         }
     }
@@ -379,6 +380,7 @@ mod tests {
     use super::super::operation::QUEUE_LIMIT;
     use super::super::rig::Rig;
     use super::*;
+    use crate::error::Cause;
     use gauge_bus::clock::Clock as _;
     use ti_gauge::chip::{Limited, SIBLINGS};
     use ti_gauge::dataflash::Change;

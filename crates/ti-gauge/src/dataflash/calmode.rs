@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use super::state::read_word;
 use crate::chip::{Calibration, Word};
-use crate::error::{Cause, Error, Result, Step};
+use crate::error::{Error, Reason, Result, Step};
 use crate::gauge::{Gauge, Seal, agreed};
 
 /// Times that each subcommand is sent, and the time until its effect must show.
@@ -53,8 +53,8 @@ fn set_mode(gauge: &mut Gauge, calibration: &Calibration, wanted: bool) -> Resul
 }
 
 fn failed(gauge: &Gauge, name: &str) -> Error {
-    let why = format!("the gauge was sent {name} {TRIES} times and does not show it");
-    Error::new(gauge.chip.model, Cause::TimedOut, why).at(Step::Control)
+    let unseen = Reason::NoEffect { command: name.to_string().into(), times: TRIES.into() };
+    Error::of(gauge.chip.model, unseen).at(Step::Control)
 }
 
 /// Enters calibration mode and confirms it. The gauge is open.

@@ -386,8 +386,8 @@ fn reset(gauge: &mut Gauge, found: Seal, moment: Moment) -> Result<Seal> {
             gauge.wait(Duration::from_millis(if found == Seal::Sealed { 80 } else { 40 }));
         }
     }
-    let why = format!("the gauge was sent RESET {RESETS} times and shows no sign of it");
-    Err(Error::new(gauge.chip.model, Cause::TimedOut, why).at(Step::Reset))
+    let unseen = Reason::NoEffect { command: "RESET".into(), times: RESETS.into() };
+    Err(Error::of(gauge.chip.model, unseen).at(Step::Reset))
 }
 
 /// Waits until the gauge answers after the end of CONFIG UPDATE, and goes to a state in which data memory can be

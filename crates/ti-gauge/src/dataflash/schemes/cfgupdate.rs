@@ -10,7 +10,7 @@ use super::block::Block;
 use super::mac::Mac;
 use crate::codec::WINDOW;
 use crate::dataflash::window::{Dirty, Window};
-use crate::error::{Cause, Error, Result, Step};
+use crate::error::{Error, Reason, Result, Step};
 use crate::gauge::{Gauge, Seal, Statistics, agreed};
 
 /// Time between two reads of the flag of the mode, which takes up to a second to come or go.
@@ -138,8 +138,7 @@ impl CfgUpdate {
             return Ok(());
         }
         let (register, flag) = self.names;
-        let why = format!("{flag} was not {} in time", if on { "set" } else { "cleared" });
-        Err(Error::new(register, Cause::TimedOut, why))
+        Err(Error::of(register, Reason::NotInTime { flag, milliseconds: limit.as_millis() as i64, set: on }))
     }
 
     /// Like `wait_for`, but returns whether the mode was reached.
