@@ -70,6 +70,12 @@ impl Error {
         failed
     }
 
+    /// Says what it is about.
+    pub(crate) fn about(mut self, subject: impl Into<String>) -> Self {
+        self.0.subject = subject.into();
+        self
+    }
+
     /// Says what could not be done: `nothing was written`. What the daemon says stands for itself.
     #[must_use]
     pub fn doing(mut self, what: impl Into<String>) -> Self {

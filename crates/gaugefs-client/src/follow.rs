@@ -15,13 +15,11 @@ use nix::errno::Errno;
 use nix::fcntl::{OFlag, openat};
 use nix::sys::stat::Mode;
 
-use gauge_bus::clock::{Clock, RealClock};
-
 use crate::condition::Texts;
 use crate::error::{Error, Result};
 use crate::gauge::Gauge;
-use crate::hang::thread;
 pub use crate::hang::{PATIENCE, SILENT};
+use crate::hang::{look_again, within};
 use crate::place;
 use crate::sample::{self, if_readable, of_one_poll, text};
 use crate::watch::{INTERVAL, trouble};
@@ -108,23 +106,18 @@ pub fn to_channel<T: From<Seen> + Send + 'static>(
     names: Vec<String>,
     to: Sender<T>,
 ) -> Result<()> {
-    let work = move || {
-        loop {
-            let (texts, next) = match of_one_poll(&folder, |_| all(&folder, &names)) {
-                Ok(texts) if texts.get("present").is_some_and(|text| text == "1") => {
-                    (Ok(texts), next_poll(&folder))
-                }
-                Ok(_) => (Err("the gauge does not answer".into()), None),
-                Err(error) => (Err(trouble(&folder, &error)), None),
-            };
-            let next = next.unwrap_or(INTERVAL);
-            if to.send(Seen { gauge, texts, next }.into()).is_err() {
-                return;
+    let look = move || {
+        let (texts, next) = match of_one_poll(&folder, |_| all(&folder, &names)) {
+            Ok(texts) if texts.get("present").is_some_and(|text| text == "1") => {
+                (Ok(texts), next_poll(&folder))
             }
-            RealClock::new().sleep(next);
-        }
+            Ok(_) => (Err("the gauge does not answer".into()), None),
+            Err(error) => (Err(trouble(&folder, &error)), None),
+        };
+        let next = next.unwrap_or(INTERVAL);
+        (Seen { gauge, texts, next }, next)
     };
-    thread(work)
+    look_again(look, to)
 }
 
 impl Gauge {
@@ -146,15 +139,7 @@ pub fn gauges_at(path: &Path) -> Result<Vec<PathBuf>> {
     let name = path.display().to_string();
     // Symbolic links are not resolved: that may hang.
     let path = std::path::absolute(path).unwrap_or_else(|_| path.to_path_buf());
-    let (sender, found) = mpsc::channel();
-    thread(move || {
-        let found = place::gauges_at(&path).map_err(|error| trouble(&path, &error));
-        // It cannot be heard any more after 5 s.
-        let _ = sender.send(found);
-    })?;
-    match found.recv_timeout(PATIENCE) {
-        Ok(Ok(gauges)) => Ok(gauges),
-        Ok(Err(why)) => Err(Error::host(name, Errno::ENOENT, why)),
-        Err(_) => Err(Error::host(name, Errno::ETIMEDOUT, SILENT)),
-    }
+    let found = within(PATIENCE, move || place::gauges_at(&path).map_err(|error| trouble(&path, &error)));
+    let found = found.map_err(|error| error.about(&name))?;
+    found.map_err(|why| Error::host(name, Errno::ENOENT, why))
 }

@@ -2,9 +2,10 @@
 
 //! Daemons that hang: a call into their mount may never return, so it is made by a thread of its own.
 
-use std::sync::mpsc;
+use std::sync::mpsc::{self, Sender};
 use std::time::Duration;
 
+use gauge_bus::clock::{Clock, RealClock};
 use nix::errno::Errno;
 
 use crate::error::{Error, Result};
@@ -19,6 +20,23 @@ pub const SILENT: &str = "its daemon does not answer";
 pub(crate) fn thread(work: impl FnOnce() + Send + 'static) -> Result<()> {
     let thread = std::thread::Builder::new().stack_size(256 * 1024).spawn(work);
     thread.map(drop).map_err(|error| Error::io("", "cannot start a thread", error))
+}
+
+/// Looks at a mount again and again from a thread of its own, which reports to a channel: what it sees, and how long it is
+/// until the next look. It ends with its receiver.
+pub(crate) fn look_again<R, T: From<R> + Send + 'static>(
+    mut look: impl FnMut() -> (R, Duration) + Send + 'static,
+    to: Sender<T>,
+) -> Result<()> {
+    thread(move || {
+        loop {
+            let (seen, next) = look();
+            if to.send(seen.into()).is_err() {
+                return;
+            }
+            RealClock::new().sleep(next);
+        }
+    })
 }
 
 /// Calls a function from a thread of its own, and waits at most so long for it. A daemon that hangs keeps that thread, and

@@ -12,12 +12,11 @@ use std::path::{Path, PathBuf};
 use std::sync::mpsc::Sender;
 use std::time::{Duration, Instant};
 
-use gauge_bus::clock::{Clock, RealClock};
 use nix::sys::statvfs::statvfs;
 
 use crate::condition::Texts;
 use crate::error::Result;
-use crate::hang::thread;
+use crate::hang::look_again;
 use crate::mounts;
 use crate::sample::{attributes, if_readable};
 use crate::watch::trouble;
@@ -38,17 +37,13 @@ pub struct Look {
 
 /// Follows the supplies of a mount from a thread of its own, which reports to a channel. It ends with its receiver.
 pub fn to_channel<T: From<Look> + Send + 'static>(mountpoint: PathBuf, to: Sender<T>) -> Result<()> {
-    thread(move || {
-        loop {
-            let begun = Instant::now();
-            let supplies = supplies_at(&mountpoint).map_err(|error| trouble(&mountpoint, &error));
-            let next = PAUSE.max(begun.elapsed() * (SHARE - 1));
-            if to.send(Look { supplies, next }.into()).is_err() {
-                return;
-            }
-            RealClock::new().sleep(next);
-        }
-    })
+    let look = move || {
+        let begun = Instant::now();
+        let supplies = supplies_at(&mountpoint).map_err(|error| trouble(&mountpoint, &error));
+        let next = PAUSE.max(begun.elapsed() * (SHARE - 1));
+        (Look { supplies, next }, next)
+    };
+    look_again(look, to)
 }
 
 /// The supplies of the mount. Those of the kernel that show through it are symbolic links, and are left out.
