@@ -34,6 +34,7 @@ mod change;
 mod checks;
 mod erased;
 mod guard;
+mod identity;
 mod io;
 mod job;
 mod keychange;

@@ -2,15 +2,14 @@
 
 //! A write as its journal has it, and what a gauge holds of it.
 
+use super::Change;
 use super::io::COMMITTED;
 use super::schemes::sequence;
-use super::state::read_word;
 use super::window::{Dirty, Window, learned, secrets};
-use crate::chip::Word;
 use crate::codec::WINDOW;
 use crate::error::Result;
-use crate::gauge::{Gauge, agreed};
-use crate::journal::{Identity, Mark, Plan, PlannedBlock};
+use crate::gauge::Gauge;
+use crate::journal::{Entry, Mark, Plan, PlannedBlock};
 
 /// Which content a block has.
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -49,21 +48,43 @@ pub(super) fn plan(
     Plan { reset, marks, blocks: blocks.collect(), ..Plan::default() }
 }
 
-/// What the gauge says of itself; an error if it is another part.
-pub(super) fn identify(gauge: &mut Gauge) -> Result<Identity> {
-    gauge.confirm_identity()?;
-    let firmware = agreed("Control(FW_VERSION)", || gauge.firmware_version())?;
-    Ok(Identity::of(gauge.chip, firmware, serial_number(gauge)?))
-}
-
-pub(super) fn serial_number(gauge: &mut Gauge) -> Result<u16> {
-    let Some(register) = gauge.chip.serial_register() else { return Ok(0) };
-    agreed("SerialNumber()", || read_word(gauge, Word::Register(register)))
-}
-
 impl PlannedBlock {
     pub(super) fn place(&self) -> Window {
         Window { subclass: self.subclass, base: self.base }
+    }
+}
+
+impl Plan {
+    /// Nothing but what is known of the pack.
+    pub(super) fn of_marks(marks: Vec<Mark>) -> Self {
+        Self { marks, ..Self::default() }
+    }
+
+    /// Whether these changes write all of what an interrupted write was about to change.
+    pub(super) fn is_covered(&self, changes: &[Change]) -> bool {
+        let is_written = |subclass: u8, offset: usize| {
+            changes.iter().any(|change| {
+                let begin = usize::from(change.place.offset);
+                change.place.subclass == subclass && (begin..begin + change.bytes.len()).contains(&offset)
+            })
+        };
+        let covers = |block: &PlannedBlock| {
+            let mut written = (0..WINDOW).filter(|&at| block.written.has(at));
+            written.all(|at| is_written(block.subclass, usize::from(block.base) + at))
+        };
+        self.key.is_none() && !self.blocks.is_empty() && self.blocks.iter().all(covers)
+    }
+}
+
+impl Entry {
+    /// Whether nothing but the seal is owed.
+    pub(super) fn owes_seal(&self) -> bool {
+        self.plan.as_ref().is_none_or(|plan| plan.blocks.is_empty() && plan.key.is_none())
+    }
+
+    /// Whether it is of a change of keys, after which the gauge may have another one than the mount.
+    pub(super) fn changes_keys(&self) -> bool {
+        self.plan.as_ref().is_some_and(|plan| plan.key.is_some() || plan.blocks.is_empty() && plan.reset)
     }
 }
 

@@ -11,10 +11,11 @@ use std::time::Duration;
 
 use super::{RESTORES, Session};
 use crate::chip::KeyStorage;
+use crate::dataflash::identity::identify;
 use crate::dataflash::io::still_open;
 use crate::dataflash::keyrow::keeps_unseal_key;
 use crate::dataflash::pack::{self, Match};
-use crate::dataflash::planned::{Held, identify, look_at};
+use crate::dataflash::planned::{Held, look_at};
 use crate::dataflash::schemes::sequence;
 use crate::dataflash::state::has_lost_memory;
 use crate::dataflash::window::Dirty;

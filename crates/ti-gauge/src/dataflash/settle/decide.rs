@@ -1,0 +1,179 @@
+// SPDX-License-Identifier: MIT
+
+//! What a person is shown of an interrupted write, and what becomes of it as they decide.
+
+use std::time::Duration;
+
+use super::Decision;
+use super::task::{Shown, compare_seen, number_of};
+use crate::chip::{Chip, Kind};
+use crate::codec::{self, WINDOW};
+use crate::dataflash::keychange::way_out;
+use crate::dataflash::pack::Match;
+use crate::dataflash::planned::{Seen, look};
+use crate::dataflash::session::{Left, Reference, Session, in_time};
+use crate::dataflash::{DataFlash, Place};
+use crate::error::{Cause, Error, Result};
+use crate::gauge::{Gauge, Seal};
+use crate::journal::{Entry, Identity};
+use crate::notation;
+
+impl DataFlash {
+    /// Shows what is known of an interrupted write, for a person who has to decide. Nothing is written.
+    pub fn examine(&mut self, gauge: &mut Gauge, waited: Duration) -> Result<String> {
+        let seal = self.find_seal().map_or(String::new(), |seal| format!("{}\n", seal.why));
+        let Some(pending) = self.find_pending() else {
+            return Ok(if seal.is_empty() { "nothing to settle\n".into() } else { seal });
+        };
+        let mut text = format!("{seal}{}\n", pending.why);
+        let Some(entry) = pending.entry else { return Ok(text) };
+        let Identity { chip, firmware, serial, .. } = &entry.identity;
+        text += &format!(
+            "begun on {chip}, firmware 0x{firmware:04x}, serial number 0x{serial:04x}, found {}\n",
+            entry.found.as_str()
+        );
+        let plan = entry.plan.clone().filter(|_| !entry.owes_seal());
+        let Some(plan) = plan else { return Ok(text + "nothing had been written\n") };
+        if let Some(key) = &plan.key {
+            // The keys that the gauge has were found out when it was tried to settle this.
+            let names = key.names();
+            let how = match key.is_over() {
+                true => "was written and read back",
+                false => "was about to be written",
+            };
+            return Ok(format!("{text}the {names} key {how}\n"));
+        }
+        in_time(gauge, waited, |gauge, asked| {
+            self.now.may_be_renamed();
+            let now = self.identity(gauge)?;
+            let found = gauge.seal_anew()?;
+            // The seal is owed already.
+            let recorded = |_: &mut Self, _: &mut Gauge, _: &mut Session| Ok(());
+            let (seen, same) = self.session(gauge, (found, asked), recorded, |_, gauge, session| {
+                session.open(gauge)?;
+                let seen = look(gauge, &plan)?;
+                let same = compare_seen(gauge, [&entry.identity, &now], &plan, &seen)?;
+                Ok((seen, same))
+            })?;
+            if let Match::Other(name) = same {
+                text += &match number_of(gauge.chip, &now) {
+                    Some(serial) => format!(
+                        "{name} is not what it was then: this is another pack, serial number {serial}; to write to it all \
+                         the same, add --serial {serial}\n"
+                    ),
+                    None => format!("{name} is not what it was then: this is another pack\n"),
+                };
+            }
+            let blocks = seen.iter().map(|seen| seen.stored).collect();
+            text += &table(gauge.chip, &seen);
+            self.shown = Some(Shown { entry, identity: now, blocks });
+            Ok(text)
+        })
+    }
+
+    /// Settles an interrupted write as a person has decided. Returns a message for the log.
+    pub fn decide(&mut self, gauge: &mut Gauge, decision: Decision, waited: Duration) -> Result<String> {
+        let Some(pending) = self.find_pending() else {
+            let sealed = self.pay_seal(gauge, waited);
+            if decision == Decision::Discard {
+                self.forget_seal();
+            }
+            let nothing = || Error::new(gauge.chip.name, Cause::Invalid, "there is nothing to settle");
+            return sealed?.ok_or_else(nothing);
+        };
+        let key = pending.plan().and_then(|plan| plan.key).filter(|key| !key.is_over());
+        let needs_keys = match decision {
+            Decision::Finish(_) => true,
+            Decision::Undo(_) => self.unfinished.is_none(),
+            Decision::Discard => false,
+        };
+        if let Some(key) = key.filter(|_| needs_keys) {
+            let why = format!("no journal has keys: {}", way_out(&key.names));
+            return Err(Error::new(gauge.chip.name, Cause::NotPermitted, why));
+        }
+        if decision != Decision::Discard {
+            let told = self.resolve(gauge, &pending, Some(decision), waited)?;
+            return Ok(told.unwrap_or_else(|| "there is nothing to settle".into()));
+        }
+        let aside = match self.journal.as_ref().zip(pending.file.as_ref()) {
+            Some((journal, file)) if journal.look(file).is_some() => Some(journal.dismiss(file)?),
+            _ => None,
+        };
+        (self.pending, self.held, self.unfinished) = (None, None, None);
+        let left = match pending.entry {
+            Some(entry) => self.leave_as_it_is(gauge, entry, waited),
+            None => Ok(()),
+        };
+        let kept = aside.map_or(String::new(), |path| format!("; the journal is kept as {}", path.display()));
+        left.map(|()| format!("an interrupted write was dismissed and data flash left as it is{kept}"))
+    }
+
+    /// Ends the modes that an interrupted write may have left on and seals a gauge that was found sealed, whatever it
+    /// holds.
+    fn leave_as_it_is(&mut self, gauge: &mut Gauge, entry: Entry, waited: Duration) -> Result<()> {
+        // A gauge whose keys nobody may know stays open, if it is.
+        let of_keys =
+            entry.plan.as_ref().and_then(|plan| plan.key.as_ref()).is_some_and(|key| !key.is_over());
+        let wrote = !of_keys && !entry.owes_seal();
+        let owes = entry.found == Seal::Sealed && !of_keys;
+        let reference = Reference::of(&entry);
+        let entry = Entry { plan: None, ..entry };
+        let kept = entry.clone();
+        let ended = in_time(gauge, waited, |gauge, asked| {
+            let now = gauge.seal_anew()?;
+            let mut session = Session::new(if owes { Seal::Sealed } else { now }, asked);
+            if wrote {
+                session.inherit_modes(gauge)?;
+            }
+            if let Some(journal) = self.journal.as_ref().filter(|_| owes) {
+                session.journal = Some(journal.begin(&entry.identity, entry.found, 0)?);
+            }
+            (session.now, session.entry) = (None, Some(entry));
+            session.pack.pack = Some(reference);
+            self.guard(gauge, session, |_, _, _| Ok(()), Self::end)
+        });
+        if let Err(error) = &ended
+            && self.pending.is_none()
+        {
+            // The next write ends a mode that may still be on.
+            self.mode_left_on |= wrote;
+            if owes {
+                self.keep(gauge, Some(kept), None, Left::of(false, error.to_string()));
+            }
+        }
+        ended
+    }
+}
+
+/// The changed parameters of a plan, and others that are not what they were, one a line: place, name, old, new, and
+/// what the gauge has. A person who decides sees everything that the decision may change.
+fn table(chip: &Chip, seen: &[Seen]) -> String {
+    let mut table = String::from("parameter\tname\told\tnew\tgauge\n");
+    for Seen { block, stored, .. } in seen {
+        let rows = chip.subclasses.iter().filter(|row| row.id == block.place.subclass);
+        for row in rows.flat_map(|subclass| subclass.parameters.iter().map(move |one| (subclass, one))) {
+            let (subclass, parameter) = row;
+            let start = usize::from(parameter.offset).checked_sub(usize::from(block.place.base));
+            let Some(start) = start.filter(|start| start + parameter.kind.size() <= WINDOW) else { continue };
+            let range = start..start + parameter.kind.size();
+            let differs = |at| stored[at] != block.old[at] && !block.learned.has(at);
+            if subclass.kind == Kind::Security
+                || !range.clone().any(|at| block.written.has(at) || differs(at))
+            {
+                continue;
+            }
+            let show = |bytes: &[u8; WINDOW]| {
+                notation::render(parameter.kind, &codec::decode(parameter.kind, &bytes[range.clone()]))
+            };
+            table += &format!(
+                "{}\t{}\t{}\t{}\t{}\n",
+                Place::of(row),
+                parameter.name,
+                show(&block.old),
+                show(&block.new),
+                show(stored)
+            );
+        }
+    }
+    table
+}

@@ -1,0 +1,180 @@
+// SPDX-License-Identifier: MIT
+
+//! Journals that were begun at other places, or that wait for their pack: whether one of them is of this gauge.
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::time::Duration;
+
+use super::pending::Pending;
+use super::task::shows;
+use crate::chip::Chip;
+use crate::dataflash::DataFlash;
+use crate::dataflash::io::COMMITTED;
+use crate::dataflash::pack::{Match, compare, is_named, shows_another};
+use crate::dataflash::planned::look_by;
+use crate::dataflash::schemes::sequence;
+use crate::dataflash::session::{Session, in_time};
+use crate::dataflash::state::has_lost_memory;
+use crate::dataflash::window::Window;
+use crate::error::{Cause, Result};
+use crate::gauge::{Gauge, Seal};
+use crate::journal::{Content, Entry, Found, Identity};
+
+/// What of the folder of journals has been compared with this gauge since it arrived.
+#[derive(Clone, Copy, Debug, Default)]
+pub(in crate::dataflash) struct Searched {
+    /// Those of other places.
+    places: bool,
+    /// Those that wait for their packs.
+    waiting: bool,
+}
+
+/// Which journals of other gauges are compared with this one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Where {
+    Places,
+    Waiting,
+}
+
+impl DataFlash {
+    /// Settles what was begun on this gauge at another place, or was set aside because it was not certain that the pack
+    /// was the one.
+    pub(super) fn search(
+        &mut self,
+        gauge: &mut Gauge,
+        place: Where,
+        waited: Duration,
+    ) -> Result<Vec<String>> {
+        let (begun, mut told) = (gauge.clock.now(), Vec::new());
+        let done = self.searched.get(self.now.arrival).is_some_and(|searched| match place {
+            Where::Places => searched.places,
+            Where::Waiting => searched.waiting,
+        });
+        let Some(journal) = self.journal.as_ref().filter(|_| !done && self.pending.is_none()) else {
+            return Ok(told);
+        };
+        let mut found = journal.search(place == Where::Waiting, &self.known_files())?;
+        found.retain(|found| !found.is_here);
+        let others = self.rule_out(gauge, &found, waited)?;
+        self.judged.in_epoch(self.now.arrival).extend(others.iter().cloned());
+        found.retain(|found| !others.contains(&found.path));
+        for found in found {
+            let file = found.path.clone();
+            let pending = Pending { elsewhere: true, ..Pending::found(found) };
+            if pending.entry.is_none() {
+                continue;
+            }
+            let waited = waited + (gauge.clock.now() - begun);
+            let settled = self.resolve(gauge, &pending, None, waited);
+            if self.pending.is_some() {
+                return settled.map(|_| told);
+            }
+            told.extend(settled?);
+            self.judged.in_epoch(self.now.arrival).push(file);
+        }
+        let searched = self.searched.in_epoch(self.now.arrival);
+        match place {
+            Where::Places => searched.places = true,
+            Where::Waiting => searched.waiting = true,
+        }
+        Ok(told)
+    }
+
+    /// The journals that show nothing of this gauge. After a while a folder may have those of many packs, so what they
+    /// have to be compared with is read once for all of them.
+    fn rule_out(&mut self, gauge: &mut Gauge, found: &[Found], waited: Duration) -> Result<Vec<PathBuf>> {
+        let entry = |found: &Found| match &found.content {
+            Content::Entry(entry) => Some((found.path.clone(), entry.clone())),
+            Content::InUse(_) | Content::Unreadable(_) => None,
+        };
+        let mut entries: Vec<(PathBuf, Entry)> = found.iter().filter_map(entry).collect();
+        let has_blocks = |entry: &Entry| {
+            entry.plan.as_ref().is_some_and(|plan| plan.key.is_none() && !plan.blocks.is_empty())
+        };
+        entries.retain(|(_, entry)| has_blocks(entry));
+        if entries.len() < 2 {
+            return Ok(Vec::new());
+        }
+        let ruled_out = in_time(gauge, waited, |gauge, asked| {
+            gauge.claim()?;
+            self.now.may_be_renamed();
+            let now = self.identity(gauge)?;
+            let (mut others, mut open) = (Vec::new(), Vec::new());
+            for (path, entry) in entries {
+                match entry.identity.is_of_part(&now, gauge.chip) && may_be_of(gauge.chip, &entry, &now) {
+                    true => open.push((path, entry)),
+                    false => others.push(path),
+                }
+            }
+            if open.is_empty() {
+                return Ok(others);
+            }
+            let found = gauge.seal_anew()?;
+            let record = |this: &mut Self, gauge: &mut Gauge, session: &mut Session| {
+                if found == Seal::Sealed { this.owe(gauge, session, 0) } else { Ok(()) }
+            };
+            others.extend(self.session(gauge, (found, asked), record, |_, gauge, session| {
+                session.open(gauge)?;
+                others_of(gauge, &now, &open)
+            })?);
+            Ok(others)
+        });
+        match ruled_out {
+            // Each of them is tried with what its plan knows of the keys.
+            Err(error) if matches!(error.cause(), Cause::NotPermitted) => Ok(Vec::new()),
+            ruled_out => ruled_out,
+        }
+    }
+
+    /// Looks for a journal that waits for this pack, before data flash is read for the first time. What keeps it from
+    /// that is no reason not to read: a write looks again.
+    pub(in crate::dataflash) fn search_waiting(&mut self, gauge: &mut Gauge, waited: Duration) {
+        if self.find_pending().is_some() {
+            return;
+        }
+        for place in [Where::Places, Where::Waiting] {
+            match self.search(gauge, place, waited) {
+                Ok(told) => told.iter().for_each(|told| log::warn!("{}: {told}", gauge.chip.name)),
+                Err(error) => log::warn!("{}: {error}", gauge.chip.name),
+            }
+        }
+    }
+}
+
+/// Whether a gauge, by what it shows without a key, may be the one on which something was begun elsewhere.
+pub(super) fn may_be_of(chip: &'static Chip, entry: &Entry, now: &Identity) -> bool {
+    let then = &entry.identity;
+    match entry.plan.as_ref().filter(|_| !entry.owes_seal()) {
+        Some(plan) => !shows_another(chip, then, now, plan),
+        // Nobody seals a gauge that may have been opened on purpose.
+        None => then.serial == now.serial && is_named(chip, now),
+    }
+}
+
+/// Those of the journals of which an open gauge shows nothing. Each block is read once.
+fn others_of(gauge: &mut Gauge, now: &Identity, journals: &[(PathBuf, Entry)]) -> Result<Vec<PathBuf>> {
+    // A commit may be at work still.
+    gauge.wait(COMMITTED);
+    let moment = gauge.moment();
+    let is_lost = has_lost_memory(gauge)?;
+    let (mut read, mut others) = (BTreeMap::new(), Vec::new());
+    let mut load = |gauge: &mut Gauge, place: Window| match read.get(&(place.subclass, place.base)) {
+        Some(content) => Ok(*content),
+        None => {
+            let content = sequence(gauge).load(gauge, place)?;
+            read.insert((place.subclass, place.base), content);
+            Ok(content)
+        }
+    };
+    for (path, entry) in journals {
+        let Some(plan) = &entry.plan else { continue };
+        let seen = look_by(gauge, plan, &mut load)?;
+        let same = compare(gauge.chip, &entry.identity, now, plan, |place| load(gauge, place))?;
+        if is_lost || same != Match::Certain && !shows(&seen, &same) {
+            others.push(path.clone());
+        }
+    }
+    // What was read before it was away may be of another one.
+    Ok(if gauge.is_unbroken_since(moment) { others } else { Vec::new() })
+}

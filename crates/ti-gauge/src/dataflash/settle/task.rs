@@ -1,0 +1,307 @@
+// SPDX-License-Identifier: MIT
+
+//! One interrupted write on the gauge that answers: whether this is its pack, and which content it gets.
+
+use super::Decision;
+use crate::chip::{Chip, KeyStorage};
+use crate::codec::WINDOW;
+use crate::dataflash::job::{Job, Landed, Side, converge};
+use crate::dataflash::measured;
+use crate::dataflash::pack::{Known, Match, compare, mark_windows};
+use crate::dataflash::planned::{Held, Seen, look};
+use crate::dataflash::schemes::sequence;
+use crate::dataflash::session::{Reference, Session};
+use crate::dataflash::state::has_lost_memory;
+use crate::dataflash::verdict::{Verdict, unrestored};
+use crate::dataflash::window::{holds_keys, secrets};
+use crate::error::Result;
+use crate::gauge::{Gauge, Moment};
+use crate::journal::{Entry, Identity, Plan};
+
+/// What a person was shown of an interrupted write, by which a decision is meant.
+#[derive(Clone, Debug)]
+pub(in crate::dataflash) struct Shown {
+    pub(super) entry: Entry,
+    pub(super) identity: Identity,
+    pub(super) blocks: Vec<[u8; WINDOW]>,
+}
+
+impl Shown {
+    /// Whether a gauge is what was shown, but for what it has learned since.
+    fn is(&self, identity: &Identity, seen: &[Seen]) -> bool {
+        let same = |(shown, seen): (&[u8; WINDOW], &Seen)| {
+            (0..WINDOW).all(|at| shown[at] == seen.stored[at] || seen.block.learned.has(at))
+        };
+        self.identity == *identity && self.blocks.iter().zip(seen).all(same)
+    }
+}
+
+/// One interrupted write.
+pub(super) struct Task<'a> {
+    pub(super) plan: &'a Plan,
+    pub(super) then: &'a Identity,
+    pub(super) now: &'a Identity,
+    pub(super) watched: bool,
+    /// See [`Pending::certain`].
+    pub(super) certain: Option<Moment>,
+    pub(super) decision: Option<Decision>,
+    /// What was shown of it.
+    pub(super) shown: Option<&'a Shown>,
+    /// It was begun at another place, or waits for its pack.
+    pub(super) elsewhere: bool,
+}
+
+impl Task<'_> {
+    pub(super) fn run(&self, gauge: &mut Gauge, session: &mut Session) -> Result<Verdict> {
+        let chip = gauge.chip;
+        if has_lost_memory(gauge)? {
+            if self.elsewhere {
+                return Ok(Verdict::Another);
+            }
+            let why =
+                "a write was interrupted, and the gauge has since lost power and with it its data memory";
+            return Ok(Verdict::Done(why.into()));
+        }
+        if self.plan.by_gauge {
+            measured::is_over(gauge)?;
+        }
+        let moment = gauge.moment();
+        let mut job = Job::interrupted(look(gauge, self.plan)?, self.plan.reset);
+        let seen = &job.blocks;
+        let (all_old, all_new, intact) = (job.all(Held::Old), job.all(Held::New), job.is_intact());
+        let whole = intact && (all_old || all_new);
+        let mut done: fn(String) -> Verdict = Verdict::Done;
+        let mut another = None;
+        if let Some(decision) = self.decision {
+            another = match self.chosen(gauge, decision, seen)? {
+                Chosen::Itself => None,
+                Chosen::Another(pack) => Some(pack),
+                Chosen::Not(why) => return Ok(Verdict::Undecided(why)),
+            };
+            session.pack.pack = Some(self.present(gauge)?);
+            session.pack.certain_since(moment);
+        } else {
+            match self.doubt(gauge, seen)? {
+                Doubt::None => session.pack.certain_since(moment),
+                Doubt::Weak if self.plan.by_gauge && !all_old => {
+                    let why = "it was not judged what the gauge has measured and stored, and this gauge has the serial \
+                               number and the calibration of every new one, so it may be another pack";
+                    return Ok(Verdict::Undecided(why.into()));
+                }
+                // Flash is not touched, whichever gauge it is. A reset may seal it.
+                Doubt::Weak if whole && opens_again(gauge) => {
+                    session.pack.certain_since(moment);
+                    done = Verdict::Plausible;
+                }
+                Doubt::Weak if whole => {
+                    let held = if all_old { "old" } else { "new" };
+                    let why = format!("a write was interrupted; data flash holds the {held} values");
+                    return Ok(Verdict::Plausible(why));
+                }
+                Doubt::Weak => {
+                    let why = "this gauge has the serial number and the calibration of every new one, so it may be \
+                               another pack";
+                    return Ok(Verdict::Undecided(why.into()));
+                }
+                Doubt::Another => return Ok(Verdict::Another),
+                Doubt::Exchanged(why) => {
+                    session.pack.is_exchanged();
+                    return Ok(Verdict::Undecided(why));
+                }
+                Doubt::Because(why, same) => {
+                    if same == Match::Certain {
+                        session.pack.certain_since(moment);
+                    }
+                    return Ok(Verdict::Undecided(why));
+                }
+            }
+        }
+        // The mode that the write started may still be on; `begin` detects that.
+        if sequence(gauge).always_finishes() {
+            session.begin(gauge)?;
+        }
+        let forward = match self.decision {
+            Some(Decision::Finish(_)) => true,
+            Some(Decision::Undo(_) | Decision::Discard) => false,
+            None => intact && all_new && !self.plan.by_gauge,
+        };
+        if self.plan.by_gauge && forward && seen.iter().any(|seen| seen.held == Held::Torn) {
+            let why = "what the gauge has measured was lost while it was stored: it can only be undone";
+            return Ok(Verdict::Undecided(why.into()));
+        }
+        if !forward && intact && all_old && !self.plan.reset_sent {
+            if let Some(pack) = another {
+                let why = format!(
+                    "another pack than an interrupted write was begun on, {pack}, has the old values already"
+                );
+                return Ok(Verdict::Plausible(why));
+            }
+            return Ok(done("a write was interrupted; data flash holds the old values".into()));
+        }
+        let erased = seen.iter().any(|seen| {
+            let secrets = secrets(chip, seen.block.place);
+            holds_keys(chip, seen.block.place) && secrets.iter().all(|at| seen.stored[at] == 0xff)
+        });
+        let side = if forward { Side::New } else { Side::Old };
+        if let Landed::Unknown(error) = converge(gauge, session, &mut job, side, None) {
+            return Err(unrestored(error));
+        }
+        let message = match (forward, self.plan.by_gauge) {
+            (true, false) => {
+                "a write was interrupted after its last block; it has been finished and verified"
+            }
+            (false, false) => "a write was interrupted half way; the old values were restored and verified",
+            (true, true) => "what the gauge has measured and stored was kept",
+            (false, true) => {
+                "what the gauge has measured and stored was not judged; the old values were restored and verified"
+            }
+        };
+        if let Some(pack) = another {
+            let values = if forward { "new values" } else { "values from before" };
+            let message = format!(
+                "the {values} of an interrupted write were written to another pack than it was begun on, {pack}, and \
+                 verified"
+            );
+            return Ok(Verdict::Plausible(message));
+        }
+        let keys = match erased {
+            true => {
+                "; the keys in the same row were erased, and no journal has them: they are ffff ffff now, change \
+                     them with gaugefs keys"
+            }
+            false => "",
+        };
+        Ok(done(format!("{message}{keys}")))
+    }
+
+    /// Whether the gauge is the one about which a person has decided.
+    fn chosen(&self, gauge: &mut Gauge, decision: Decision, seen: &[Seen]) -> Result<Chosen> {
+        let look = "look at it with gaugefs settle GAUGE before you decide";
+        if self.shown.is_some_and(|shown| !shown.is(self.now, seen)) {
+            let why = format!("this is not what was shown: another pack, or it has changed since; {look}");
+            return Ok(Chosen::Not(why));
+        }
+        let number = number_of(gauge.chip, self.now);
+        if let Some(pack) = decision.pack()
+            && (number.is_none() || pack != self.now.serial)
+        {
+            let number = number.unwrap_or("none".into());
+            return Ok(Chosen::Not(format!(
+                "the serial number of this pack is {number}, not 0x{pack:04x}; {look}"
+            )));
+        }
+        let Match::Other(name) = compare_seen(gauge, [self.then, self.now], self.plan, seen)? else {
+            return Ok(Chosen::Itself);
+        };
+        Ok(match (number, decision.pack(), self.shown) {
+            (Some(number), Some(_), _) => Chosen::Another(format!("serial number {number}")),
+            (None, _, Some(_)) => Chosen::Another("which was shown before".into()),
+            (Some(number), None, _) => Chosen::Not(format!(
+                "{name} is not what it was then: this is another pack, serial number {number}; to write to it all the same, \
+                 add --serial {number}"
+            )),
+            (None, _, None) => {
+                Chosen::Not(format!("{name} is not what it was then: this is another pack; {look}"))
+            }
+        })
+    }
+
+    /// Why nothing may be written without being told to.
+    fn doubt(&self, gauge: &mut Gauge, seen: &[Seen]) -> Result<Doubt> {
+        let same = compare_seen(gauge, [self.then, self.now], self.plan, seen)?;
+        if self.elsewhere && same != Match::Certain {
+            return Ok(if shows(seen, &same) { Doubt::Weak } else { Doubt::Another });
+        }
+        if let Match::Other(name) = &same {
+            // RAM without a flag for its loss looks the same as another pack.
+            let or_lost = match gauge.chip.volatile {
+                Some(0) => ", or the gauge has lost its power and with it its data memory",
+                _ => "",
+            };
+            return Ok(Doubt::Exchanged(format!(
+                "{name} is not what it was then: this is another pack{or_lost}"
+            )));
+        }
+        let certain =
+            same == Match::Certain || self.certain.is_some_and(|moment| gauge.is_unbroken_since(moment));
+        if !(self.watched && certain)
+            && let Some(Seen { block, stored, .. }) = seen.iter().find(|seen| seen.held == Held::Unexplained)
+        {
+            let unlike = |&at: &usize| {
+                ![block.old[at], block.new[at], 0xff].contains(&stored[at]) && !block.learned.has(at)
+            };
+            let at = (0..WINDOW).find(unlike).unwrap_or(0);
+            let why = format!(
+                "{} holds 0x{:02x}, which the write does not explain (old 0x{:02x}, new 0x{:02x})",
+                block.place.name(at),
+                stored[at],
+                block.old[at],
+                block.new[at]
+            );
+            return Ok(Doubt::Because(why, same));
+        }
+        Ok(if certain { Doubt::None } else { Doubt::Weak })
+    }
+
+    /// What the pack that is there now is compared with later.
+    fn present(&self, gauge: &mut Gauge) -> Result<Reference> {
+        let mut known = Known::default();
+        for place in mark_windows(gauge.chip) {
+            known.note(gauge.chip, place, sequence(gauge).load(gauge, place)?);
+        }
+        let plan = Plan { marks: known.marks(gauge.chip), ..self.plan.clone() };
+        Ok(Reference { identity: self.now.clone(), plan })
+    }
+}
+
+/// Why a person has to decide about an interrupted write.
+enum Doubt {
+    None,
+    /// Nothing shows that this is another pack, and nothing that it is the one.
+    Weak,
+    /// The write was begun elsewhere, and nothing of it shows here.
+    Another,
+    /// Another pack answers.
+    Exchanged(String),
+    Because(String, Match),
+}
+
+/// Which gauge somebody has decided about.
+enum Chosen {
+    Itself,
+    /// Another one, named for the message.
+    Another(String),
+    /// Not this one; the text says why.
+    Not(String),
+}
+
+/// Whether a gauge that nothing proves to be the one shows what an interrupted write leaves: some of it new, or erased.
+pub(super) fn shows(seen: &[Seen], same: &Match) -> bool {
+    let erased = seen.iter().any(|seen| seen.block.is_erased(&seen.stored));
+    let explained = seen.iter().all(|seen| seen.held != Held::Unexplained);
+    let all = |held: Held| seen.iter().all(|seen| seen.held == held || seen.block.is_neighbour());
+    *same == Match::Weak && (erased || explained && !all(Held::Old) && !all(Held::New))
+}
+
+/// Compares a gauge with the one of a plan, whose blocks have been looked at.
+pub(super) fn compare_seen(
+    gauge: &mut Gauge,
+    [then, now]: [&Identity; 2],
+    plan: &Plan,
+    seen: &[Seen],
+) -> Result<Match> {
+    compare(gauge.chip, then, now, plan, |place| {
+        let seen = seen.iter().find(|seen| seen.block.place == place);
+        seen.map_or_else(|| sequence(gauge).load(gauge, place), |seen| Ok(seen.stored))
+    })
+}
+
+/// The serial number of a gauge, if it has one, as it is shown.
+pub(super) fn number_of(chip: &Chip, identity: &Identity) -> Option<String> {
+    chip.serial_register().map(|_| format!("0x{:04x}", identity.serial))
+}
+
+/// Whether the gauge can be opened again after it was sealed.
+fn opens_again(gauge: &Gauge) -> bool {
+    gauge.was_opened() || matches!(gauge.chip.security.storage, KeyStorage::Fixed(_))
+}
