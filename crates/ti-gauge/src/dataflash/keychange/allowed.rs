@@ -1,0 +1,74 @@
+// SPDX-License-Identifier: MIT
+
+//! Which keys may be changed, and to what.
+
+use super::ring::{ADDRESSES, ERASED, SUBCOMMANDS};
+use crate::chip::{Chip, KeyBlock, KeyStorage};
+use crate::error::{Cause, Error, Result, Step};
+use crate::gauge::{DEFAULT_FULL_ACCESS, Gauge};
+use crate::keys::{KeyChange, Name};
+
+/// The block of keys with one of that name, or why it cannot be changed.
+pub(super) fn block_of(chip: &'static Chip, name: Name) -> Result<&'static KeyBlock> {
+    let refuse = |why: &str| {
+        let why = format!("cannot be changed here: {why}");
+        Err(Error::new(chip.model, Cause::NotPermitted, why).at(Step::Check))
+    };
+    match &chip.security.storage {
+        KeyStorage::Fixed(why) => refuse(why),
+        KeyStorage::Flash(block) if name == Name::Authentication => {
+            match block.authentication.filter(|_| chip.authentication.is_some()) {
+                Some(_) => Ok(block),
+                None => refuse(
+                    "this part has no authentication that gaugefs knows, so a new key could not be tried",
+                ),
+            }
+        }
+        KeyStorage::Flash(block) => Ok(block),
+    }
+}
+
+/// Refuses keys that would leave a gauge open or be taken for something else. The manual's defaults are
+/// allowed, so that a pack can be handed on with them.
+pub(super) fn check_new(gauge: &Gauge, change: &KeyChange) -> Result<()> {
+    let refuse = |why: &'static str| {
+        Err(Error::new("", Cause::OutOfRange, format!("the new key {why}")).at(Step::Check))
+    };
+    if change.new == change.old {
+        let why = "the new key is the old one";
+        return Err(Error::new("", Cause::Invalid, why).at(Step::Check));
+    }
+    let (default, other) = match change.name {
+        Name::Unseal => (gauge.chip.security.default_unseal, gauge.key(Name::FullAccess)),
+        Name::FullAccess => (DEFAULT_FULL_ACCESS, gauge.key(Name::Unseal)),
+        Name::Authentication => {
+            let bytes = change.new.bytes();
+            return if bytes.iter().all(|byte| *byte == bytes[0]) {
+                refuse("is one byte sixteen times, which is the first that anybody tries")
+            } else {
+                Ok(())
+            };
+        }
+    };
+    let words = change.new.words();
+    if other.is_some_and(|other| other == change.new) {
+        return refuse("is the other key as well: sent twice it would open the gauge wide");
+    }
+    if words == default {
+        return Ok(());
+    }
+    if words.contains(&0) || words.contains(&ERASED) {
+        return refuse("has a word of zeros or ones, as a bus or a flash has that fails");
+    }
+    if words[0] == words[1] {
+        return refuse("is one word twice: a transfer that is repeated would open the gauge");
+    }
+    let known = |word: &u16| gauge.chip.subcommands.iter().any(|subcommand| subcommand.code == *word);
+    if words.iter().any(|word| *word < SUBCOMMANDS || known(word)) {
+        return refuse("has a word that is a subcommand, which the manual forbids");
+    }
+    if gauge.chip.access.scheme.is_flat() && words.iter().any(|word| ADDRESSES.contains(word)) {
+        return refuse("has a word that is an address of data flash (0x4000 to 0x43ff)");
+    }
+    Ok(())
+}
