@@ -1,0 +1,253 @@
+// SPDX-License-Identifier: MIT
+
+//! How two images differ, and what a file would change on a gauge.
+
+use std::collections::BTreeMap;
+use std::fmt;
+
+use super::{Entry, Group, Image, LeftOut, Raw, at_line, listed};
+use crate::chip::{Safe, Subclass};
+use crate::codec::WINDOW;
+use crate::error::{Cause, Error, Result};
+use crate::text;
+use crate::unit;
+use crate::value::Value;
+
+/// Undocumented bytes that a gauge and a file have different values for.
+#[derive(Debug)]
+pub struct RawDifference {
+    /// The gauge's bytes; `None` where its files do not show them.
+    pub old: Option<Vec<u8>>,
+    /// The file's bytes.
+    pub new: Raw,
+}
+
+impl fmt::Display for RawDifference {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let old = self.old.as_deref().map_or("-".into(), text::hex);
+        write!(f, "{}: {old} -> {}", self.new.name(), self.new.text())
+    }
+}
+
+/// One parameter that two images have different values for.
+#[derive(Debug)]
+pub struct Difference<'a> {
+    /// Its name, as `df/by-name` has it.
+    pub name: String,
+    /// The value of the first.
+    pub old: &'a Entry,
+    /// The value of the second.
+    pub new: &'a Entry,
+}
+
+impl fmt::Display for Difference<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let unit = unit::suffix(self.new.parameter);
+        write!(f, "{}: {} -> {}{unit}", self.name, self.old.shown(), self.new.shown())
+    }
+}
+
+/// How two images differ.
+#[derive(Debug)]
+pub struct Comparison<'a> {
+    /// Parameters that both have, with different values.
+    pub differences: Vec<Difference<'a>>,
+    /// Parameters that only the first has.
+    pub only_first: Vec<&'a Entry>,
+    /// Parameters that only the second has.
+    pub only_second: Vec<&'a Entry>,
+    /// Different bytes of subclasses of which only name and length are known.
+    pub raw: Vec<RawDifference>,
+    /// Such subclasses of which only the first has bytes.
+    pub raw_only_first: Vec<&'static Subclass>,
+    /// Such subclasses of which only the second has bytes.
+    pub raw_only_second: Vec<&'static Subclass>,
+}
+
+/// What an import does with a file.
+#[derive(Debug)]
+pub struct Changes<'a> {
+    /// Parameters to write.
+    pub changes: Vec<Difference<'a>>,
+    /// What the file asks for and the gauge does not get, a line each, with the reason.
+    pub passed_over: Vec<String>,
+}
+
+impl Image {
+    /// Compares with another image of the same chip, except for some groups. A file need not hold everything:
+    /// parameters that only one of the two has are no differences.
+    pub fn compare<'a>(&'a self, new: &'a Image, exclude: &[Group]) -> Result<Comparison<'a>> {
+        if !std::ptr::eq(self.chip, new.chip) {
+            let why = format!("one is for a {}, the other for a {}", self.chip.model, new.chip.model);
+            return Err(Error::new("", Cause::Invalid, why));
+        }
+        let mut comparison = Comparison {
+            differences: Vec::new(),
+            only_first: Vec::new(),
+            only_second: Vec::new(),
+            raw: Vec::new(),
+            raw_only_first: Vec::new(),
+            raw_only_second: Vec::new(),
+        };
+        let compared = |image: &'a Image| image.entries.iter().filter(|entry| !entry.is_in(exclude));
+        for old in compared(self) {
+            match new.entries.iter().find(|entry| entry.is(old)) {
+                None => comparison.only_first.push(old),
+                Some(new) if old.bytes() != new.bytes() => {
+                    comparison.differences.push(Difference { old, new, name: self.name(old) });
+                }
+                Some(_) => {}
+            }
+        }
+        let is_new = |entry: &&Entry| !self.entries.iter().any(|old| old.is(entry));
+        comparison.only_second = compared(new).filter(is_new).collect();
+        if !exclude.contains(&Group::Undocumented) {
+            self.compare_opaque(new, &mut comparison);
+        }
+        Ok(comparison)
+    }
+
+    /// Compares the subclasses of which only name and length are known, as far as both have their bytes.
+    fn compare_opaque(&self, new: &Image, comparison: &mut Comparison<'_>) {
+        for subclass in self.chip.subclasses.iter().filter(|subclass| subclass.is_opaque()) {
+            let (old, new) = (self.bytes_of(subclass), new.bytes_of(subclass));
+            match (old.is_empty(), new.is_empty()) {
+                (true, true) => {}
+                (false, true) => comparison.raw_only_first.push(subclass),
+                (true, false) => comparison.raw_only_second.push(subclass),
+                (false, false) => {
+                    let both = old.iter().filter_map(|(at, (byte, _))| Some((*at, *byte, *new.get(at)?)));
+                    let differ = both.filter(|(_, old, (new, _))| old != new).collect::<Vec<_>>();
+                    let runs = differ.chunk_by(|one, next| {
+                        one.0 + 1 == next.0 && usize::from(one.0) / WINDOW == usize::from(next.0) / WINDOW
+                    });
+                    comparison.raw.extend(runs.map(|run| {
+                        let bytes = run.iter().map(|(_, _, (new, _))| *new).collect();
+                        let (offset, line) = (run[0].0, run[0].2.1);
+                        let new = Raw { subclass: subclass.id, offset, bytes, line };
+                        RawDifference { old: Some(run.iter().map(|(_, old, _)| *old).collect()), new }
+                    }));
+                }
+            }
+        }
+    }
+
+    /// The known bytes that this image has of a subclass, and their lines, by offset.
+    fn bytes_of(&self, subclass: &Subclass) -> BTreeMap<u16, (u8, usize)> {
+        let of_it = self.raw.iter().filter(|raw| raw.subclass == subclass.id);
+        let bytes = of_it.flat_map(|raw| (raw.offset..).zip(raw.bytes.iter().map(|byte| (*byte, raw.line))));
+        bytes.filter(|(offset, _)| *offset < subclass.length).collect()
+    }
+
+    /// What must be written to the gauge of this image to give it the values of a file, and what of the file is
+    /// passed over. A value that may not be written is an error.
+    pub fn changes<'a>(
+        &'a self,
+        file: &'a Image,
+        exclude: &[Group],
+        allow_unproven: bool,
+    ) -> Result<Changes<'a>> {
+        if let (Some(here), Some(there)) = (self.firmware, file.firmware)
+            && here != there
+        {
+            let why = format!("it is for firmware 0x{there:04x}, but the gauge has 0x{here:04x}");
+            return Err(Error::new("", Cause::Invalid, why));
+        }
+        let Comparison { differences, only_second, .. } = self.compare(file, exclude)?;
+        let asked_for = file.left_out.iter().filter(|left| left.counts(exclude));
+        let mut passed_over: Vec<_> = asked_for.map(|left| left.text.clone()).collect();
+        for entry in only_second {
+            let (line, name) = (entry.line, file.name(entry));
+            passed_over.push(format!("line {line}: {name}: the gauge does not show its value"));
+        }
+        let mut changes = Vec::new();
+        for difference in differences {
+            match difference.new.not_imported(allow_unproven)? {
+                None => changes.push(difference),
+                Some(why) => passed_over.push(format!("line {}: {difference}: {why}", difference.new.line)),
+            }
+        }
+        Ok(Changes { changes, passed_over })
+    }
+
+    /// What the undocumented bytes of a file would change on a gauge. `stored` returns a whole subclass of it, by
+    /// id. Unless `allowed`, or of the chemistry of this part and firmware, the first such change is an error.
+    pub fn raw_changes(
+        &self,
+        stored: impl Fn(u8) -> Result<Vec<u8>>,
+        allowed: bool,
+    ) -> Result<Vec<RawDifference>> {
+        let mut changes = Vec::new();
+        for raw in &self.raw {
+            if let Some(error) = self.refused(raw, allowed) {
+                return Err(error);
+            }
+            let Some(subclass) = self.chip.subclass(raw.subclass) else {
+                changes.push(RawDifference { old: None, new: raw.clone() });
+                continue;
+            };
+            let stored = stored(subclass.id)?;
+            let start = usize::from(raw.offset);
+            let Some(stored) = stored.get(start..start + raw.bytes.len()) else {
+                let why = format!("subclass {} ends with offset {}", subclass.id, stored.len() - 1);
+                return Err(at_line(raw.line, why));
+            };
+            let allowed = allowed || self.is_chemistry(raw);
+            let differs = |at: &usize| stored[*at] != raw.bytes[*at];
+            let range = 0..raw.bytes.len();
+            let (Some(from), Some(to)) = (range.clone().find(differs), range.clone().rfind(differs)) else {
+                continue;
+            };
+            let offset = raw.offset + from as u16;
+            let new = Raw { offset, bytes: raw.bytes[from..=to].to_vec(), ..*raw };
+            let change = RawDifference { old: Some(stored[from..=to].to_vec()), new };
+            if !allowed {
+                let why = "these bytes are undocumented; write them with --raw or skip them with --exclude undocumented";
+                return Err(at_line(raw.line, format!("{change}: {why}")));
+            }
+            changes.push(change);
+        }
+        Ok(changes)
+    }
+
+    /// The subclasses of a chemistry of which a gauge has other bytes than this file, as text; `None` if there are none.
+    pub fn other_chemistry(&self, stored: impl Fn(u8) -> Result<Vec<u8>>) -> Result<Option<String>> {
+        let mut found: Vec<&Subclass> = Vec::new();
+        for raw in self.raw.iter().filter(|raw| self.is_chemistry(raw)) {
+            let (here, start) = (stored(raw.subclass)?, usize::from(raw.offset));
+            if here.get(start..start + raw.bytes.len()) != Some(&raw.bytes[..])
+                && let Some(subclass) = self.chip.subclass(raw.subclass)
+                && !found.iter().any(|other| other.id == subclass.id)
+            {
+                found.push(subclass);
+            }
+        }
+        Ok((!found.is_empty()).then(|| listed(&found)))
+    }
+
+    /// Gives reserved bits of this file the values that a gauge has: no document says what they do, and a gauge may
+    /// hold others than the manual prints. What the file has in them is left out.
+    pub fn keep_reserved(&mut self, gauge: &Image) {
+        for entry in &mut self.entries {
+            let Some(Safe::Keep(mask, why)) = entry.parameter.safe else { continue };
+            // A bit with a name has a meaning that the file asks for: that is refused.
+            let named = entry.parameter.bits.iter().fold(0, |all, bit| all | u32::from(bit.mask));
+            let mask = i64::from(mask & !named);
+            let there =
+                gauge.entries.iter().find(|there| there.is(entry)).map(|there| (there.text(), &there.value));
+            let (Some((stored, Value::Int(old))), Value::Int(new)) = (there, &entry.value) else { continue };
+            let differ = (old ^ new) & mask;
+            if differ == 0 {
+                continue;
+            }
+            let name = self.chip.name_of((entry.subclass, entry.parameter));
+            let text = format!(
+                "line {}: {name}: {} differs from the gauge's {stored} in bits 0x{differ:x}, which stay as they are: {why}",
+                entry.line,
+                entry.text(),
+            );
+            self.left_out.push(LeftOut { text, group: Some(Group::Undocumented) });
+            entry.value = Value::Int(new & !mask | old & mask);
+        }
+    }
+}
