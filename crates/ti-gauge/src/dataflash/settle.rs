@@ -17,7 +17,7 @@ use super::schemes::sequence;
 use super::session::{Reference, Session, in_time};
 use super::verdict::Verdict;
 use super::window::holds_keys;
-use crate::error::{Cause, Error, Result, Step};
+use crate::error::{Cause, Error, Reason, Result, Step};
 use crate::gauge::{Gauge, Seal};
 use crate::journal::{Entry, Identity, Plan};
 
@@ -63,6 +63,11 @@ impl Decision {
     }
 }
 
+/// The error for what waits for something owed; `decision` if a person has to decide about that.
+fn owed(subject: &str, what: String, decision: bool) -> Error {
+    Error::of(subject, Reason::Owed { decision, what })
+}
+
 impl DataFlash {
     /// Pays what is owed: data flash then holds all old values or all new ones, and the gauge is sealed at least
     /// as it was before. Also looks for what was begun on this gauge at other places. Returns a message for the log;
@@ -72,7 +77,7 @@ impl DataFlash {
         let owes_seal = self.find_seal().is_some();
         let settled = match self.find_pending() {
             // Only the seal is tried again by itself.
-            Some(Pending { why, undecided: true, .. }) if owes_seal => Err(Error::new("", Cause::Busy, why)),
+            Some(Pending { why, undecided: true, .. }) if owes_seal => Err(owed("", why, true)),
             _ => self.settle_writes(gauge, waited),
         };
         let sealed = self.pay_seal(gauge, waited + (gauge.clock.now() - begun));
@@ -104,7 +109,7 @@ impl DataFlash {
         if self.pending.as_ref().is_some_and(|pending| pending.undecided) {
             told.iter().for_each(|told| log::warn!("{}: {told}", gauge.chip.name));
             let why = self.pending.as_ref().map_or(String::new(), |pending| pending.why.clone());
-            return Err(Error::new("", Cause::Busy, why));
+            return Err(owed("", why, true));
         }
         Ok((!told.is_empty()).then(|| told.join("; ")))
     }
@@ -145,7 +150,7 @@ impl DataFlash {
                 })
             }),
             None if pending.undecided => Ok(Verdict::Undecided(pending.why.clone())),
-            None => Err(Error::new("", Cause::Busy, pending.why.clone())),
+            None => Err(owed("", pending.why.clone(), false)),
         };
         self.now.may_be_renamed();
         let reads_wrong = verdict.as_ref().is_err_and(|error| {
@@ -173,7 +178,7 @@ impl DataFlash {
                     "an interrupted write is not settled: {why}{file}; nothing was touched and nothing is written to \
                      this gauge until somebody decides: gaugefs settle"
                 );
-                (Error::new(gauge.chip.name, Cause::Busy, why), true)
+                (owed(gauge.chip.name, why, true), true)
             }
             Err(error) if pending.elsewhere => {
                 (self.pending, self.held) = (None, None);
@@ -187,7 +192,7 @@ impl DataFlash {
                     "an interrupted write is not settled: {error}; that was tried {tries} times, and nothing more is \
                      written to this gauge until somebody decides: gaugefs settle"
                 );
-                (Error::new(gauge.chip.name, Cause::Busy, why), true)
+                (owed(gauge.chip.name, why, true), true)
             }
             Err(error) => (error.within("cannot settle an interrupted write"), false),
         };
@@ -355,7 +360,7 @@ impl DataFlash {
     fn pay_first(&mut self, gauge: &mut Gauge, waited: Duration) -> Result<Duration> {
         let begun = gauge.clock.now();
         if let Some(Pending { why, undecided: true, .. }) = self.find_pending() {
-            return Err(Error::new("", Cause::Busy, why));
+            return Err(owed("", why, true));
         }
         let told = self.settle_here(gauge, waited)?;
         told.iter().for_each(|told| log::warn!("{}: {told}", gauge.chip.name));
