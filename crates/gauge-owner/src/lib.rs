@@ -62,7 +62,7 @@ mod source;
 
 pub use choose::{Choice, Evidence, Rule};
 pub use opening::{Opening, Ready};
-#[cfg(feature = "rig")]
+#[cfg(any(test, feature = "rig"))]
 pub use owner::rig;
 pub use owner::{
     Answers, Attempt, Backup, Context, Direct, Done, Effect, Failure, Handle, Learned, Operation, Origin,
