@@ -69,8 +69,7 @@ impl DataFlash {
         let (Some(gate), Some(&(limit, divider))) = (&gauge.chip.gate, self.gate.get(self.now.values)) else {
             return Ok(());
         };
-        // The number of cells is left out: should it count, the gauge stores nothing and the write fails.
-        let now = Setting { limit: limit.into(), divider: divider.into(), external: false, cells: 1 };
+        let now = Setting::now(limit, divider);
         let remedy = || format!(": charge the pack{}", remedy(gate));
         let Some(shut) = now.shut(gate, voltage_mv.into(), remedy) else { return Ok(()) };
         if calibration_enabled(gauge)? {
@@ -185,6 +184,12 @@ struct Setting {
 }
 
 impl Setting {
+    /// The values that a gauge has now. The number of cells is left out: should it count, the gauge stores nothing and the
+    /// write fails.
+    fn now(limit: i16, divider: u16) -> Self {
+        Self { limit: limit.into(), divider: divider.into(), external: false, cells: 1 }
+    }
+
     /// The values after the first `stored` of the blocks. What no block holds is as `known` and `cells` say.
     fn of(gate: &Gate, known: (i16, u16), cells: u8, dirty: &[Dirty], stored: usize) -> Self {
         let byte = |row, otherwise| {
@@ -328,6 +333,25 @@ fn remedy(gate: &Gate) -> String {
         "; if Voltage() is low because the divider is not set, {bring_up}raise the voltage at the gauge until {limit} is \
          lowered, and then write {divider}, {external} and {limit} in one transaction"
     )
+}
+
+/// Why the gate is shut, by what an open gauge holds and measures now. What a loss of power has erased may shut it: the
+/// divider, or the bit that switches it.
+pub(super) fn shut(gauge: &mut Gauge) -> Result<Option<Error>> {
+    let voltage = gauge.chip.register(Role::VoltageNow).map(|register| Word::Register(register.code));
+    let Some((gate, voltage)) = gauge.chip.gate.as_ref().zip(voltage) else { return Ok(None) };
+    let mut word = |row| {
+        let (place, at) = place_of(row);
+        sequence(gauge).load(gauge, place).map(|window| u16::from_be_bytes([window[at], window[at + 1]]))
+    };
+    let limit = word(gate.limit)? as i16;
+    let now = Setting::now(limit, gate.divider.map(&mut word).transpose()?.unwrap_or(1));
+    // One reading may have a wrong bit.
+    let highest = read_word(gauge, voltage)?.max(read_word(gauge, voltage)?);
+    let remedy = || ": charge the pack, or raise the voltage at the gauge".into();
+    let Some(shut) = now.shut(gate, highest.into(), remedy) else { return Ok(None) };
+    let is_open = calibration_enabled(gauge)?;
+    Ok((!is_open).then(|| Error::of("", shut).at_place(gate.limit).at(Step::Verify)))
 }
 
 /// The number that a parameter's bytes encode; all safety limits are on integers.

@@ -144,13 +144,18 @@ impl Job {
     pub(super) fn back(&mut self, gauge: &mut Gauge, session: &mut Session, mut is_seen: bool) -> Result<()> {
         let mut outcome = Ok(());
         for _ in 0..RESTORES {
-            outcome = session
+            let tried = session
                 .open_again(gauge)
                 .and_then(|()| sequence(gauge).enable(gauge))
                 .and_then(|()| session.assure(gauge))
                 .and_then(|_| self.way_back().try_for_each(|at| self.restore(gauge, session, at, is_seen)));
             is_seen = false;
-            if outcome.is_ok() || session.pack.is_lost() {
+            let is_late = !gauge.may_try_until(Duration::MAX);
+            // That no time was left for one more attempt is not why the first one failed.
+            if !(is_late && outcome.is_err() && tried.is_err()) {
+                outcome = tried;
+            }
+            if outcome.is_ok() || session.pack.is_lost() || is_late {
                 break;
             }
             if outcome.as_ref().is_err_and(reads_wrong) {
@@ -208,9 +213,11 @@ impl Job {
     /// Finds out which bytes, that the job does not touch, move by themselves. To put them back would program their block
     /// again and again.
     fn learn_moving(&mut self, gauge: &mut Gauge) {
-        for Seen { block, .. } in &self.blocks {
-            let Ok(first) = sequence(gauge).load(gauge, block.place) else { continue };
-            gauge.wait(MOVES);
+        let first: Vec<_> =
+            self.blocks.iter().map(|seen| sequence(gauge).load(gauge, seen.block.place)).collect();
+        gauge.wait(MOVES);
+        for (Seen { block, .. }, first) in self.blocks.iter().zip(first) {
+            let Ok(first) = first else { continue };
             let Ok(second) = sequence(gauge).load(gauge, block.place) else { continue };
             let moving =
                 Bytes::of(|at| first[at] != second[at]).without(block.written).without(block.learned);

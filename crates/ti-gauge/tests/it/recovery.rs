@@ -3,6 +3,7 @@
 //! What becomes of a write or a read that fails half way: its journal, the pack it belongs to, the seal, the old
 //! values, and the time that it takes.
 
+use std::collections::BTreeSet;
 use std::fs;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -12,13 +13,14 @@ use gauge_bus::clock::Clock;
 use gauge_bus::{Bus, BusError};
 use gauge_sim::Sim;
 use ti_gauge::authentication::Order;
-use ti_gauge::chip::{Chip, FLAT, KeyStorage, Kind, Scheme};
-use ti_gauge::dataflash::{DataFlash, Decision, Outcome};
+use ti_gauge::chip::{CHIPS, Chip, FLAT, KeyStorage, Kind, Scheme};
+use ti_gauge::codec::WINDOW;
+use ti_gauge::dataflash::{Change, DataFlash, Decision, Outcome};
 use ti_gauge::error::Result;
 use ti_gauge::gauge::{Gauge, Seal};
 use ti_gauge::keys::{KeyChange, Keys};
 
-use crate::rig::{Rig, cause};
+use crate::rig::{Rig, another, cause};
 use crate::room::{CASES, Case, Folder, RESET, half_way, host, programs};
 
 /// Where two images differ, with both bytes.
@@ -1152,4 +1154,73 @@ fn regression_a_seal_that_arrived_as_it_enable_was_a_success() {
             }
         }
     }
+}
+
+/// The rows of flash that decide whether a gauge programs flash, each with a change of something else in it.
+fn rows_of_the_gate(rig: &mut Rig) -> Vec<Change> {
+    let chip = rig.gauge.chip;
+    let Some(gate) = &chip.gate else { return Vec::new() };
+    let external = gate.external.as_ref().map(|external| external.byte);
+    let bytes = [Some(gate.limit), gate.divider, external, gate.cells].into_iter().flatten();
+    let rows: BTreeSet<_> = bytes.map(|(id, offset)| (id, offset - offset % WINDOW as u16)).collect();
+    let mut other = |(id, base): (u8, u16)| {
+        let subclasses = chip.subclasses.iter().filter(|row| row.id == id && row.kind != Kind::Security);
+        let mut all = subclasses.flat_map(|row| row.parameters.iter().map(move |one| (row, one)));
+        all.find_map(|row @ (_, parameter)| {
+            let end = usize::from(parameter.offset) + parameter.kind.size();
+            let is_inside = parameter.offset >= base && end <= usize::from(base) + WINDOW;
+            let is_plain = !(parameter.learned || parameter.unproven || parameter.safe.is_some());
+            let is_mark = chip.preflight.marks.contains(&(id, parameter.offset));
+            let old = (is_inside && is_plain && !is_mark).then(|| rig.read(id, parameter.offset))?;
+            another(row, &old.expect("it is read"))
+        })
+    };
+    rows.into_iter().filter_map(&mut other).collect()
+}
+
+/// An erased row may hold what shuts flash, such as the bit that selects a divider: then nothing that is put back is
+/// stored. That was tried again and again, and what was told was that the bus timed out.
+#[test]
+fn regression_a_row_that_shuts_flash_when_it_is_erased_was_never_settled() {
+    let (mut runs, mut shut) = (0, BTreeSet::new());
+    for chip in CHIPS {
+        for change in rows_of_the_gate(&mut Rig::new(chip.name)) {
+            let mut whole = Rig::calibrated(chip.name, Seal::Sealed);
+            let old = whole.sim.flash();
+            whole.write_all(std::slice::from_ref(&change)).expect("without a fault");
+            let new = whole.sim.flash();
+            for (tear, words) in [("erased", 0), ("erased", 9), ("rest-erased", 0), ("rest-erased", 5)] {
+                let folder = Folder::new("erased-gate");
+                let mut rig = Rig::calibrated(chip.name, Seal::Sealed);
+                let case = format!("{} {} {tear} {words}", chip.name, change.name());
+                rig.start(&folder);
+                rig.set("tear", tear);
+                rig.set("fault", &format!("torn-commit {words}"));
+                rig.write_all(std::slice::from_ref(&change)).expect_err(&case);
+                rig.set("power", "on");
+                rig.pause(3);
+                rig.start(&folder);
+                let torn = rig.sim.flash();
+                for _ in 0..5 {
+                    if rig.settle().is_ok() {
+                        break;
+                    }
+                    rig.pause(8);
+                    let owed = rig.dataflash.owed().expect(&case);
+                    assert!(owed.why.contains("stores nothing below"), "{case}: {}", owed.why);
+                    assert!(!owed.needs_decision, "{case}: {}", owed.why);
+                    assert!(rig.sim.flash() == torn, "{case}");
+                }
+                if rig.dataflash.owed().is_some() {
+                    shut.insert(chip.name);
+                    rig.set("voltage_mv", "60000");
+                    rig.settle().expect(&case);
+                }
+                assert!([&old, &new].contains(&&rig.sim.flash()), "{case}");
+                assert!(rig.dataflash.owed().is_none() && rig.get("seal") == "sealed", "{case}");
+                runs += 1;
+            }
+        }
+    }
+    assert!(runs >= 24 && shut.contains("bq34110"), "{runs} runs, shut on {shut:?}");
 }

@@ -50,6 +50,30 @@ fn a_discarded_write_leaves_the_gauge_sealed() {
     assert!(rig.dataflash.owed().is_none());
 }
 
+/// The gauge did not answer while its mode was to be ended. The next write was refused, as if somebody else had set it.
+#[test]
+fn regression_a_mode_that_a_discarded_write_had_left_on_was_not_ended_by_the_next_write() {
+    let folder = Folder::new("mode-left-on");
+    let mut rig = Rig::found("bq27441-g1", Seal::Unsealed);
+    let changes = [rig.change(82, 10, "1500")];
+    cut(&mut rig, &folder, &changes, programs);
+    assert_eq!(rig.get("mode"), "config-update");
+    // CONFIG UPDATE is ended, but the gauge does not take SOFT_RESET.
+    rig.start_with(&folder, Keys::default(), |bus, _, write, read| match write {
+        [0x00, 0x42 | 0x43, 0x00] => Err(BusError::NoAck),
+        _ => bus.transfer(write, read),
+    });
+    rig.dataflash
+        .decide(&mut rig.gauge, Decision::Discard, Duration::ZERO)
+        .expect_err("the mode is still on");
+    assert_eq!(rig.get("mode"), "config-update");
+    assert_eq!(folder.text(), None);
+    rig.through(|bus, write, read| bus.transfer(write, read));
+    rig.write(82, 10, "1600").expect("the mode is ours");
+    assert_eq!(rig.get("mode"), "normal");
+    assert_eq!(rig.read(82, 10), Ok(vec![0x06, 0x40]));
+}
+
 /// Erased flash, and RAM that was never set, look alike in all packs.
 #[test]
 fn blank_values_do_not_distinguish_packs() {

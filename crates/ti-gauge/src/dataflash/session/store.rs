@@ -2,7 +2,8 @@
 
 //! Programs one block and verifies it.
 
-use super::Session;
+use super::{Session, reads_wrong};
+use crate::dataflash::checks;
 use crate::dataflash::io::{STORES, is_passing, reload, still_open, verify};
 use crate::dataflash::schemes::sequence;
 use crate::dataflash::window::Dirty;
@@ -38,10 +39,24 @@ impl Surety for ByKeys {
     }
 }
 
+/// Writes one block, commits it and reads it back, as [`store_patiently`] does. What a gauge does not store because its
+/// voltage is too low is told as that.
+pub(in crate::dataflash) fn store(
+    gauge: &mut Gauge,
+    surety: &mut impl Surety,
+    block: &Dirty,
+    touched: &mut usize,
+) -> Result<()> {
+    store_patiently(gauge, surety, block, touched).map_err(|error| match reads_wrong(&error) {
+        true => checks::shut(gauge).ok().flatten().unwrap_or(error),
+        false => error,
+    })
+}
+
 /// Writes one block, commits it and reads it back. `touched` counts the blocks that may have been
 /// committed, whose content must be read back rather than assumed. A commit that the gauge did not acknowledge,
 /// and that has changed nothing, is repeated: it was busy with a row of its own.
-pub(in crate::dataflash) fn store(
+fn store_patiently(
     gauge: &mut Gauge,
     surety: &mut impl Surety,
     block: &Dirty,

@@ -132,12 +132,10 @@ impl DataFlash {
             session.pack.pack = Some(reference);
             self.guard(gauge, session, |_, _, _| Ok(()), Self::end)
         });
-        if let Err(error) = &ended
-            && self.pending.is_none()
-        {
+        if let Err(error) = &ended {
             // The next write ends a mode that may still be on.
             self.mode_left_on |= wrote;
-            if owes {
+            if owes && self.pending.is_none() {
                 self.keep(gauge, Some(kept), None, Left::of(false, error.to_string()));
             }
         }
