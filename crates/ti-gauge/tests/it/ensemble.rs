@@ -17,7 +17,7 @@ use gauge_bus::{Bus, BusError};
 use gauge_sim::{Options, Sim};
 use ti_gauge::authentication::Order;
 use ti_gauge::calibration::{self, Job};
-use ti_gauge::chip::{CHIPS, Chip, FLAT, KeyStorage, Kind, Subclass};
+use ti_gauge::chip::{CHIPS, Chip, FLAT, Kind, Subclass};
 use ti_gauge::dataflash::{Change, DataFlash, Decision, Limits};
 use ti_gauge::error::{Cause, Result};
 use ti_gauge::gauge::{Gauge, Seal};
@@ -777,13 +777,10 @@ fn run(
 
 /// The bytes of simulated flash that hold the keys of a part with a flat address space.
 fn keys_in_flash(chip: &Chip) -> Option<Range<usize>> {
-    match &chip.security.storage {
-        KeyStorage::Flash(block) if block.subclass == FLAT => {
-            let start = usize::from(block.start) - first_address(chip);
-            Some(start..start + block.length)
-        }
-        _ => None,
-    }
+    let mut rows = chip.subclasses.iter().filter(|row| row.kind == Kind::Security && row.id == FLAT);
+    let row = rows.next()?;
+    let start = usize::from(row.start()) - first_address(chip);
+    Some(start..start + usize::from(row.length))
 }
 
 /// Whether the gauge loses its power.
