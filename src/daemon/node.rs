@@ -225,20 +225,25 @@ pub(crate) fn attach(pid: i32, setup: &Setup) -> Result<()> {
     if most == 0 {
         return Ok(());
     }
-    let is_it = |socket: &OwnedFd| {
-        sockopt::socket_domain(socket) == Ok(AddressFamily::UNIX)
-            && sockopt::socket_type(socket) == Ok(SocketType::SEQPACKET)
-            && net::getsockname(socket).is_ok_and(|name| {
-                SocketAddrUnix::try_from(name).is_ok_and(|name| name.abstract_name().is_some())
-            })
-    };
-    let found =
-        service::descriptor_of(pid, "end of a socket", |status| status.file_type().is_socket(), is_it)?;
-    let Some(socket) = found else {
+    let Some(socket) = end_of_root(pid)? else {
         let why = "it offers no battery; its options are other ones";
         return Err(Error::host(format!("process {pid}"), nix::errno::Errno::ENOENT, why));
     };
     plug(socket.as_fd(), most)
+}
+
+/// A copy of root's end of the pair of sockets of that process.
+fn end_of_root(pid: i32) -> Result<Option<OwnedFd>> {
+    let is_it = |socket: &OwnedFd| {
+        sockopt::socket_domain(socket) == Ok(AddressFamily::UNIX)
+            && sockopt::socket_type(socket) == Ok(SocketType::SEQPACKET)
+            && net::getsockname(socket).is_ok_and(|name| {
+                let name = SocketAddrUnix::try_from(name).ok();
+                // That of a socket without a name is read as an empty one.
+                name.is_some_and(|name| name.abstract_name().is_some_and(|name| !name.is_empty()))
+            })
+    };
+    service::descriptor_of(pid, "end of a socket", |status| status.file_type().is_socket(), is_it)
 }
 
 /// Plugs in an adapter for each gauge that the daemon at the other end of the socket offers, but not more than that many, has
@@ -314,4 +319,19 @@ fn receive(from: BorrowedFd<'_>) -> std::result::Result<Option<(Kind, u16, Strin
     let kind = if *kind == Kind::Adapter as u8 { Kind::Adapter } else { Kind::Event };
     let name = String::from_utf8_lossy(name).into_owned();
     Ok(Some((kind, u16::from_ne_bytes([*low, *high]), name, file)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn regression_root_took_the_end_that_the_daemon_reads_from() {
+        let offer = Offer::new().expect("a pair of sockets");
+        let root = end_of_root(std::process::id() as i32).expect("its descriptors").expect("its end");
+        net::send(&offer.ours, b"2", SendFlags::DONTWAIT).expect("room");
+        let mut heard = [0; 2];
+        let length = net::recv(&root, &mut heard, RecvFlags::DONTWAIT).map(|(length, _)| length);
+        assert_eq!((length, heard[0]), (Ok(1), b'2'));
+    }
 }
