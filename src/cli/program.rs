@@ -2,6 +2,7 @@
 
 //! `gaugefs program`: a station at which one pack after the other is connected.
 
+use std::io::{self, ErrorKind, IsTerminal};
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -14,6 +15,7 @@ use std::time::Duration;
 
 use clap::Args;
 use nix::sys::signal::Signal;
+use nix::sys::termios::{FlushArg, tcflush};
 
 use crate::config;
 use crate::daemon;
@@ -27,7 +29,7 @@ use gauge_station::{Plan, Scanner, Screen};
 use gauge_station::{Sign, Totals};
 use gaugefs_host::{input, signals};
 #[cfg(feature = "screen")]
-use gaugefs_screen::line::{Board, Mark};
+use gaugefs_screen::line::Board;
 
 const PROGRAM: &str = "\
 Waits for a pack, identifies it, writes the image, serial number, date and lot, calibrates it if the
@@ -188,17 +190,7 @@ impl Screen for Fields {
     }
 
     fn sign(&self, slot: &str, sign: Sign, what: &str) {
-        let mark = match sign {
-            Sign::Connect => Mark::Next,
-            Sign::Scan => Mark::Scan,
-            Sign::Look => Mark::Look,
-            Sign::Wait => Mark::Wait,
-            Sign::Busy => Mark::Busy,
-            Sign::Pass => Mark::Pass,
-            Sign::Fail => Mark::Fail,
-            Sign::Over => Mark::End,
-        };
-        self.board.mark(slot, mark, what);
+        self.board.sign(slot, sign, what);
     }
 
     fn totals(&self, totals: &Totals) {
@@ -270,11 +262,25 @@ impl Scanner for Input {
         let lines = self.lines.get_or_insert_with(|| {
             let (sender, lines) = mpsc::sync_channel(0);
             thread::spawn(move || {
-                let lines = regular::lines(std::io::stdin().lock(), LONGEST);
-                lines.map_while(std::result::Result::ok).try_for_each(|line| sender.send(line).ok())
+                // Bytes that are no text are asked for again; they do not end the input.
+                let text = |line: io::Result<String>| match line {
+                    Err(error)
+                        if [ErrorKind::InvalidData, ErrorKind::FileTooLarge].contains(&error.kind()) =>
+                    {
+                        Some(char::REPLACEMENT_CHARACTER.into())
+                    }
+                    line => line.ok(),
+                };
+                let lines = regular::lines(io::stdin().lock(), LONGEST);
+                lines.map_while(text).try_for_each(|line| sender.send(line).ok())
             });
             lines
         });
+        if io::stdin().is_terminal() {
+            // What was scanned before it was asked for was for nobody. A program that writes lines may be ahead.
+            let _ = tcflush(io::stdin(), FlushArg::TCIFLUSH);
+            while lines.try_recv().is_ok() {}
+        }
         self.terminal.prompt(what);
         loop {
             match lines.recv_timeout(LOOK) {

@@ -4,7 +4,7 @@
 //! `crates/gauge-station/src/station/tests.rs`.
 
 use std::fs;
-use std::io::Write;
+use std::io::{BufRead, BufReader, Write};
 use std::path::Path;
 use std::process::Stdio;
 use std::time::Duration;
@@ -63,7 +63,7 @@ fn packs_on_two_buses_are_programmed_and_recognised() {
     let folder = Folder::new();
     let files = station(&folder, "");
     let run = |code| {
-        let arguments = run(&files, &["--count", "2"]);
+        let arguments = run(&files, &["--count", "2", "--fast"]);
         let ran = gaugefs(&arguments.iter().map(String::as_str).collect::<Vec<_>>());
         assert_eq!(ran.code, Some(code), "{}{}", ran.out, ran.err);
         ran.out
@@ -126,7 +126,7 @@ fn serial_numbers_are_read_from_standard_input() {
     let files = station(&folder, "");
     let text = fs::read_to_string(&files[1]).expect("the station").replace("'counter'", "'input'");
     fs::write(&files[1], text).expect("a file");
-    let arguments = run(&files, &["--once"]);
+    let arguments = run(&files, &["--once", "--fast"]);
     let mut child = command(&arguments.iter().map(String::as_str).collect::<Vec<_>>())
         .stdin(Stdio::piped())
         .stdout(Stdio::piped())
@@ -141,4 +141,42 @@ fn serial_numbers_are_read_from_standard_input() {
         "{out}{err}"
     );
     assert!(err.contains(": scan the serial number\n") && err.contains("the line is empty; scan"), "{err}");
+}
+
+/// A line that was scanned for nobody went to the next pack, at a terminal without a screen; and a byte of a scanner that is no
+/// text ended the input.
+#[test]
+fn regression_a_station_took_a_line_that_was_scanned_too_early() {
+    let folder = Folder::new();
+    let files = station(&folder, "");
+    let text = fs::read_to_string(&files[1]).expect("the station").replace("'counter'", "'input'");
+    let text =
+        text.replace("[[gauge]]\nname = 'RIGHT'", "[[gauge]]\n# 'RIGHT'").replace("sim-state = ", "# ");
+    let (text, _) = text.split_once("[[gauge]]\n# 'RIGHT'").expect("two slots");
+    fs::write(&files[1], text.replace("[station]", "[station]\npacks = 2")).expect("a file");
+    let terminal = nix::pty::openpty(None, None).expect("a terminal");
+    let arguments = run(&files, &["--fast"]);
+    let mut child = command(&arguments.iter().map(String::as_str).collect::<Vec<_>>())
+        .stdin(terminal.slave)
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("gaugefs runs");
+    let mut keys = fs::File::from(terminal.master);
+    let mut asked = BufReader::new(child.stderr.take().expect("a pipe")).lines().map_while(Result::ok);
+    let mut until = |what: &str| assert!(asked.any(|line| line.contains(what)), "{what}");
+    until("LEFT: scan the serial number");
+    keys.write_all(b"caf\xe9\n").expect("it reads");
+    until("the line is no text in UTF-8; scan the serial number, again");
+    // The second line comes before the second pack.
+    keys.write_all(b"1\n99\n").expect("it reads");
+    until("LEFT: scan the serial number");
+    keys.write_all(b"2\n").expect("it reads");
+    until("packs: 2, passed: 2");
+    let output = child.wait_with_output().expect("it ends");
+    let out = String::from_utf8_lossy(&output.stdout);
+    assert!(
+        out.contains("PASS LEFT serial 1 (0x0001)") && out.contains("PASS LEFT serial 2 (0x0002)"),
+        "{out}"
+    );
 }

@@ -67,6 +67,7 @@
 #![cfg_attr(test, allow(clippy::disallowed_methods, reason = "tests read what they have made"))]
 
 pub use gaugefs_host::error;
+pub use gaugefs_host::sign::Sign;
 
 mod options;
 mod setup;
@@ -74,4 +75,4 @@ mod station;
 
 pub use options::{Options, Refused, Rehearsed, Seen, SerialFrom, Unsettled};
 pub use setup::Setup;
-pub use station::{By, Failures, Plan, RecordGroup, Records, Scanner, Screen, Sign, Totals, run};
+pub use station::{By, Failures, Plan, RecordGroup, Records, Scanner, Screen, Totals, run};

@@ -31,6 +31,7 @@ use gauge_bus::clock::Clock;
 use gauge_bus::{Bus, regular};
 use gauge_owner::{GaugeSetup, Settings, journal_dir, key_file};
 use gaugefs_host::input;
+use gaugefs_host::sign::Sign;
 use ti_gauge::notation;
 
 mod desk;
@@ -114,27 +115,6 @@ pub trait Screen: Send + Sync {
     fn sign(&self, _slot: &str, _sign: Sign, _what: &str) {}
     /// The outcomes of this run so far.
     fn totals(&self, _totals: &Totals) {}
-}
-
-/// What a slot shows.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Sign {
-    /// A pack may be connected.
-    Connect,
-    /// Something is scanned or typed for it now.
-    Scan,
-    /// Somebody has to look at it, and to do what the line says.
-    Look,
-    /// It waits for another slot.
-    Wait,
-    /// The pack must not be removed.
-    Busy,
-    /// The pack has passed, and may be taken off.
-    Pass,
-    /// It has not.
-    Fail,
-    /// No pack is begun here any more.
-    Over,
 }
 
 /// How far a pack is that must not be removed.
@@ -645,6 +625,7 @@ impl Station {
         self.is_stopping()
             || self.halted.load(Ordering::SeqCst)
             || self.left.load(Ordering::SeqCst) == 0
+            || self.desk.has_ended()
             || self.record().is_broken()
     }
 

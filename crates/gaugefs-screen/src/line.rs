@@ -15,6 +15,7 @@ use nix::errno::Errno;
 
 use gaugefs_host::error::{Error, Result};
 use gaugefs_host::output;
+use gaugefs_host::sign::Sign;
 
 mod draw;
 mod terminal;
@@ -26,31 +27,10 @@ const LAST: usize = 50;
 /// Longest line that is typed, in characters.
 const LONGEST: usize = 200;
 
-/// What a slot shows.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Mark {
-    /// A pack may be connected.
-    Next,
-    /// Something is scanned or typed for it now.
-    Scan,
-    /// Somebody has to look at it.
-    Look,
-    /// It waits until another slot's question is answered.
-    Wait,
-    /// The pack must not be removed.
-    Busy,
-    /// The pack has passed.
-    Pass,
-    /// The pack has failed.
-    Fail,
-    /// No pack is begun here any more.
-    End,
-}
-
 /// A slot and what it shows.
 struct Field {
     name: String,
-    mark: Mark,
+    sign: Sign,
     text: String,
 }
 
@@ -99,7 +79,11 @@ impl Board {
         let variable = |name| std::env::var(name).unwrap_or_default();
         let term = variable("TERM");
         if matches!(term.as_str(), "dumb" | "") {
-            let why = "this terminal, TERM=dumb, cannot move its cursor; set TERM=vt100 if it is one, or go without --screen";
+            let what = if term.is_empty() { "TERM is not set" } else { "TERM=dumb" };
+            let why = format!(
+                "{what}, so the cursor of this terminal cannot be moved; set TERM=vt100 if it can, or leave out --screen: \
+                 outcomes and questions are then lines, which any terminal shows"
+            );
             return Err(Error::host("standard output", Errno::ENOTTY, why));
         }
         let is_old = ["vt100", "vt102", "vt220"].iter().any(|old| term.starts_with(old));
@@ -125,9 +109,9 @@ impl Board {
     }
 
     /// What a slot shows from now on.
-    pub fn mark(&self, slot: &str, mark: Mark, text: &str) {
+    pub fn sign(&self, slot: &str, sign: Sign, text: &str) {
         if let Some(field) = self.model().fields.iter_mut().find(|field| field.name == slot) {
-            (field.mark, field.text) = (mark, text.into());
+            (field.sign, field.text) = (sign, text.into());
         }
     }
 
@@ -194,7 +178,7 @@ enum Key {
 
 impl Model {
     fn new(title: String, slots: &[String], colour: bool, unicode: bool) -> Self {
-        let field = |name: &String| Field { name: name.clone(), mark: Mark::Wait, text: String::new() };
+        let field = |name: &String| Field { name: name.clone(), sign: Sign::Wait, text: String::new() };
         Self {
             title,
             fields: slots.iter().map(field).collect(),
@@ -238,16 +222,16 @@ mod tests {
         let slots: Vec<String> = slots.iter().map(ToString::to_string).collect();
         let mut model = Model::new("line1  golden.gm.fs".into(), &slots, colour, colour);
         let states = [
-            (Mark::Pass, "PASS LEFT SN00123 serial 1000 (0x03e8) (pack 1, 8.6 s)"),
-            (Mark::Busy, "programming, do not remove (2 of 4: calibration)"),
-            (Mark::Scan, "THIRD: scan the label"),
+            (Sign::Pass, "PASS LEFT SN00123 serial 1000 (0x03e8) (pack 1, 8.6 s)"),
+            (Sign::Busy, "programming, do not remove (2 of 4: calibration)"),
+            (Sign::Scan, "THIRD: scan the label"),
             (
-                Mark::Fail,
+                Sign::Fail,
                 "FAIL FOURTH (pack 4): bq34z100-G1: identify: device type 0x0541; nothing was changed",
             ),
         ];
-        for (field, (mark, text)) in model.fields.iter_mut().zip(states) {
-            (field.mark, field.text) = (mark, text.into());
+        for (field, (sign, text)) in model.fields.iter_mut().zip(states) {
+            (field.sign, field.text) = (sign, text.into());
         }
         model.asked = Some("THIRD: scan the label".into());
         model.typed = "SN0012".into();
@@ -289,6 +273,32 @@ mod tests {
         for (width, height) in [(1, 1), (20, 3), (40, 10), (200, 60)] {
             drawn(&model(&eight, true), width, height);
         }
+    }
+
+    #[test]
+    fn regression_a_slot_on_a_small_terminal_showed_no_word() {
+        let names: Vec<String> = (1..=16).map(|number| format!("S{number}")).collect();
+        let names: Vec<&str> = names.iter().map(String::as_str).collect();
+        for (count, width, height) in [(4, 60, 15), (4, 40, 12), (8, 40, 16), (8, 80, 16), (16, 80, 24)] {
+            let shown = text(&drawn(&model(&names[..count], false), width, height));
+            for word in ["[PASS] S1 ", "[BUSY] S2 ", "[SCAN] S3 ", "[FAIL] S4 "] {
+                assert!(shown.contains(word), "{count} on {width} x {height}: {shown}");
+            }
+            assert_eq!(shown.matches("[WAIT]").count(), count - 4, "{shown}");
+        }
+    }
+
+    #[test]
+    fn regression_the_reason_of_a_failure_was_cut_off() {
+        let mut model = model(&["LEFT", "RIGHT", "THIRD", "FOURTH"], false);
+        let reason = "FAIL FOURTH (pack 4): bq34z100-G1: identify: device type 0x0100, firmware 0x0202, hardware 0x0008: this \
+                      is a bq34z100-R2; refusing to mount it as a bq34z100-G1; nothing was changed";
+        model.last.push_front(reason.into());
+        model.asked = None;
+        let shown = text(&drawn(&model, 80, 24));
+        assert!(shown.split_whitespace().collect::<Vec<_>>().join(" ").ends_with(reason), "{shown}");
+        // And the words are as large as they were.
+        assert_eq!(shown.matches('[').count(), 0, "{shown}");
     }
 
     /// docs/line.svg and the texts of it.

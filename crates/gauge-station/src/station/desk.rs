@@ -3,6 +3,7 @@
 //! The people at a station: what they are told, and what they scan. Only one thing is asked for at a time, and while it is,
 //! other slots' prompts wait: the operator who has read one has the scanner in the hand for it.
 
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use ti_gauge::text;
@@ -18,11 +19,24 @@ pub(super) struct Desk {
     held: Mutex<Option<Vec<(String, String)>>>,
     /// The names of all slots.
     slots: Vec<String>,
+    /// Nobody answers any more.
+    has_ended: AtomicBool,
 }
 
 impl Desk {
     pub(super) fn new(screen: Box<dyn Screen>, scanner: Box<dyn Scanner>, slots: Vec<String>) -> Self {
-        Self { screen, scanner: Mutex::new(scanner), held: Mutex::new(None), slots }
+        Self {
+            screen,
+            scanner: Mutex::new(scanner),
+            held: Mutex::new(None),
+            slots,
+            has_ended: AtomicBool::new(false),
+        }
+    }
+
+    /// Whether a question was met by the end of the input.
+    pub(super) fn has_ended(&self) -> bool {
+        self.has_ended.load(Ordering::SeqCst)
     }
 
     fn held(&self) -> MutexGuard<'_, Option<Vec<(String, String)>>> {
@@ -79,11 +93,15 @@ impl Desk {
         let answer = loop {
             self.sign(slot, if what.starts_with("scan") { Sign::Scan } else { Sign::Look }, &asked);
             let Some(line) = scanner.line(&asked) else {
+                self.has_ended.store(true, Ordering::SeqCst);
                 let why = format!("the input has ended: {what}");
                 break Err(Error::new("input", Cause::Gone, why));
             };
             let accepted = self.own(slot, line.trim()).and_then(|line| match line {
                 "" => Err("the line is empty".into()),
+                line if line.contains(char::REPLACEMENT_CHARACTER) => {
+                    Err("the line is no text in UTF-8".into())
+                }
                 line => accept(line),
             });
             match accepted {

@@ -6,10 +6,11 @@ use ratatui::Frame;
 use ratatui::layout::{Constraint, Layout, Rect};
 use ratatui::style::{Color, Modifier, Style};
 use ratatui::symbols::border;
-use ratatui::text::{Line, Span};
+use ratatui::text::Line;
 use ratatui::widgets::{Block, Paragraph, Wrap};
 
-use super::{Field, Mark, Model};
+use super::{Field, Model};
+use gaugefs_host::sign::Sign;
 
 /// A field at least so wide has its word and its sign in large letters.
 const WIDE: u16 = 34;
@@ -28,14 +29,21 @@ const ASCII: border::Set<'static> = border::Set {
     horizontal_bottom: "-",
 };
 
+/// A terminal of so many lines has room for a message of two.
+const TALL: u16 = 24;
+/// Lines of a question, with what has been typed. While nothing is asked for, the message has them as well.
+const QUESTION: u16 = 2;
+
 /// Draws everything.
 pub(super) fn screen(frame: &mut Frame<'_>, model: &Model) {
+    let message = if frame.area().height < TALL { 1 } else { 2 };
+    let question = if model.asked.is_some() { QUESTION } else { 0 };
     let [head, fields, ask, totals, last] = Layout::vertical([
         Constraint::Length(1),
         Constraint::Min(3),
-        Constraint::Length(2),
+        Constraint::Length(question),
         Constraint::Length(1),
-        Constraint::Length(1),
+        Constraint::Length(message + QUESTION - question),
     ])
     .areas(frame.area());
     let keys = "Ctrl-C ends after the packs under way";
@@ -60,7 +68,7 @@ pub(super) fn screen(frame: &mut Frame<'_>, model: &Model) {
     }
     frame.render_widget(Line::styled(model.totals.clone(), bold()), totals);
     let said = model.last.front().map_or("", String::as_str);
-    frame.render_widget(Line::raw(said.to_string()), last);
+    frame.render_widget(Paragraph::new(said).wrap(Wrap { trim: false }), last);
 }
 
 /// The end of a text, if it is too long.
@@ -72,11 +80,16 @@ fn bold() -> Style {
     Style::new().add_modifier(Modifier::BOLD)
 }
 
-/// The areas of the fields: as few columns as leave room for large words.
+/// What fields need, the best first: width and height of one with large words, with two lines of text, and with none.
+const SIZES: [(u16, u16); 4] = [(WIDE, HIGH), (WIDE, 4), (NARROW, 4), (NARROW, 2)];
+const NARROW: u16 = 16;
+
+/// The areas of the fields: as few columns as leave room for the best.
 fn areas(area: Rect, count: usize) -> Vec<Rect> {
-    let most = usize::from(area.width / WIDE).max(1);
-    let fits = |columns: usize| area.height / count.div_ceil(columns).max(1) as u16 >= HIGH;
-    let columns = (1..=most).find(|columns| fits(*columns)).unwrap_or(most).max(1);
+    let most = |width| usize::from(area.width / width).max(1);
+    let fits = |columns: usize, height| area.height / count.div_ceil(columns).max(1) as u16 >= height;
+    let best = |(width, height)| (1..=most(width)).find(|columns| fits(*columns, height));
+    let columns = SIZES.into_iter().find_map(best).unwrap_or(most(NARROW));
     let rows = count.div_ceil(columns).max(1);
     let lines = Layout::vertical(vec![Constraint::Fill(1); rows]).split(area);
     let split = |line: &Rect| Layout::horizontal(vec![Constraint::Fill(1); columns]).split(*line).to_vec();
@@ -84,28 +97,28 @@ fn areas(area: Rect, count: usize) -> Vec<Rect> {
 }
 
 fn draw(frame: &mut Frame<'_>, model: &Model, field: &Field, area: Rect) {
-    let look = look(field.mark);
+    let look = look(field.sign);
     let style = match (model.colour, look.colour) {
         (true, Some((ink, paper))) => Style::new().fg(ink).bg(paper),
         _ => Style::new(),
     };
-    let set = match (model.unicode, field.mark) {
+    let set = match (model.unicode, field.sign) {
         (false, _) => ASCII,
-        (true, Mark::Pass | Mark::Fail) => border::DOUBLE,
+        (true, Sign::Pass | Sign::Fail) => border::DOUBLE,
         (true, _) => border::PLAIN,
     };
-    let title = Line::styled(format!(" {} ", field.name), style.add_modifier(Modifier::BOLD));
-    let block = Block::bordered().border_set(set).title(title).style(style);
+    let block = Block::bordered().border_set(set).style(style);
     let inner = block.inner(area);
-    frame.render_widget(block, area);
     let is_large = inner.height > LARGE && inner.width >= WIDE - 2;
-    let mut lines: Vec<Line<'_>> = match is_large {
-        true => {
-            let block = if model.unicode { "\u{2588}" } else { "#" };
-            large(look).map(|line| Line::styled(line.replace('#', block), bold())).into()
-        }
-        false => vec![Line::from(vec![Span::styled(format!("[{}]", look.word), bold())])],
-    };
+    // A field without room for anything else has a frame.
+    let word = if is_large { String::new() } else { format!("[{}] ", look.word) };
+    let title = Line::styled(format!(" {word}{} ", field.name), style.add_modifier(Modifier::BOLD));
+    frame.render_widget(block.title(title), area);
+    let mut lines: Vec<Line<'_>> = Vec::new();
+    if is_large {
+        let block = if model.unicode { "\u{2588}" } else { "#" };
+        lines.extend(large(look).map(|line| Line::styled(line.replace('#', block), bold())));
+    }
     lines.push(Line::raw(field.text.clone()));
     frame.render_widget(Paragraph::new(lines).wrap(Wrap { trim: false }).style(style), inner);
 }
@@ -113,31 +126,31 @@ fn draw(frame: &mut Frame<'_>, model: &Model, field: &Field, area: Rect) {
 /// How a state looks.
 struct Look {
     word: &'static str,
-    sign: [&'static str; 5],
+    shape: [&'static str; 5],
     /// Of the letters and behind them.
     colour: Option<(Color, Color)>,
 }
 
-fn look(mark: Mark) -> Look {
+fn look(sign: Sign) -> Look {
     use Color::{Black, Cyan, Green, Red, White, Yellow};
-    let of = |word, sign, colour| Look { word, sign, colour };
-    match mark {
-        Mark::Next => of("NEXT", ["  #  ", "  #  ", "# # #", " ### ", "  #  "], None),
-        Mark::Scan => of("SCAN", [" ### ", "#   #", "  ## ", "     ", "  #  "], Some((Black, Yellow))),
-        Mark::Look => of("LOOK", ["  #  ", "  #  ", "  #  ", "     ", "  #  "], Some((Black, Yellow))),
-        Mark::Wait => of("WAIT", ["     ", "     ", "# # #", "     ", "     "], None),
-        Mark::Busy => of("BUSY", ["#####", " ### ", "  #  ", " ### ", "#####"], Some((Black, Cyan))),
-        Mark::Pass => of("PASS", ["    #", "    #", "#  # ", " # # ", "  #  "], Some((Black, Green))),
-        Mark::Fail => of("FAIL", ["#   #", " # # ", "  #  ", " # # ", "#   #"], Some((White, Red))),
-        Mark::End => of("END", ["#####", "#   #", "#   #", "#   #", "#####"], None),
+    let of = |word, shape, colour| Look { word, shape, colour };
+    match sign {
+        Sign::Connect => of("NEXT", ["  #  ", "  #  ", "# # #", " ### ", "  #  "], None),
+        Sign::Scan => of("SCAN", [" ### ", "#   #", "  ## ", "     ", "  #  "], Some((Black, Yellow))),
+        Sign::Look => of("LOOK", ["  #  ", "  #  ", "  #  ", "     ", "  #  "], Some((Black, Yellow))),
+        Sign::Wait => of("WAIT", ["     ", "     ", "# # #", "     ", "     "], None),
+        Sign::Busy => of("BUSY", ["#####", " ### ", "  #  ", " ### ", "#####"], Some((Black, Cyan))),
+        Sign::Pass => of("PASS", ["    #", "    #", "#  # ", " # # ", "  #  "], Some((Black, Green))),
+        Sign::Fail => of("FAIL", ["#   #", " # # ", "  #  ", " # # ", "#   #"], Some((White, Red))),
+        Sign::Over => of("END", ["#####", "#   #", "#   #", "#   #", "#####"], None),
     }
 }
 
-/// The word and the sign of a state, in lines.
+/// The word and the shape of a state, in lines.
 fn large(look: Look) -> [String; 5] {
     std::array::from_fn(|row| {
         let letters = look.word.chars().map(|letter| letter_of(letter)[row]);
-        format!(" {}  {}", look.sign[row], letters.collect::<Vec<_>>().join(" "))
+        format!(" {}  {}", look.shape[row], letters.collect::<Vec<_>>().join(" "))
     })
 }
 
@@ -172,14 +185,22 @@ mod tests {
 
     #[test]
     fn every_state_has_a_word_and_a_sign_of_its_own_in_letters_that_are_there() {
-        let marks =
-            [Mark::Next, Mark::Scan, Mark::Look, Mark::Wait, Mark::Busy, Mark::Pass, Mark::Fail, Mark::End];
-        for (at, mark) in marks.into_iter().enumerate() {
-            let Look { word, sign, .. } = look(mark);
+        let signs = [
+            Sign::Connect,
+            Sign::Scan,
+            Sign::Look,
+            Sign::Wait,
+            Sign::Busy,
+            Sign::Pass,
+            Sign::Fail,
+            Sign::Over,
+        ];
+        for (at, sign) in signs.into_iter().enumerate() {
+            let Look { word, shape, .. } = look(sign);
             assert!(word.chars().all(|letter| letter_of(letter) != letter_of(' ')), "{word}");
-            assert!(large(look(mark)).iter().all(|line| line.len() < usize::from(WIDE) - 1), "{word}");
-            for other in &marks[..at] {
-                assert!(look(*other).word != word && look(*other).sign != sign, "{word}");
+            assert!(large(look(sign)).iter().all(|line| line.len() < usize::from(WIDE) - 1), "{word}");
+            for other in &signs[..at] {
+                assert!(look(*other).word != word && look(*other).shape != shape, "{word}");
             }
         }
     }
