@@ -34,6 +34,7 @@ use gaugefs_host::input;
 use gaugefs_host::sign::Sign;
 use ti_gauge::notation;
 
+mod contact;
 mod desk;
 mod exec;
 mod first;

@@ -11,6 +11,8 @@ use std::time::{Duration, Instant};
 
 use gauge_bus::clock::{Clock, RealClock};
 use gauge_bus::regular;
+use nix::sys::signal::{Signal, killpg};
+use nix::unistd::Pid;
 use ti_gauge::text;
 
 use super::record::{Entry, Event};
@@ -28,6 +30,10 @@ const MOST: u64 = 64 << 10;
 
 /// Runs the program with an outcome as JSON on its standard input, and waits for its end.
 pub(super) fn run(words: &[String], entry: &Entry) -> Result<()> {
+    run_within(PATIENCE, words, entry)
+}
+
+fn run_within(patience: Duration, words: &[String], entry: &Entry) -> Result<()> {
     let Some((program, arguments)) = words.split_first() else { return Ok(()) };
     let failed = |error: &std::io::Error| Error::io(program, "cannot be run", error).within(EXEC);
     let event = if entry.event == Event::Pass { "pass" } else { "fail" };
@@ -61,28 +67,51 @@ pub(super) fn run(words: &[String], entry: &Entry) -> Result<()> {
             sender.send(lines.filter(|line| !line.trim().is_empty()).last().unwrap_or_default())
         });
     }
-    let status = wait(&mut child).map_err(|error| failed(&error))?;
+    let status = wait(&mut child, patience).map_err(|error| failed(&error))?;
     let why = match status {
         Some(status) if status.success() => return Ok(()),
         Some(status) => status.to_string(),
-        None => format!("it did not end within {} s, and was killed", PATIENCE.as_secs()),
+        None => format!("it did not end within {} s, and was killed", patience.as_secs()),
     };
     let said = last_words.recv_timeout(LAST_WORDS).unwrap_or_default();
     let said = if said.is_empty() { said } else { format!("; it says: {}", text::printable(&said)) };
     Err(Error::new(EXEC, Cause::NotPermitted, format!("{program} has failed: {why}{said}")))
 }
 
-/// Waits for its end. `None` if it took too long and was killed.
-fn wait(child: &mut Child) -> std::io::Result<Option<ExitStatus>> {
+/// Waits for its end. `None` if it took too long and was killed, with all that it has started.
+fn wait(child: &mut Child, patience: Duration) -> std::io::Result<Option<ExitStatus>> {
     let (clock, since) = (RealClock::new(), Instant::now());
     loop {
         if let Some(status) = child.try_wait()? {
             return Ok(Some(status));
         }
-        if since.elapsed() > PATIENCE {
+        if since.elapsed() > patience {
+            let _ = killpg(Pid::from_raw(child.id() as i32), Signal::SIGKILL);
             child.kill().and_then(|()| child.wait())?;
             return Ok(None);
         }
         clock.sleep(LOOK);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+
+    use super::*;
+
+    /// It could print the label of a pack that is recorded as failed.
+    #[test]
+    fn regression_what_a_program_has_started_went_on_after_it_was_killed() {
+        let late = std::env::temp_dir().join(format!("gaugefs-exec-{}", std::process::id()));
+        let script = format!("sh -c 'sleep 1; echo label > {}; sleep 60'; true", late.display());
+        let entry = Entry { event: Event::Pass, ..Entry::default() };
+        let error = run_within(Duration::from_millis(300), &["sh", "-c", &script].map(String::from), &entry);
+        let error = error.expect_err("it takes too long").to_string();
+        assert!(error.contains("it did not end within") && error.contains("was killed"), "{error}");
+        RealClock::new().sleep(Duration::from_millis(1500));
+        let is_printed = late.exists();
+        let _ = fs::remove_file(&late);
+        assert!(!is_printed);
     }
 }

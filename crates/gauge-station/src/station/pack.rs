@@ -19,6 +19,7 @@ use ti_gauge::keys::{KeyChange, Name};
 use ti_gauge::text;
 use ti_gauge::value::Value;
 
+use super::contact::Watch;
 use super::exec::EXEC;
 use super::record::{Entry, Event, Measured, Record};
 use super::serial::Serials;
@@ -29,7 +30,7 @@ use crate::options::{Date, Seen, Unsettled};
 use gauge_owner::{Direct, Seal, Settings, Startup, operations as op};
 use gaugefs_host::chemistry;
 
-/// How often a pack that was just connected is tried, and the time between.
+/// How often a pack that was just connected is tried, or one whose contact breaks is read. The time between the former.
 const TRIES: usize = 4;
 const AGAIN: Duration = Duration::from_secs(1);
 /// How long a gauge may take to pay what a failed access has left.
@@ -52,6 +53,7 @@ struct Task<'a> {
     station: &'a Station,
     bench: &'a Bench,
     gauge: Direct,
+    watch: Watch,
     entry: Entry,
     /// It may have been changed.
     begun: bool,
@@ -123,10 +125,12 @@ pub(super) fn program(station: &Station, bench: &Bench, slot: &mut dyn Slot) -> 
             return station.end(entry);
         }
     };
+    let watch = Watch::new(clock.clone());
     let mut task = Task {
         station,
         bench,
-        gauge: connect(station, bench, slot, settings),
+        gauge: connect(station, bench, slot, &watch, settings),
+        watch,
         entry,
         begun: false,
         transfers: 0,
@@ -144,10 +148,17 @@ pub(super) fn program(station: &Station, bench: &Bench, slot: &mut dyn Slot) -> 
     station.end(entry)
 }
 
-fn connect(station: &Station, bench: &Bench, slot: &mut dyn Slot, settings: Settings) -> Direct {
+fn connect(
+    station: &Station,
+    bench: &Bench,
+    slot: &mut dyn Slot,
+    watch: &Watch,
+    settings: Settings,
+) -> Direct {
     // Nothing that writes is sent before the registers read like a gauge's.
     let startup = Startup { name: bench.name.clone(), unverified: true, ..Startup::default() };
-    Direct::new(station.plan.image.chip, slot.bus(), slot.clock(), settings, startup)
+    let bus = Box::new(watch.over(slot.bus()));
+    Direct::new(station.plan.image.chip, bus, slot.clock(), settings, startup)
 }
 
 fn transfers(gauge: &Direct) -> u64 {
@@ -233,17 +244,13 @@ impl Task<'_> {
         self.change_keys()?;
         self.at(Step::Verify);
         self.seal()?;
-        // Everything once more: what is sealed has to have all of it.
-        let last = self.look()?;
-        match &expected {
+        let last = self.verify(|last| match &expected {
             Some(expected) => {
-                target::check(&asked, &last, &calibrated)?;
-                last.check_same(expected, &[])?;
+                target::check(&asked, last, &calibrated)?;
+                last.check_same(expected, &[])
             }
-            None => target::check_programmed(&asked, &last, now)?,
-        }
-        self.gauge.check_erased()?;
-        self.is_settled()?;
+            None => target::check_programmed(&asked, last, now),
+        })?;
         self.entry.fingerprint = Some(last.fingerprint());
         self.entry.changes = last.changed_since(&before);
         let name = self
@@ -344,7 +351,7 @@ impl Task<'_> {
             }
         }
         self.transfers += transfers(&self.gauge);
-        self.gauge = connect(self.station, self.bench, slot, settings);
+        self.gauge = connect(self.station, self.bench, slot, &self.watch, settings);
         self.open(slot)?;
         for name in self.gauge.owed_keys() {
             let old = self.bench.keys.secret(name).or_else(|| self.gauge.default_key(name));
@@ -425,7 +432,7 @@ impl Task<'_> {
             }
         }
         self.transfers += transfers(&self.gauge);
-        self.gauge = connect(self.station, self.bench, slot, settings);
+        self.gauge = connect(self.station, self.bench, slot, &self.watch, settings);
         self.open(slot).ok()?;
         self.has_new_keys = true;
         self.look().ok()
@@ -437,7 +444,7 @@ impl Task<'_> {
         let mut settings = self.bench.settings(self.station).ok()?;
         settings.keys.set(Name::Unseal, &[0xffff; 2].into());
         self.transfers += transfers(&self.gauge);
-        self.gauge = connect(self.station, self.bench, slot, settings);
+        self.gauge = connect(self.station, self.bench, slot, &self.watch, settings);
         self.has_new_keys = false;
         self.open(slot).ok()?;
         self.look().ok()
@@ -489,8 +496,7 @@ impl Task<'_> {
                 ));
             }
             let record = station.record();
-            let taken = record.passed(&shown).or(record.under_way(&shown));
-            match taken.filter(|_| own.is_none()) {
+            match record.taken(&shown).filter(|_| own.is_none()) {
                 Some(pack) => Err(taken_by(&shown, pack)),
                 None => Ok((value, line.to_string())),
             }
@@ -571,7 +577,7 @@ impl Task<'_> {
             let Some(value) = number else { return Ok(()) };
             let shown = serial::shown(row, &value);
             // Another bench may have taken it meanwhile.
-            if let Some(pack) = record.under_way(&shown) {
+            if let Some(pack) = record.taken(&shown).filter(|_| given.own.is_none()) {
                 return Err(refuse("serial number", taken_by(&shown, pack)));
             }
             asked.set(row.0, row.1, value);
@@ -805,6 +811,24 @@ impl Task<'_> {
             return Ok(());
         }
         self.gauge.ask(&op::SEAL, Seal::Sealed)
+    }
+
+    /// Reads everything once more: what is sealed has to have all of it. If nothing has answered for a while until the
+    /// end, another pack may be there, and it is read again.
+    fn verify(&mut self, check: impl Fn(&Flash) -> Result<()>) -> Result<Flash> {
+        for _ in 0..TRIES {
+            let breaks = self.watch.breaks();
+            let last = self.look()?;
+            check(&last)?;
+            self.gauge.check_erased()?;
+            self.is_settled()?;
+            if self.watch.breaks() == breaks {
+                return Ok(last);
+            }
+        }
+        let why =
+            "the contact was broken each time that all of it was read, so another pack may be there now";
+        Err(Error::new("pack", Cause::StateUnknown, why))
     }
 
     /// Nothing is left to do, and the pack is sealed.

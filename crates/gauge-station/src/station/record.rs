@@ -386,10 +386,12 @@ impl Record {
         self.labels.get(label).copied()
     }
 
-    /// The number of the pack that is being programmed with that serial number.
-    pub(super) fn under_way(&self, serial: &str) -> Option<u64> {
-        let open = self.open.values().find(|entry| entry.serial.as_deref() == Some(serial));
-        open.map(|entry| entry.number)
+    /// The number of the pack that has passed with that serial number, or is being programmed.
+    pub(super) fn taken(&self, serial: &str) -> Option<u64> {
+        let mut open = self.open.values();
+        let under_way =
+            || open.find(|entry| entry.serial.as_deref() == Some(serial)).map(|entry| entry.number);
+        self.passed(serial).or_else(under_way)
     }
 
     /// The pack that has passed and has that fingerprint, which covers its serial number.

@@ -29,6 +29,7 @@ use crate::setup::Setup;
 use gauge_owner::{Direct, GaugeSetup, Seal, Settings, Source, Startup, operations as op};
 use ti_gauge::notation;
 
+mod attacks;
 mod mux;
 
 /// A station's folder, which is removed at the end.
