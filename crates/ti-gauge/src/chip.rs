@@ -533,7 +533,8 @@ pub struct Access {
     pub enter: Duration,
     /// For how long `[CFGUPMODE]` is polled.
     pub enter_limit: Duration,
-    /// From RESET, or SOFT_RESET, until the gauge is first polled for an answer.
+    /// From RESET until the gauge is first polled for an answer; from the way out of CONFIG UPDATE until data memory can be
+    /// read.
     pub reset: Duration,
     /// For how long it is polled for an answer.
     pub reset_limit: Duration,

@@ -71,6 +71,7 @@ use schemes::sequence;
 use session::{Session, in_time};
 pub use settle::{Decision, Owed};
 use settle::{Pending, Searched, Shown};
+use state::Copied;
 pub use state::has_lost_memory;
 pub(crate) use state::read_word;
 use wear::Wear;
@@ -516,6 +517,7 @@ impl DataFlash {
         gauge.statistics.progress.begin(dirty.len());
         let mut job = Job::write(dirty, neighbours, reset);
         (job.in_window, job.was_lost, job.soon) = (in_window && !extras.soon, found.lost, extras.soon);
+        job.copied = Copied::of(gauge.chip, changes, &old);
         session.stays_open = extras.soon && found.lost && found.seal != Seal::Sealed;
         let landed = converge(gauge, session, &mut job, Side::New, extras.accept);
         for block in job.changed() {

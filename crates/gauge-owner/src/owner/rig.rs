@@ -3,6 +3,7 @@
 //! For tests: the owner of a simulated bq34z100-G1 on a simulated clock, driven by the test's own thread.
 
 pub mod days;
+pub mod restoring;
 
 use std::ops::{Deref, DerefMut};
 use std::sync::Arc;

@@ -86,10 +86,11 @@ pub static CHIP: Chip = Chip {
         soonest: Duration::from_millis(1),
         // All of them wait 10 ms before they read back.
         commit: Duration::from_millis(10),
-        // 6.1: up to 1 s. One driver waits 1.2 s before it looks for [CFGUPDATE].
-        enter: Duration::from_millis(1100),
+        // 6.1: up to 1 s. Flipper's driver and Espressif's ask for [CFGUPDATE] at once, another one after 1.2 s.
+        enter: Duration::ZERO,
         enter_limit: Duration::from_millis(2500),
-        // Flipper's driver: before that, data memory reads as nonsense.
+        // Flipper's driver: before that, data memory reads as nonsense. Espressif's asks for [CFGUPDATE] after 10 ms, and
+        // then for DesignCapacity(), to see that its profile is there.
         reset: Duration::from_secs(2),
         reset_limit: Duration::from_secs(4),
     },

@@ -9,7 +9,7 @@ use super::io::{reload, reload_soon, still_open, verify_soon, verify_written};
 use super::planned::{Held, Seen, classify};
 use super::schemes::sequence;
 use super::session::{RESTORES, Session, put, reads_wrong, store};
-use super::state::has_lost_memory;
+use super::state::{Copied, has_lost_memory};
 use super::window::{Dirty, Window};
 use crate::codec::{Bytes, WINDOW};
 use crate::error::{Cause, Error, Reason, Result, Step};
@@ -50,6 +50,8 @@ pub(super) struct Job {
     pub(super) was_lost: bool,
     /// The memory is RAM whose loss is being repaired: each block is looked at once, and again only in doubt.
     pub(super) soon: bool,
+    /// What a register shows of the new content once it is in use.
+    pub(super) copied: Option<Copied>,
     /// Blocks of which a commit may have been sent.
     pub(super) touched: usize,
     /// The gauge has begun to use the new content: what is otherwise changed since then it has done itself.
@@ -75,6 +77,7 @@ impl Job {
             returns: false,
             was_lost: false,
             soon: false,
+            copied: None,
             touched: 0,
             in_use: false,
             moving: Vec::new(),
@@ -253,7 +256,13 @@ impl Job {
         if ends {
             session.leave_calibration(gauge)?;
             self.in_use |= side == Side::New;
-            session.finish(gauge)?;
+            // All blocks were looked at in the mode that ends here.
+            let is_restored = self.soon && side == Side::New;
+            if is_restored && session.finish_soon(gauge, self.copied.as_ref())? {
+                return Ok(());
+            } else if !is_restored {
+                session.finish(gauge)?;
+            }
         } else if side == Side::New {
             still_open(gauge)?;
         }

@@ -60,6 +60,10 @@ pub(super) trait Sequence {
     fn commit(&self, gauge: &mut Gauge, block: &Dirty) -> Result<()>;
     /// Makes the gauge use the new values: a reset, or the end of the mode that `begin` started.
     fn finish(&self, gauge: &mut Gauge) -> Result<()>;
+    /// Ends that mode as `finish` does, and returns when data memory can be read again: what registers show is there before.
+    fn leave(&self, gauge: &mut Gauge) -> Result<Duration> {
+        self.finish(gauge).map(|()| gauge.clock.now())
+    }
     /// Whether `finish` must follow every `begin`.
     fn always_finishes(&self) -> bool;
     /// Whether the gauge is in the mode that `begin` starts.

@@ -8,6 +8,7 @@ use gauge_bus::BusError;
 
 use super::calmode;
 use super::schemes::sequence;
+use super::state::{Copied, has_kept};
 use crate::chip::{Bit, Calibration};
 use crate::error::{Cause, Error, Reason, Result, Step};
 use crate::gauge::{Gauge, Moment, SEAL_LAG, Seal};
@@ -190,24 +191,54 @@ impl Session {
     /// Makes the gauge use the new values and data flash readable again.
     pub(super) fn finish(&mut self, gauge: &mut Gauge) -> Result<()> {
         self.now = None;
-        let goal = if self.found == Seal::Sealed { Seal::Unsealed } else { self.found };
         if sequence(gauge).always_finishes() {
             sequence(gauge).finish(gauge)?;
             self.begun = false;
-            reopen(gauge, goal, self.stays_open)?;
+            self.reopen(gauge)?;
         } else {
-            let state = self.reset(gauge)?;
+            let (state, goal) = (self.reset(gauge)?, self.open_as_found());
             self.pack.was_opened |= state == Seal::Sealed;
             gauge.go(state, goal)?;
+            self.now = Some(goal);
+            sequence(gauge).enable(gauge)?;
         }
-        self.now = Some(goal);
-        sequence(gauge).enable(gauge)?;
         // What it shows from now on is to be that of the gauge that was reset.
         if gauge.chip.volatile.is_none() && self.is_another(gauge) {
             let why = "another pack answers since the reset";
             return Err(Error::new(gauge.chip.model, Cause::Gone, why).at(Step::Identify));
         }
         Ok(())
+    }
+
+    /// Makes a gauge with RAM use what was restored, all of which was looked at in CONFIG UPDATE. One that was found SEALED,
+    /// and seals itself now, takes no key for 4 s; on others data memory cannot be read for 2 s. What can be read all the same
+    /// shows whether RAM was lost since. Returns whether it shows that it was not: the blocks need not be looked at again then.
+    /// Otherwise data memory is readable.
+    pub(super) fn finish_soon(&mut self, gauge: &mut Gauge, copied: Option<&Copied>) -> Result<bool> {
+        self.now = None;
+        let readable = sequence(gauge).leave(gauge)?;
+        self.begun = false;
+        let is_shut = self.found == Seal::Sealed || gauge.clock.now() < readable;
+        if is_shut && has_kept(gauge, copied).unwrap_or(false) {
+            self.now = Some(gauge.seal_anew()?);
+            return Ok(true);
+        }
+        gauge.wait(readable.saturating_sub(gauge.clock.now()));
+        self.reopen(gauge)?;
+        Ok(false)
+    }
+
+    /// Makes data memory readable again after the end of CONFIG UPDATE.
+    fn reopen(&mut self, gauge: &mut Gauge) -> Result<()> {
+        let goal = self.open_as_found();
+        reopen(gauge, goal, self.stays_open)?;
+        self.now = Some(goal);
+        sequence(gauge).enable(gauge)
+    }
+
+    /// The state in which data memory can be read, and which is the one that the gauge was found in where that is possible.
+    fn open_as_found(&self) -> Seal {
+        if self.found == Seal::Sealed { Seal::Unsealed } else { self.found }
     }
 
     /// Resets the gauge. One that did not acknowledge RESET is compared before it is sent once more.

@@ -2,9 +2,18 @@
 
 //! What a gauge says of itself, as far as it decides whether data flash may be touched.
 
+use std::time::Duration;
+
+use super::Change;
 use crate::chip::{Chip, Role, Word};
+use crate::codec;
 use crate::error::Result;
 use crate::gauge::{Gauge, agreed};
+use crate::value::Value;
+
+/// Between two looks at a register that is to show what data memory holds, and the time that it has for that.
+const COPY_POLL: Duration = Duration::from_millis(25);
+const COPIES: Duration = Duration::from_millis(500);
 
 pub(crate) fn read_word(gauge: &mut Gauge, word: Word) -> Result<u16> {
     match word {
@@ -32,4 +41,46 @@ pub fn has_lost_memory(gauge: &mut Gauge) -> Result<bool> {
     let modes = chip.preflight.modes.iter().filter(|mode| mode.ours && mode.word == Word::Register(flags));
     let ours = modes.fold(0, |all, mode| all | mode.mask);
     agreed("Flags()", || Ok(read_word(gauge, Word::Register(flags))? & (lost | ours) == lost))
+}
+
+/// A register that shows a parameter while the gauge works, and what it is to show before and after a change.
+#[derive(Clone, Copy)]
+pub(super) struct Copied {
+    code: u8,
+    old: u16,
+    new: u16,
+}
+
+impl Copied {
+    /// DesignCapacity(), if changes include that parameter. `old` are the bytes that they replace.
+    pub(super) fn of(chip: &Chip, changes: &[Change], old: &[Vec<u8>]) -> Option<Self> {
+        let register = chip.register(Role::ChargeFullDesign)?;
+        let (change, old) = changes.iter().zip(old).find(|(change, _)| {
+            change.row().is_some_and(|(_, parameter)| parameter.name.replace(' ', "") == register.name)
+        })?;
+        let kind = change.row()?.1.kind;
+        let word = |bytes: &[u8]| match codec::decode(kind, bytes) {
+            Value::Int(word) => u16::try_from(word).ok(),
+            _ => None,
+        };
+        Some(Self { code: register.code, old: word(old)?, new: word(&change.stored_over(old))? })
+    }
+}
+
+/// Whether registers show that data memory in RAM holds what was looked at in CONFIG UPDATE, which has ended: DesignCapacity()
+/// has its new value. Where a flag reports a loss, the transaction looks at that at its end, and it is all there is if no
+/// register shows a copy. A part without such a flag must have shown another value before.
+pub(super) fn has_kept(gauge: &mut Gauge, copied: Option<&Copied>) -> Result<bool> {
+    let has_flag = lost_flag(gauge.chip).is_some();
+    let Some(copied) = copied.filter(|copied| has_flag || copied.old != copied.new) else {
+        return Ok(has_flag);
+    };
+    let limit = gauge.clock.now() + COPIES.max(gauge.chip.access.reset);
+    while agreed("DesignCapacity()", || read_word(gauge, Word::Register(copied.code)))? != copied.new {
+        if !gauge.may_try_until(limit) {
+            return Ok(false);
+        }
+        gauge.wait(COPY_POLL);
+    }
+    Ok(true)
 }

@@ -4,6 +4,7 @@
 //! of 32 bytes, and a checksum that commits them.
 
 use super::{FIRST_LOOK, NEXT_LOOK, SECOND_LOOK, Sequence, look_soon, look_twice, settle, wait_until};
+use crate::chip::Kind;
 use crate::codec::{WINDOW, checksum};
 use crate::dataflash::window::{Dirty, Window};
 use crate::error::{Cause, Error, Reason, Result, Step};
@@ -64,17 +65,10 @@ impl Sequence for Block {
 
     fn load_soon(&self, gauge: &mut Gauge, place: Window) -> Result<[u8; WINDOW]> {
         if gauge.chip.volatile.is_some()
-            && let Ok((before, _)) = read_window(gauge, place)
-            && select(gauge, place).is_ok()
+            && let Some(before) = another_window(gauge, place)?
+            && let Some(window) = load_after(gauge, &before, place)?
         {
-            let selection = [place.subclass, block_of(place)?];
-            let look = |gauge: &mut Gauge| {
-                let seen = read_window(gauge, place).ok();
-                seen.filter(|(shown, _)| shown.echo == selection).map(|(shown, _)| shown.window)
-            };
-            if let Some(window) = look_soon(gauge, &before.window, look) {
-                return Ok(window);
-            }
+            return Ok(window);
         }
         self.load(gauge, place)
     }
@@ -168,6 +162,32 @@ fn select(gauge: &mut Gauge, place: Window) -> Result<()> {
 struct Shown {
     echo: [u8; 2],
     window: [u8; WINDOW],
+}
+
+/// What the window shows instead of a block that is about to be loaded. If it is that block already, another one is loaded
+/// first: otherwise no look would show that it was loaded again.
+fn another_window(gauge: &mut Gauge, place: Window) -> Result<Option<[u8; WINDOW]>> {
+    let Ok((shown, _)) = read_window(gauge, place) else { return Ok(None) };
+    if shown.echo != [place.subclass, block_of(place)?] {
+        return Ok(Some(shown.window));
+    }
+    let mut rows = gauge.chip.subclasses.iter().filter(|row| row.kind != Kind::Security);
+    match rows.find(|row| row.id != place.subclass) {
+        Some(other) => load_after(gauge, &shown.window, Window { subclass: other.id, base: 0 }),
+        None => Ok(None),
+    }
+}
+
+/// Loads a block into a window that shows something else; `None` if no look shows that it was loaded.
+fn load_after(gauge: &mut Gauge, before: &[u8; WINDOW], place: Window) -> Result<Option<[u8; WINDOW]>> {
+    let selection = [place.subclass, block_of(place)?];
+    if select(gauge, place).is_err() {
+        return Ok(None);
+    }
+    Ok(look_soon(gauge, before, |gauge| {
+        let seen = read_window(gauge, place).ok();
+        seen.filter(|(shown, _)| shown.echo == selection).map(|(shown, _)| shown.window)
+    }))
 }
 
 /// Selects a block and reads it until two looks agree.

@@ -13,8 +13,9 @@ use crate::dataflash::window::{Dirty, Window};
 use crate::error::{Error, Reason, Result, Step};
 use crate::gauge::{Gauge, Seal, Statistics, agreed};
 
-/// Time between two reads of the flag of the mode, which takes up to a second to come or go.
-const POLL_INTERVAL: Duration = Duration::from_millis(100);
+/// Time between two reads of the flag of the mode, which takes up to a second to come or go. The kernel's driver and
+/// Zephyr's wait as long.
+const POLL_INTERVAL: Duration = Duration::from_millis(25);
 
 /// An access to data memory, and the mode in which it can be written.
 pub(super) struct CfgUpdate {
@@ -106,13 +107,20 @@ impl Sequence for CfgUpdate {
     }
 
     fn finish(&self, gauge: &mut Gauge) -> Result<()> {
+        let readable = self.leave(gauge)?;
+        gauge.wait(readable.saturating_sub(gauge.clock.now()));
+        Ok(())
+    }
+
+    fn leave(&self, gauge: &mut Gauge) -> Result<Duration> {
         // The way out is ignored before the mode is on, and the mode is then entered anyway. After a loss of
         // power it is never entered.
         self.reaches(gauge, true, gauge.chip.access.enter_limit).map_err(|error| error.at(Step::Reset))?;
         Statistics::count(&gauge.statistics.resets);
         gauge.command(self.leave).map_err(|error| error.at(Step::Reset))?;
-        gauge.wait(gauge.chip.access.reset);
-        self.wait_for(gauge, false, gauge.chip.access.reset_limit).map_err(|error| error.at(Step::Reset))
+        let readable = gauge.clock.now() + gauge.chip.access.reset;
+        self.wait_for(gauge, false, gauge.chip.access.reset_limit).map_err(|error| error.at(Step::Reset))?;
+        Ok(readable)
     }
 
     fn always_finishes(&self) -> bool {

@@ -4,6 +4,7 @@
 //! MACDataSum and MACDataLen. The gauge echoes the address, and the echo is checked.
 
 use super::{Sequence, look_soon, look_twice, settle};
+use crate::chip::FLAT;
 use crate::codec::{WINDOW, checksum};
 use crate::dataflash::window::{Dirty, Window};
 use crate::dataflash::window::{has_address, holds_keys};
@@ -79,9 +80,13 @@ impl Sequence for Mac {
         for run in block.runs() {
             let address = block.place.base + run.start as u16;
             let at = |error: Error| error.at(Step::WriteBlock);
-            gauge.write(MAC, &address.to_le_bytes()).map_err(at)?;
             // The gauge loads the present bytes into MACData() and overwrites anything sent earlier.
-            settle(gauge);
+            if gauge.chip.volatile.is_some() {
+                self.load_soon(gauge, Window { subclass: FLAT, base: address })?;
+            } else {
+                gauge.write(MAC, &address.to_le_bytes()).map_err(at)?;
+                settle(gauge);
+            }
             gauge.write(MAC_DATA, &block.new[run]).map_err(at)?;
         }
         Ok(())
