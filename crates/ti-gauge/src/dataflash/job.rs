@@ -192,7 +192,15 @@ impl Job {
         // A loss of power disturbs the rows next to the one that is programmed. Any other change of a block that it was not
         // the turn of is not of this job.
         let waits = self.returns && at >= self.touched && !block.is_neighbour();
-        if seen.is_at(Side::Old) || waits && !block.is_erased(stored) {
+        if seen.is_at(Side::Old) {
+            return Ok(());
+        }
+        if waits && !block.is_erased(stored) {
+            // That it clears bits and erases no byte is not told from what another program has written.
+            if self.blocks[..self.touched.min(at)].iter().any(|seen| seen.block.is_beside(block)) {
+                let why = format!("{}, which was not written yet, has changed", block.place.name(0));
+                return Err(Error::new("", Cause::Protocol, why));
+            }
             return Ok(());
         }
         let block = &self.without_moving(block);

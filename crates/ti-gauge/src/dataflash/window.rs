@@ -69,6 +69,12 @@ impl Dirty {
         self.written.0 == 0
     }
 
+    /// Whether a loss of power while one of two blocks is programmed may disturb the other.
+    pub(super) fn is_beside(&self, other: &Self) -> bool {
+        let (one, other) = (self.place, other.place);
+        one.subclass == other.subclass && one.base.abs_diff(other.base) <= WINDOW as u16
+    }
+
     /// The first byte that differs from `wanted`, learned ones left out.
     pub(super) fn differs(&self, stored: &[u8; WINDOW], wanted: &[u8; WINDOW]) -> Option<usize> {
         (0..WINDOW).find(|&at| stored[at] != wanted[at] && !self.learned.has(at))

@@ -488,8 +488,9 @@ fn any_fault_of_a_calibration_of_a_drawn_gauge_changes_nothing_else() {
 #[test]
 fn regression_drawn_imports_that_were_left_in_between() {
     let known = Known::new();
-    // Flash that was shut by the row that was to be put back, for which nothing was decided, or a person asked.
-    for seed in [1544, 1_002_504, 1_002_931, 2_001_310] {
+    // Flash that was shut by the row that was to be put back, for which nothing was decided, or a person asked; and a block
+    // that was read with wrong bytes and a right sum, to which the write went back.
+    for seed in [1544, 1_002_504, 1_002_931, 2_001_310, 20_053_034] {
         run(seed, &known, imports).unwrap_or_else(|why| panic!("seed {seed}: {why}"));
     }
 }
@@ -500,9 +501,10 @@ fn regression_drawn_imports_that_were_left_in_between() {
 #[test]
 fn regression_drawn_gauges_that_were_left_in_between() {
     let known = Known::new();
-    for seed in
-        [7643, 7994, 10452, 10683, 40228, 50195, 162902, 294261, 294680, 575131, 597522, 74059, 189246]
-    {
+    for seed in [
+        7643, 7994, 10452, 10683, 40228, 50195, 162902, 294261, 294680, 575131, 597522, 74059, 189246,
+        10151690,
+    ] {
         run(seed, &known, accesses).unwrap_or_else(|why| panic!("seed {seed}: {why}"));
     }
 }
