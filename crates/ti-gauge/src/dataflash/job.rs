@@ -299,11 +299,15 @@ pub(super) fn converge(
         Err(error) => error,
     };
     session.go_back(gauge);
-    if !job.was_lost && has_lost_memory(gauge).unwrap_or(false) {
+    let was_lost = job.was_lost;
+    let is_lost = |gauge: &mut Gauge| !was_lost && has_lost_memory(gauge).unwrap_or(false);
+    if is_lost(gauge) {
         session.forget_mode();
         return Landed::Unknown(Error::of("", Reason::PowerLost { failed: error }));
     }
     match job.bring(gauge, session, Side::Old, false) {
+        // The blocks of this job may read right, because they had the part's defaults; the others did not.
+        Ok(()) if is_lost(gauge) => Landed::Unknown(Error::of("", Reason::PowerLost { failed: error })),
         Ok(()) => {
             let what = "the old value was restored and verified".into();
             Landed::Back(Error::of("", Reason::RolledBack { failed: error, what }))
