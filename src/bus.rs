@@ -284,6 +284,9 @@ pub(crate) fn with_command(
     signals: SigSet,
     command: &[OsString],
 ) -> Result<ExitCode> {
+    if path.is_none() {
+        namespace::check_ptrace()?;
+    }
     if let Some(why) = unreadable(true, path.is_none()) {
         say(format_args!("warning: {why}"));
     }

@@ -59,6 +59,9 @@ pub(crate) fn become_command(number: Option<u32>, command: &[OsString]) -> Resul
         // The command does not hold it: it is closed by exec.
         let _device = single::mount(&node, SOURCE)?;
         raise(Signal::SIGSTOP).map_err(failed)?;
+        // The kernel takes a new file for root's. In a user namespace without root it opens that to nobody for writing, and
+        // asks only who looks at it.
+        let _ = fs::metadata(&node);
     }
     // The server has blocked them, and a process inherits that.
     SIGNALS.into_iter().collect::<SigSet>().thread_unblock().map_err(failed)?;
@@ -140,6 +143,17 @@ fn copy_dev(node: &Path) -> Result<()> {
     }
     let made = File::options().write(true).create_new(true).mode(0o600).open(node);
     made.map(drop).map_err(failed)
+}
+
+/// Whether the kernel lets nobody take the kernel's end of the mount from the process that has made it.
+pub(super) fn check_ptrace() -> Result<()> {
+    if setting("kernel/yama/ptrace_scope").is_some_and(|scope| scope == "3") {
+        let why = "Yama forbids to take anything from another program (kernel.yama.ptrace_scope is 3), so the command cannot \
+                   have a /dev of its own; with a PATH before `--` it finds the bus at that path instead, where plain reads \
+                   and writes, and I2C_SLAVE, work";
+        return Err(Error::host("the command", Errno::EPERM, why));
+    }
+    Ok(())
 }
 
 /// An error of [`copy_dev`], where a security module has withheld the rights of a user namespace.

@@ -17,7 +17,9 @@ use nix::sched::{CloneFlags, unshare};
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::{Pid, geteuid};
 
-use super::room::{CHIP, Folder, Ran, can_mount, command, drop_copied_mounts, gaugefs, run, within};
+use super::room::{
+    CHIP, Folder, Ran, as_nobody, can_mount, command, drop_copied_mounts, gaugefs, run, within,
+};
 
 /// A server at a path, ended with the test.
 struct Server {
@@ -241,6 +243,25 @@ fn a_command_has_the_bus_in_its_own_dev_and_gives_its_exit_code() {
     server.stdout.as_mut().expect("a pipe").read_exact(&mut [0]).expect("the command runs");
     kill(Pid::from_raw(server.id() as i32), Signal::SIGTERM).expect("it runs");
     assert_eq!(server.wait().expect("a child").code(), Some(9));
+}
+
+/// In a user namespace nobody owns the file until the kernel has asked who does, and what nobody owns is not opened for
+/// writing.
+#[test]
+fn regression_the_bus_of_an_ordinary_user_could_not_be_opened_before_it_was_looked_at() {
+    if !can_mount() || !geteuid().is_root() {
+        eprintln!("SKIPPED: this test becomes another user, which only root may");
+        return;
+    }
+    let namespaces = Command::new("unshare").args(["-Um", "true"]).uid(65534).gid(65534).status();
+    if !namespaces.is_ok_and(|status| status.success()) {
+        eprintln!("SKIPPED: ordinary users have no namespaces here; none had a /dev of its own");
+        return;
+    }
+    apart();
+    let folder = Folder::new();
+    let opened = ["sim", CHIP, "--fast", "--", "sh", "-c", "exec 3<>$I2C_DEV && echo opened"];
+    assert_eq!(run(as_nobody(&folder, &opened)).done(), "opened\n");
 }
 
 /// gaugefs on its own bus shows what it shows of a gauge that it simulates itself, and writes as it does there.
