@@ -45,7 +45,6 @@ pub use covered::Covered;
 use covered::CoveredLink;
 pub use df::DfItem;
 pub use gauge_dir::GaugeItem;
-use mains::Mains;
 pub use mains::MainsItem;
 use root::Root;
 pub use root::free_name;
@@ -260,7 +259,9 @@ trait Operations {
     fn parent(&self) -> Node;
 
     /// Folder, link or file.
-    fn shape(&self) -> Shape;
+    fn shape(&self) -> Shape {
+        Shape::File
+    }
 
     /// The permissions of a file.
     fn mode(&self) -> Mode {
@@ -310,6 +311,11 @@ trait Operations {
         done(Err(not_writable()));
     }
 
+    /// Refuses a new file of that name in a folder.
+    fn refuse_new(&self, _name: &str) -> Error {
+        Error::host("", Errno::ENOENT, "there is no such file, and none can be made")
+    }
+
     /// The target of a link.
     fn target(&self) -> Option<String> {
         None
@@ -331,12 +337,6 @@ fn no_value() -> Error {
 
 fn not_writable() -> Error {
     Error::host("", Errno::EACCES, "this file cannot be written")
-}
-
-/// Something in the folder of a gauge.
-struct Of<'a, I> {
-    supply: &'a Arc<Supply>,
-    item: I,
 }
 
 /// The tree.
@@ -373,19 +373,19 @@ impl Fs {
         self.covered.is_some()
     }
 
-    /// Puts a question to the node.
-    fn ask<T>(&self, node: Node, question: impl FnOnce(&dyn Operations) -> T) -> T {
+    /// What answers for a node.
+    fn at(&self, node: Node) -> Box<dyn Operations + '_> {
         match node {
-            Node::Root => question(&Root(self)),
-            Node::Mains(item) => question(&Mains { fs: self, item }),
-            Node::Covered(number) => question(&CoveredLink { covered: self.covered.as_ref(), number }),
+            Node::Root => Box::new(Root(self)),
+            Node::Mains(item) => item.of(self),
+            Node::Covered(number) => Box::new(CoveredLink { covered: self.covered.as_ref(), number }),
             Node::Of(gauge, item) => {
                 let supply = &self.supplies[usize::from(gauge)];
                 match item {
-                    Item::Supply(item) => question(&Of { supply, item }),
-                    Item::Df(item) => question(&Of { supply, item }),
-                    Item::Gauge(item) => question(&Of { supply, item }),
-                    Item::Sim(item) => question(&Of { supply, item }),
+                    Item::Supply(item) => item.of(supply),
+                    Item::Df(item) => item.of(supply),
+                    Item::Gauge(item) => item.of(supply),
+                    Item::Sim(item) => item.of(supply),
                 }
             }
         }
@@ -393,12 +393,12 @@ impl Fs {
 
     /// The folder that holds a node; the root holds itself.
     pub fn parent(&self, node: Node) -> Node {
-        self.ask(node, |node| node.parent())
+        self.at(node).parent()
     }
 
     /// Folder, link or file.
     pub fn shape(&self, node: Node) -> Shape {
-        self.ask(node, |node| node.shape())
+        self.at(node).shape()
     }
 
     /// Owner and group of every node.
@@ -410,17 +410,18 @@ impl Fs {
     /// and its group where one was named. They also have the folders, in which nothing can be made, so that it is this
     /// tree that answers when a name is mistyped.
     pub fn mode(&self, node: Node) -> u16 {
-        self.ask(node, |node| match node.shape() {
+        let node = self.at(node);
+        match node.shape() {
             Shape::Folder => 0o555 | self.access.bits(Mode::ReadWrite) & 0o222,
             Shape::Link => 0o777,
             Shape::File => self.access.bits(node.mode()),
-        })
+        }
     }
 
     /// Whether the kernel may keep the name and the text until it is told of a change. Of the files, that is
     /// true for attributes only: they change with a poll and at no other time.
     pub fn may_be_cached(&self, node: Node) -> bool {
-        self.ask(node, |node| node.may_be_cached())
+        self.at(node).may_be_cached()
     }
 
     /// Whether anybody may write a file.
@@ -431,13 +432,7 @@ impl Fs {
     /// Refuses a file that somebody wants to make, which is one whose name is mistyped. The log and `gauge/last_error`
     /// name the parameter that was probably meant.
     pub fn refuse_new(&self, folder: Node, name: &str) -> Error {
-        let Node::Of(gauge, Item::Df(item)) = folder else {
-            return Error::host("", Errno::ENOENT, "there is no such file, and none can be made");
-        };
-        let supply = &self.supplies[usize::from(gauge)];
-        let error = transaction::unknown(supply.chip(), &format!("{}/{name}", supply.df_folder(item)));
-        supply.handle.report(Attempt::Other, &error);
-        error
+        self.at(folder).refuse_new(name)
     }
 
     /// Reports that a defect of gaugefs has stopped something: to the gauge that a node belongs to, or to all. The log
@@ -454,36 +449,36 @@ impl Fs {
 
     /// The present entries of a folder.
     pub fn list(&self, folder: Node) -> Vec<(String, Node)> {
-        self.ask(folder, |folder| folder.list())
+        self.at(folder).list()
     }
 
     /// The node of that name in a folder.
     pub fn lookup(&self, folder: Node, name: &str) -> Option<Node> {
-        self.ask(folder, |folder| folder.lookup(name))
+        self.at(folder).lookup(name)
     }
 
     /// The name of a file in its folder. An attribute has one even while the gauge does not have its value.
     pub fn file_name(&self, node: Node) -> Option<String> {
         let listed = || self.list(self.parent(node)).into_iter().find(|(_, found)| *found == node);
-        let name = self.ask(node, |node| node.name());
+        let name = self.at(node).name();
         name.map(str::to_string).or_else(|| listed().map(|(name, _)| name))
     }
 
     /// The present content of a file.
     pub fn content(&self, node: Node) -> Content {
-        self.ask(node, |node| node.content())
+        self.at(node).content()
     }
 
     /// Reads a file's [`Content::Unread`] from the gauge. `done` is called with the bytes, either at once or
     /// from the thread that owns the gauge.
     pub fn read(&self, node: Node, done: Done<Vec<u8>>) {
-        self.ask(node, |node| node.read(done));
+        self.at(node).read(done);
     }
 
     /// Whether a file is written as a stream, each write continuing the one before. In any other file each
     /// write is one whole value.
     pub fn is_stream(&self, node: Node) -> bool {
-        self.ask(node, |node| node.is_stream())
+        self.at(node).is_stream()
     }
 
     /// Writes to a file. `offset` is where the data begins in the file. `done` is called with the outcome, either at
@@ -491,7 +486,7 @@ impl Fs {
     pub fn write(&self, node: Node, offset: u64, data: &[u8], done: Done<()>) {
         let is_cut = data.len() >= PAGE || (offset + data.len() as u64).is_multiple_of(PAGE as u64);
         if self.is_stream(node) || !is_cut {
-            return self.ask(node, |node| node.write(data, done));
+            return self.at(node).write(data, done);
         }
         let why = "too long for a value, so it may not be whole; write the value alone, without padding";
         let error = Error::new(self.file_name(node).unwrap_or_default(), Cause::Invalid, why);
@@ -505,12 +500,12 @@ impl Fs {
 
     /// The target of a symbolic link.
     pub fn target(&self, node: Node) -> Option<String> {
-        self.ask(node, |node| node.target())
+        self.at(node).target()
     }
 
     /// The extended attributes of a data-flash file.
     pub fn xattrs(&self, node: Node) -> Vec<(&'static str, String)> {
-        self.ask(node, |node| node.xattrs())
+        self.at(node).xattrs()
     }
 
     /// Marks a node's gauge as changed and wakes whoever waits for the signal. A node of no gauge does so by

@@ -9,7 +9,7 @@ use nix::errno::Errno;
 
 use super::supply::Supply;
 use super::transaction::{self, Moment, Staged};
-use super::{Content, Item, Mode, Node, Of, Operations, Shape, SupplyItem};
+use super::{Content, Item, Mode, Node, Operations, Shape};
 use crate::error::{Cause, Error, Result};
 use gauge_owner::{Attempt, Done, operations as op};
 use ti_gauge::chip::{FLAT, Kind, Parameter, Range, Subclass, kebab_case};
@@ -55,201 +55,228 @@ pub enum DfItem {
     Link(u8, u8),
 }
 
-impl Operations for Of<'_, DfItem> {
+impl DfItem {
+    /// What answers for it.
+    pub(super) fn of(self, supply: &Arc<Supply>) -> Box<dyn Operations + '_> {
+        match self {
+            DfItem::Folder => Box::new(Folder(supply)),
+            DfItem::Index => Box::new(Index(supply)),
+            DfItem::Transaction => Box::new(Staging(supply)),
+            DfItem::Flat => Box::new(Flat(supply)),
+            DfItem::Subclass(at) => Box::new(Numbered { supply, at }),
+            DfItem::Parameter(at, row) => Box::new(Field { supply, at, row }),
+            DfItem::Raw(at) => Box::new(Raw { supply, at }),
+            DfItem::ByName => Box::new(ByName(supply)),
+            DfItem::Class(at) => Box::new(Class { supply, at }),
+            DfItem::Link(at, row) => Box::new(Link { supply, at, row }),
+        }
+    }
+}
+
+/// `df`.
+struct Folder<'a>(&'a Arc<Supply>);
+
+impl Operations for Folder<'_> {
     fn parent(&self) -> Node {
-        let parent = match self.item {
-            DfItem::Folder => return self.supply.node(Item::Supply(SupplyItem::Folder)),
-            DfItem::Index | DfItem::Transaction | DfItem::Flat | DfItem::Subclass(_) | DfItem::ByName => {
-                DfItem::Folder
-            }
-            DfItem::Parameter(at, _) | DfItem::Raw(at) if self.supply.subclass(at).id == FLAT => DfItem::Flat,
-            DfItem::Parameter(at, _) | DfItem::Raw(at) => DfItem::Subclass(at),
-            DfItem::Class(_) => DfItem::ByName,
-            DfItem::Link(at, _) => DfItem::Class(at),
-        };
-        self.supply.node(Item::Df(parent))
+        self.0.folder()
     }
 
     fn shape(&self) -> Shape {
-        match self.item {
-            DfItem::Folder | DfItem::Flat | DfItem::Subclass(_) | DfItem::ByName | DfItem::Class(_) => {
-                Shape::Folder
-            }
-            DfItem::Link(..) => Shape::Link,
-            DfItem::Index | DfItem::Transaction | DfItem::Parameter(..) | DfItem::Raw(_) => Shape::File,
-        }
-    }
-
-    fn mode(&self) -> Mode {
-        match self.item {
-            // A parameter that may not be written is refused when that is tried, with the reason.
-            DfItem::Parameter(..) | DfItem::Transaction => Mode::ReadWrite,
-            _ => Mode::Read,
-        }
+        Shape::Folder
     }
 
     fn list(&self) -> Vec<(String, Node)> {
-        let chip = self.supply.chip();
-        let subclasses = || (0..).zip(chip.subclasses);
-        let parameters = |at: u8| (0..).zip(self.supply.subclass(at).parameters);
-        let list: Vec<(String, DfItem)> = match self.item {
-            DfItem::Folder => {
-                let fixed = [
-                    ("index", DfItem::Index),
-                    ("transaction", DfItem::Transaction),
-                    ("by-name", DfItem::ByName),
-                ];
-                let is_flat = chip.subclasses.iter().any(|subclass| subclass.id == FLAT);
-                let flat = is_flat.then_some(("flash", DfItem::Flat));
-                let fixed = fixed.into_iter().chain(flat).map(|(name, item)| (name.to_string(), item));
-                let numbered = subclasses().filter(|(_, subclass)| subclass.id != FLAT);
-                let numbered = numbered.map(|(at, subclass)| (subclass.id.to_string(), DfItem::Subclass(at)));
-                fixed.chain(numbered).collect()
-            }
-            DfItem::Flat => {
-                let flat = subclasses().filter(|(_, subclass)| subclass.id == FLAT);
-                let rows = flat.flat_map(|(at, _)| parameters(at).map(move |(row, field)| (at, row, field)));
-                rows.map(|(at, row, field)| (address(field), DfItem::Parameter(at, row))).collect()
-            }
-            DfItem::Subclass(at) => {
-                let file =
-                    |(row, field): (u8, &Parameter)| (field.offset.to_string(), DfItem::Parameter(at, row));
-                parameters(at).map(file).chain([("raw".to_string(), DfItem::Raw(at))]).collect()
-            }
-            DfItem::ByName => {
-                subclasses().map(|(at, subclass)| (chip.class_dir(subclass), DfItem::Class(at))).collect()
-            }
-            DfItem::Class(at) => {
-                parameters(at).map(|(row, field)| (kebab_case(field.name), DfItem::Link(at, row))).collect()
-            }
-            _ => Vec::new(),
-        };
-        list.into_iter().map(|(name, item)| (name, self.supply.node(Item::Df(item)))).collect()
+        let is_flat = self.0.chip().subclasses.iter().any(|subclass| subclass.id == FLAT);
+        let fixed =
+            [("index", DfItem::Index), ("transaction", DfItem::Transaction), ("by-name", DfItem::ByName)];
+        let fixed = fixed.into_iter().chain(is_flat.then_some(("flash", DfItem::Flat)));
+        let numbered = self.0.subclasses().filter(|(_, subclass)| subclass.id != FLAT);
+        let numbered = numbered.map(|(at, subclass)| (subclass.id.to_string(), DfItem::Subclass(at)));
+        self.0.df_nodes(fixed.map(|(name, item)| (name.to_string(), item)).chain(numbered))
+    }
+
+    fn refuse_new(&self, name: &str) -> Error {
+        self.0.refuse_parameter("", name)
+    }
+}
+
+/// `df/index`.
+struct Index<'a>(&'a Arc<Supply>);
+
+impl Operations for Index<'_> {
+    fn parent(&self) -> Node {
+        self.0.df_node(DfItem::Folder)
+    }
+
+    fn mode(&self) -> Mode {
+        Mode::Read
     }
 
     fn content(&self) -> Content {
-        let handle = &self.supply.handle;
-        match self.item {
-            DfItem::Parameter(at, row) => match handle.kept(at.into()) {
-                Some(bytes) => Content::Bytes(self.supply.parameter_text(at, row, &bytes)),
-                None => Content::Unread(UNREAD),
-            },
-            DfItem::Raw(at) => match handle.kept(at.into()) {
-                Some(bytes) => Content::Bytes(bytes.to_vec()),
-                None => Content::Unread(self.supply.subclass(at).stored().into()),
-            },
-            DfItem::Index => {
-                let rows = self.supply.chip().subclasses.iter().map(|subclass| subclass.parameters.len());
-                Content::Unread(LINE * (1 + rows.sum::<usize>() as u64))
+        let rows = self.0.chip().subclasses.iter().map(|subclass| subclass.parameters.len());
+        Content::Unread(LINE * (1 + rows.sum::<usize>() as u64))
+    }
+
+    fn read(&self, done: Done<Vec<u8>>) {
+        let supply = Arc::clone(self.0);
+        let readable = supply.subclasses().filter(|(_, subclass)| subclass.kind != Kind::Security);
+        self.0.handle.ask(
+            &op::READ,
+            readable.map(|(at, _)| at.into()).collect(),
+            Box::new(move |read| done(unless_sealed(read.map(drop)).map(|()| supply.index()))),
+        );
+    }
+}
+
+/// `df/transaction`.
+struct Staging<'a>(&'a Arc<Supply>);
+
+impl Operations for Staging<'_> {
+    fn parent(&self) -> Node {
+        self.0.df_node(DfItem::Folder)
+    }
+
+    fn mode(&self) -> Mode {
+        Mode::ReadWrite
+    }
+
+    fn content(&self) -> Content {
+        let Some(staged) = self.0.staged() else {
+            return Content::Bytes(match self.0.handle.progress() {
+                Some((done, all)) => format!("committing {done}/{all}\n").into_bytes(),
+                None => IDLE.to_vec(),
+            });
+        };
+        if staged.len() <= SHOWN_AT_ONCE {
+            let changes = staged.changes(self.0.chip());
+            if self.0.unread(&changes).is_empty() {
+                return Content::Bytes(self.0.staged_text(&changes));
             }
-            DfItem::Transaction => match self.supply.staged() {
-                None => Content::Bytes(match handle.progress() {
-                    Some((done, all)) => format!("committing {done}/{all}\n").into_bytes(),
-                    None => IDLE.to_vec(),
-                }),
-                Some(staged) if staged.len() <= SHOWN_AT_ONCE => {
-                    let changes = staged.changes(self.supply.chip());
-                    match self.supply.unread(&changes).is_empty() {
-                        true => Content::Bytes(self.supply.staged_text(&changes)),
-                        false => Content::Unread(STAGED * (1 + staged.len() as u64)),
-                    }
-                }
-                Some(staged) => Content::Unread(STAGED * (1 + staged.len() as u64)),
-            },
-            _ => Content::Absent,
+        }
+        Content::Unread(STAGED * (1 + staged.len() as u64))
+    }
+
+    fn read(&self, done: Done<Vec<u8>>) {
+        let supply = Arc::clone(self.0);
+        let Some(staged) = supply.staged() else { return done(Ok(IDLE.to_vec())) };
+        let staged = staged.changes(supply.chip());
+        self.0.handle.ask(
+            &op::READ,
+            supply.unread(&staged),
+            Box::new(move |read| done(unless_sealed(read.map(drop)).map(|()| supply.staged_text(&staged)))),
+        );
+    }
+
+    fn is_stream(&self) -> bool {
+        true
+    }
+
+    fn write(&self, data: &[u8], done: Done<()>) {
+        // Reserved bits are compared with those of the gauge, which has to be read for that. If it cannot be, the
+        // commit compares them.
+        let handle = &self.0.handle;
+        let mut unread: Vec<usize> = transaction::compared(self.0.chip(), data).into_iter().collect();
+        unread.retain(|&at| handle.kept(at).is_none());
+        if unread.is_empty() {
+            return self.0.stage(data, done);
+        }
+        let (supply, data) = (Arc::clone(self.0), data.to_vec());
+        handle.ask(&op::READ, unread, Box::new(move |_| supply.stage(&data, done)));
+    }
+}
+
+/// `df/flash`.
+struct Flat<'a>(&'a Arc<Supply>);
+
+impl Operations for Flat<'_> {
+    fn parent(&self) -> Node {
+        self.0.df_node(DfItem::Folder)
+    }
+
+    fn shape(&self) -> Shape {
+        Shape::Folder
+    }
+
+    fn list(&self) -> Vec<(String, Node)> {
+        let flat = self.0.subclasses().filter(|(_, subclass)| subclass.id == FLAT);
+        let rows = flat.flat_map(|(at, _)| self.0.rows(at).map(move |(row, field)| (at, row, field)));
+        self.0.df_nodes(rows.map(|(at, row, field)| (address(field), DfItem::Parameter(at, row))))
+    }
+
+    fn refuse_new(&self, name: &str) -> Error {
+        self.0.refuse_parameter("flash", name)
+    }
+}
+
+/// `df/SUBCLASS`.
+struct Numbered<'a> {
+    supply: &'a Arc<Supply>,
+    at: u8,
+}
+
+impl Operations for Numbered<'_> {
+    fn parent(&self) -> Node {
+        self.supply.df_node(DfItem::Folder)
+    }
+
+    fn shape(&self) -> Shape {
+        Shape::Folder
+    }
+
+    fn list(&self) -> Vec<(String, Node)> {
+        let rows = self.supply.rows(self.at);
+        let rows = rows.map(|(row, field)| (field.offset.to_string(), DfItem::Parameter(self.at, row)));
+        self.supply.df_nodes(rows.chain([("raw".to_string(), DfItem::Raw(self.at))]))
+    }
+
+    fn refuse_new(&self, name: &str) -> Error {
+        self.supply.refuse_parameter(&self.supply.subclass(self.at).id.to_string(), name)
+    }
+}
+
+/// `df/SUBCLASS/OFFSET`, or `df/flash/ADDRESS`.
+struct Field<'a> {
+    supply: &'a Arc<Supply>,
+    at: u8,
+    row: u8,
+}
+
+impl Operations for Field<'_> {
+    fn parent(&self) -> Node {
+        self.supply.folder_of(self.at)
+    }
+
+    /// One that may not be written is refused when that is tried, with the reason.
+    fn mode(&self) -> Mode {
+        Mode::ReadWrite
+    }
+
+    fn content(&self) -> Content {
+        match self.supply.handle.kept(self.at.into()) {
+            Some(bytes) => Content::Bytes(self.supply.parameter_text(self.at, self.row, &bytes)),
+            None => Content::Unread(UNREAD),
         }
     }
 
     fn read(&self, done: Done<Vec<u8>>) {
-        let supply = Arc::clone(self.supply);
-        let handle = &self.supply.handle;
-        match self.item {
-            DfItem::Parameter(at, _) | DfItem::Raw(at) if supply.subclass(at).kind == Kind::Security => {
-                let why = "keys are never read";
-                done(Err(Error::new(supply.subclass(at).name, Cause::NotPermitted, why)));
-            }
-            DfItem::Parameter(at, row) => handle.ask(
-                &op::READ,
-                vec![at.into()],
-                Box::new(move |read| done(read.map(|read| supply.parameter_text(at, row, &read[0])))),
-            ),
-            DfItem::Raw(at) => handle.ask(
-                &op::READ,
-                vec![at.into()],
-                Box::new(move |read| done(read.map(|read| read[0].to_vec()))),
-            ),
-            DfItem::Index => {
-                let rows = supply.chip().subclasses.iter().enumerate();
-                let readable = rows.filter(|(_, row)| row.kind != Kind::Security).map(|(at, _)| at);
-                handle.ask(
-                    &op::READ,
-                    readable.collect(),
-                    Box::new(move |read| done(unless_sealed(read.map(drop)).map(|()| supply.index()))),
-                );
-            }
-            DfItem::Transaction => {
-                let Some(staged) = supply.staged() else { return done(Ok(IDLE.to_vec())) };
-                let staged = staged.changes(supply.chip());
-                handle.ask(
-                    &op::READ,
-                    supply.unread(&staged),
-                    Box::new(move |read| {
-                        done(unless_sealed(read.map(drop)).map(|()| supply.staged_text(&staged)))
-                    }),
-                );
-            }
-            _ => done(Err(super::no_value())),
-        }
-    }
-
-    fn is_stream(&self) -> bool {
-        self.item == DfItem::Transaction
+        let (supply, at, row) = (Arc::clone(self.supply), self.at, self.row);
+        self.supply.read(at, done, move |bytes| supply.parameter_text(at, row, bytes));
     }
 
     fn write(&self, data: &[u8], done: Done<()>) {
-        let supply = self.supply;
-        let (chip, handle) = (supply.chip(), &supply.handle);
-        match self.item {
-            DfItem::Parameter(at, row) => {
-                let (subclass, parameter) = supply.row(at, row);
-                let change = match supply.staged() {
-                    Some(_) => Err(transaction::busy().within(parameter.name)),
-                    None => Change::parse((subclass, parameter), data, handle.allows_unproven())
-                        .map_err(Error::from),
-                };
-                let attempt = || Attempt::Write(vec![Place::of((subclass, parameter))]);
-                match change {
-                    Ok(change) => handle.ask(&op::WRITE, vec![change], done),
-                    Err(error) => handle.refuse(attempt(), error, done),
-                }
-            }
-            DfItem::Transaction => {
-                // Reserved bits are compared with those of the gauge, which has to be read for that. If it cannot be, the
-                // commit compares them.
-                let mut unread: Vec<usize> = transaction::compared(chip, data).into_iter().collect();
-                unread.retain(|&at| handle.kept(at).is_none());
-                if unread.is_empty() {
-                    return supply.stage(data, done);
-                }
-                let (supply, data) = (Arc::clone(supply), data.to_vec());
-                handle.ask(&op::READ, unread, Box::new(move |_| supply.stage(&data, done)));
-            }
-            _ => done(Err(super::not_writable())),
+        let (row, handle) = (self.supply.row(self.at, self.row), &self.supply.handle);
+        let change = match self.supply.staged() {
+            Some(_) => Err(transaction::busy().within(row.1.name)),
+            None => Change::parse(row, data, handle.allows_unproven()).map_err(Error::from),
+        };
+        match change {
+            Ok(change) => handle.ask(&op::WRITE, vec![change], done),
+            Err(error) => handle.refuse(Attempt::Write(vec![Place::of(row)]), error, done),
         }
     }
 
-    fn target(&self) -> Option<String> {
-        let DfItem::Link(at, row) = self.item else { return None };
-        let (subclass, parameter) = self.supply.row(at, row);
-        Some(match subclass.id {
-            FLAT => format!("../../flash/{}", address(parameter)),
-            id => format!("../../{id}/{}", parameter.offset),
-        })
-    }
-
     fn xattrs(&self) -> Vec<(&'static str, String)> {
-        let DfItem::Parameter(at, row) = self.item else { return Vec::new() };
-        let (subclass, parameter) = self.supply.row(at, row);
+        let (subclass, parameter) = self.supply.row(self.at, self.row);
         let dm_code = self.supply.published().answers.dm_code;
         let [min, max, default] = bounds(subclass, parameter, dm_code);
         let list = [
@@ -264,9 +291,118 @@ impl Operations for Of<'_, DfItem> {
     }
 }
 
+/// `df/SUBCLASS/raw`.
+struct Raw<'a> {
+    supply: &'a Arc<Supply>,
+    at: u8,
+}
+
+impl Operations for Raw<'_> {
+    fn parent(&self) -> Node {
+        self.supply.folder_of(self.at)
+    }
+
+    fn mode(&self) -> Mode {
+        Mode::Read
+    }
+
+    fn content(&self) -> Content {
+        match self.supply.handle.kept(self.at.into()) {
+            Some(bytes) => Content::Bytes(bytes.to_vec()),
+            None => Content::Unread(self.supply.subclass(self.at).stored().into()),
+        }
+    }
+
+    fn read(&self, done: Done<Vec<u8>>) {
+        self.supply.read(self.at, done, <[u8]>::to_vec);
+    }
+}
+
+/// `df/by-name`.
+struct ByName<'a>(&'a Arc<Supply>);
+
+impl Operations for ByName<'_> {
+    fn parent(&self) -> Node {
+        self.0.df_node(DfItem::Folder)
+    }
+
+    fn shape(&self) -> Shape {
+        Shape::Folder
+    }
+
+    fn list(&self) -> Vec<(String, Node)> {
+        let chip = self.0.chip();
+        let classes = self.0.subclasses();
+        self.0.df_nodes(classes.map(|(at, subclass)| (chip.class_dir(subclass), DfItem::Class(at))))
+    }
+
+    fn refuse_new(&self, name: &str) -> Error {
+        self.0.refuse_parameter("", name)
+    }
+}
+
+/// `df/by-name/CLASS`.
+struct Class<'a> {
+    supply: &'a Arc<Supply>,
+    at: u8,
+}
+
+impl Operations for Class<'_> {
+    fn parent(&self) -> Node {
+        self.supply.df_node(DfItem::ByName)
+    }
+
+    fn shape(&self) -> Shape {
+        Shape::Folder
+    }
+
+    fn list(&self) -> Vec<(String, Node)> {
+        let rows = self.supply.rows(self.at);
+        self.supply.df_nodes(rows.map(|(row, field)| (kebab_case(field.name), DfItem::Link(self.at, row))))
+    }
+
+    fn refuse_new(&self, name: &str) -> Error {
+        let class = self.supply.chip().class_dir(self.supply.subclass(self.at));
+        self.supply.refuse_parameter(&format!("by-name/{class}"), name)
+    }
+}
+
+/// `df/by-name/CLASS/PARAM`.
+struct Link<'a> {
+    supply: &'a Arc<Supply>,
+    at: u8,
+    row: u8,
+}
+
+impl Operations for Link<'_> {
+    fn parent(&self) -> Node {
+        self.supply.df_node(DfItem::Class(self.at))
+    }
+
+    fn shape(&self) -> Shape {
+        Shape::Link
+    }
+
+    fn target(&self) -> Option<String> {
+        let (subclass, parameter) = self.supply.row(self.at, self.row);
+        Some(match subclass.id {
+            FLAT => format!("../../flash/{}", address(parameter)),
+            id => format!("../../{id}/{}", parameter.offset),
+        })
+    }
+}
+
 impl Supply {
+    fn subclasses(&self) -> impl Iterator<Item = (u8, &'static Subclass)> {
+        (0..).zip(self.chip().subclasses)
+    }
+
     fn subclass(&self, at: u8) -> &'static Subclass {
         &self.chip().subclasses[usize::from(at)]
+    }
+
+    fn rows(&self, at: u8) -> impl Iterator<Item = (u8, &'static Parameter)> {
+        (0..).zip(self.subclass(at).parameters)
     }
 
     fn row(&self, at: u8, row: u8) -> (&'static Subclass, &'static Parameter) {
@@ -279,14 +415,37 @@ impl Supply {
         (value_text(subclass, parameter, bytes) + "\n").into_bytes()
     }
 
-    /// The path of a folder below `df`.
-    pub(super) fn df_folder(&self, item: DfItem) -> String {
-        match item {
-            DfItem::Flat => "flash".into(),
-            DfItem::Subclass(at) => self.subclass(at).id.to_string(),
-            DfItem::Class(at) => format!("by-name/{}", self.chip().class_dir(self.subclass(at))),
-            _ => String::new(),
+    fn df_node(&self, item: DfItem) -> Node {
+        self.node(Item::Df(item))
+    }
+
+    fn df_nodes(&self, items: impl Iterator<Item = (String, DfItem)>) -> Vec<(String, Node)> {
+        items.map(|(name, item)| (name, self.df_node(item))).collect()
+    }
+
+    /// The folder that shows the parameters of a subclass by their place.
+    fn folder_of(&self, at: u8) -> Node {
+        self.df_node(if self.subclass(at).id == FLAT { DfItem::Flat } else { DfItem::Subclass(at) })
+    }
+
+    /// Reads a subclass, of which a file shows what `text` makes of its bytes.
+    fn read<T>(&self, at: u8, done: Done<Vec<u8>>, text: T)
+    where
+        T: FnOnce(&[u8]) -> Vec<u8> + Send + 'static,
+    {
+        let subclass = self.subclass(at);
+        if subclass.kind == Kind::Security {
+            return done(Err(Error::new(subclass.name, Cause::NotPermitted, "keys are never read")));
         }
+        let done = Box::new(move |read: Result<Vec<Arc<[u8]>>>| done(read.map(|read| text(&read[0]))));
+        self.handle.ask(&op::READ, vec![at.into()], done);
+    }
+
+    /// Refuses a file of that name in a folder of `df`.
+    fn refuse_parameter(&self, folder: &str, name: &str) -> Error {
+        let error = transaction::unknown(self.chip(), &format!("{folder}/{name}"));
+        self.handle.report(Attempt::Other, &error);
+        error
     }
 
     /// Takes the lines of one write(2) to `df/transaction`.

@@ -6,12 +6,13 @@
 //! chip's table or another list, in a folder of its own or beside the other files.
 
 use std::fmt::Display;
+use std::sync::Arc;
 
 use jiff::Timestamp;
 
 use super::attribute::Kind;
 use super::supply::Supply;
-use super::{Content, Item, Mode, Node, Of, Operations, Shape, SupplyItem, find, not_writable};
+use super::{Content, Item, Mode, Node, Operations, Shape, find, not_writable};
 use crate::report;
 use gauge_owner::{Answers, Done, Failure, Operation, Spoken, operations as op};
 use ti_gauge::authentication;
@@ -110,93 +111,131 @@ pub(super) fn folders() -> impl Iterator<Item = Item> {
     [GaugeItem::Folder].into_iter().chain(groups).map(Item::Gauge)
 }
 
-impl Of<'_, GaugeItem> {
-    fn node(&self, item: GaugeItem) -> Node {
-        self.supply.node(Item::Gauge(item))
+impl GaugeItem {
+    /// What answers for it.
+    pub(super) fn of(self, supply: &Arc<Supply>) -> Box<dyn Operations + '_> {
+        let group = |at: u8| &GROUPS[usize::from(at)];
+        match self {
+            GaugeItem::Folder => Box::new(Folder(supply)),
+            GaugeItem::File(at) => Box::new(Shown { supply, file: &FILES[usize::from(at)] }),
+            GaugeItem::Group(at) => Box::new(Members { supply, at, group: group(at) }),
+            GaugeItem::Member(at, number) => Box::new(Member { supply, at, group: group(at), number }),
+        }
     }
+}
 
-    fn members(&self, at: u8) -> impl Iterator<Item = (String, Node)> {
-        let members = (GROUPS[usize::from(at)].list)(self.supply);
-        members.into_iter().map(move |(number, name)| (name, self.node(GaugeItem::Member(at, number))))
-    }
+/// `gauge`.
+struct Folder<'a>(&'a Supply);
 
-    /// The items of the folder beside the rows of `FILES`.
+impl Folder<'_> {
+    /// What is in it beside the rows of `FILES`.
     fn groups(&self) -> Vec<(String, Node)> {
         let groups = (0..).zip(GROUPS);
         let list = groups.flat_map(|(at, group)| match group.folder {
-            Some(name) => vec![(name.to_string(), self.node(GaugeItem::Group(at)))],
-            None => self.members(at).collect(),
+            Some(name) => vec![(name.to_string(), self.0.node(Item::Gauge(GaugeItem::Group(at))))],
+            None => Members { supply: self.0, at, group }.list(),
         });
         list.collect()
     }
 
-    fn file(&self) -> Option<&'static File> {
-        if let GaugeItem::File(at) = self.item { Some(&FILES[usize::from(at)]) } else { None }
+    fn file(&self, at: u8) -> Node {
+        self.0.node(Item::Gauge(GaugeItem::File(at)))
     }
 }
 
-impl Operations for Of<'_, GaugeItem> {
+impl Operations for Folder<'_> {
     fn parent(&self) -> Node {
-        match self.item {
-            GaugeItem::Folder => self.supply.node(Item::Supply(SupplyItem::Folder)),
-            GaugeItem::Member(at, _) if GROUPS[usize::from(at)].folder.is_some() => {
-                self.node(GaugeItem::Group(at))
-            }
-            GaugeItem::File(_) | GaugeItem::Group(_) | GaugeItem::Member(..) => self.node(GaugeItem::Folder),
-        }
+        self.0.folder()
     }
 
     fn shape(&self) -> Shape {
-        match self.item {
-            GaugeItem::Folder | GaugeItem::Group(_) => Shape::Folder,
-            GaugeItem::File(_) | GaugeItem::Member(..) => Shape::File,
-        }
-    }
-
-    fn mode(&self) -> Mode {
-        self.file().map_or(Mode::Public, |file| file.mode)
-    }
-
-    fn name(&self) -> Option<&'static str> {
-        self.file().map(|file| file.name)
+        Shape::Folder
     }
 
     fn list(&self) -> Vec<(String, Node)> {
-        match self.item {
-            GaugeItem::Folder => {
-                let there = (0..).zip(FILES).filter(|(_, file)| (file.show)(self.supply).is_some());
-                let files = there.map(|(at, file)| (file.name.to_string(), self.node(GaugeItem::File(at))));
-                self.groups().into_iter().chain(files).collect()
-            }
-            GaugeItem::Group(at) => self.members(at).collect(),
-            GaugeItem::File(_) | GaugeItem::Member(..) => Vec::new(),
-        }
+        let there = (0..).zip(FILES).filter(|(_, file)| (file.show)(self.0).is_some());
+        let files = there.map(|(at, file)| (file.name.to_string(), self.file(at)));
+        self.groups().into_iter().chain(files).collect()
     }
 
-    /// Renders no file of `gauge/` but the one that is looked up.
+    /// Renders no file but the one that is looked up.
     fn lookup(&self, name: &str) -> Option<Node> {
-        if self.item != GaugeItem::Folder {
-            return find(self.list(), name);
-        }
         match (0..).zip(FILES).find(|(_, file)| file.name == name) {
-            Some((at, file)) => (file.show)(self.supply).map(|_| self.node(GaugeItem::File(at))),
+            Some((at, file)) => (file.show)(self.0).map(|_| self.file(at)),
             None => find(self.groups(), name),
         }
     }
+}
+
+/// A row of `FILES`.
+struct Shown<'a> {
+    supply: &'a Supply,
+    file: &'static File,
+}
+
+impl Operations for Shown<'_> {
+    fn parent(&self) -> Node {
+        self.supply.node(Item::Gauge(GaugeItem::Folder))
+    }
+
+    fn mode(&self) -> Mode {
+        self.file.mode
+    }
+
+    fn name(&self) -> Option<&'static str> {
+        Some(self.file.name)
+    }
 
     fn content(&self) -> Content {
-        match self.item {
-            GaugeItem::Folder | GaugeItem::Group(_) => Content::Absent,
-            GaugeItem::File(at) => (FILES[usize::from(at)].show)(self.supply).into(),
-            GaugeItem::Member(at, number) => (GROUPS[usize::from(at)].show)(self.supply, number).into(),
-        }
+        (self.file.show)(self.supply).into()
     }
 
     fn write(&self, data: &[u8], done: Done<()>) {
-        match self.file().and_then(|file| file.operation) {
+        match self.file.operation {
             Some(operation) => self.supply.ask(operation, data, done),
             None => done(Err(not_writable())),
         }
+    }
+}
+
+/// The folder of a row of `GROUPS`.
+struct Members<'a> {
+    supply: &'a Supply,
+    at: u8,
+    group: &'static Group,
+}
+
+impl Operations for Members<'_> {
+    fn parent(&self) -> Node {
+        self.supply.node(Item::Gauge(GaugeItem::Folder))
+    }
+
+    fn shape(&self) -> Shape {
+        Shape::Folder
+    }
+
+    fn list(&self) -> Vec<(String, Node)> {
+        let node = |number| self.supply.node(Item::Gauge(GaugeItem::Member(self.at, number)));
+        (self.group.list)(self.supply).into_iter().map(|(number, name)| (name, node(number))).collect()
+    }
+}
+
+/// A file of a row of `GROUPS`.
+struct Member<'a> {
+    supply: &'a Supply,
+    at: u8,
+    group: &'static Group,
+    number: u8,
+}
+
+impl Operations for Member<'_> {
+    fn parent(&self) -> Node {
+        let own = self.group.folder.map(|_| GaugeItem::Group(self.at));
+        self.supply.node(Item::Gauge(own.unwrap_or(GaugeItem::Folder)))
+    }
+
+    fn content(&self) -> Content {
+        (self.group.show)(self.supply, self.number).into()
     }
 }
 

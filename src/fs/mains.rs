@@ -21,57 +21,48 @@ pub enum MainsItem {
     Subsystem,
 }
 
-/// The folder of the Mains supply, or something in it.
-pub(super) struct Mains<'a> {
-    pub(super) fs: &'a Fs,
-    pub(super) item: MainsItem,
-}
-
-impl Mains<'_> {
-    /// Whether the mains supply power. A gauge without a pack has no say, nor has one that has not measured
-    /// yet, or one of a primary cell, which the mains never charge.
-    fn online(&self) -> Option<bool> {
-        let gauges = self.fs.supplies.iter().filter(|supply| supply.chip().condition.primary.is_none());
-        let statuses = gauges.filter_map(|supply| {
-            let snapshot = supply.fresh();
-            let reading = supply.reading(snapshot.as_deref());
-            reading.status().filter(|&status| status != "Unknown")
-        });
-        online(&statuses.collect::<Vec<_>>())
+impl MainsItem {
+    /// What answers for it.
+    pub(super) fn of(self, fs: &Fs) -> Box<dyn Operations + '_> {
+        match self {
+            MainsItem::Folder => Box::new(Folder(fs)),
+            MainsItem::Type => Box::new(Type),
+            MainsItem::Online => Box::new(Online(fs)),
+            MainsItem::Uevent => Box::new(Uevent(fs)),
+            MainsItem::Subsystem => Box::new(Subsystem),
+        }
     }
 }
 
-impl Operations for Mains<'_> {
+/// The folder of the Mains supply.
+struct Folder<'a>(&'a Fs);
+
+impl Operations for Folder<'_> {
     fn parent(&self) -> Node {
-        match self.item {
-            MainsItem::Folder => Node::Root,
-            _ => Node::Mains(MainsItem::Folder),
-        }
+        Node::Root
     }
 
     fn shape(&self) -> Shape {
-        match self.item {
-            MainsItem::Folder => Shape::Folder,
-            MainsItem::Subsystem => Shape::Link,
-            MainsItem::Type | MainsItem::Online | MainsItem::Uevent => Shape::File,
-        }
-    }
-
-    fn name(&self) -> Option<&'static str> {
-        (self.item == MainsItem::Online).then_some("online")
+        Shape::Folder
     }
 
     fn list(&self) -> Vec<(String, Node)> {
-        if self.item != MainsItem::Folder {
-            return Vec::new();
-        }
         let files = [
             ("type", Some(MainsItem::Type)),
-            ("online", self.online().map(|_| MainsItem::Online)),
+            ("online", is_online(self.0).map(|_| MainsItem::Online)),
             ("uevent", Some(MainsItem::Uevent)),
             ("subsystem", Some(MainsItem::Subsystem)),
         ];
         files.into_iter().filter_map(|(name, item)| Some((name.to_string(), Node::Mains(item?)))).collect()
+    }
+}
+
+/// `type`.
+struct Type;
+
+impl Operations for Type {
+    fn parent(&self) -> Node {
+        Node::Mains(MainsItem::Folder)
     }
 
     fn may_be_cached(&self) -> bool {
@@ -79,24 +70,78 @@ impl Operations for Mains<'_> {
     }
 
     fn content(&self) -> Content {
-        let online = || self.online().map(u8::from);
-        let text = match self.item {
-            MainsItem::Folder | MainsItem::Subsystem => None,
-            MainsItem::Type => Some("Mains\n".to_string()),
-            MainsItem::Online => online().map(|online| format!("{online}\n")),
-            MainsItem::Uevent => {
-                let name = plain(self.fs.mains.as_deref().unwrap_or_default());
-                let online = online().map(|online| format!("POWER_SUPPLY_ONLINE={online}\n"));
-                let online = online.unwrap_or_default();
-                Some(format!("POWER_SUPPLY_NAME={name}\nPOWER_SUPPLY_TYPE=Mains\n{online}"))
-            }
-        };
-        text.into()
+        Content::Bytes(b"Mains\n".to_vec())
+    }
+}
+
+/// `online`.
+struct Online<'a>(&'a Fs);
+
+impl Operations for Online<'_> {
+    fn parent(&self) -> Node {
+        Node::Mains(MainsItem::Folder)
+    }
+
+    fn name(&self) -> Option<&'static str> {
+        Some("online")
+    }
+
+    fn may_be_cached(&self) -> bool {
+        true
+    }
+
+    fn content(&self) -> Content {
+        is_online(self.0).map(|online| format!("{}\n", u8::from(online))).into()
+    }
+}
+
+/// `uevent`.
+struct Uevent<'a>(&'a Fs);
+
+impl Operations for Uevent<'_> {
+    fn parent(&self) -> Node {
+        Node::Mains(MainsItem::Folder)
+    }
+
+    fn may_be_cached(&self) -> bool {
+        true
+    }
+
+    fn content(&self) -> Content {
+        let name = plain(self.0.mains.as_deref().unwrap_or_default());
+        let online = is_online(self.0).map(|online| format!("POWER_SUPPLY_ONLINE={}\n", u8::from(online)));
+        let online = online.unwrap_or_default();
+        Some(format!("POWER_SUPPLY_NAME={name}\nPOWER_SUPPLY_TYPE=Mains\n{online}")).into()
+    }
+}
+
+/// `subsystem`.
+struct Subsystem;
+
+impl Operations for Subsystem {
+    fn parent(&self) -> Node {
+        Node::Mains(MainsItem::Folder)
+    }
+
+    fn shape(&self) -> Shape {
+        Shape::Link
     }
 
     fn target(&self) -> Option<String> {
-        (self.item == MainsItem::Subsystem).then(|| SUBSYSTEM.into())
+        Some(SUBSYSTEM.into())
     }
+}
+
+/// Whether the mains supply power. A gauge without a pack has no say, nor has one that has not measured
+/// yet, or one of a primary cell, which the mains never charge.
+fn is_online(fs: &Fs) -> Option<bool> {
+    let gauges = fs.supplies.iter().filter(|supply| supply.chip().condition.primary.is_none());
+    let statuses = gauges.filter_map(|supply| {
+        let snapshot = supply.fresh();
+        let reading = supply.reading(snapshot.as_deref());
+        reading.status().filter(|&status| status != "Unknown")
+    });
+    online(&statuses.collect::<Vec<_>>())
 }
 
 /// Whether the mains supply power, concluded from the status of each pack. A pack that is being charged gets

@@ -2,9 +2,12 @@
 
 //! `sim/`: the knobs of a simulated gauge, one file each.
 
+use std::sync::Arc;
+
 use nix::errno::Errno;
 
-use super::{Content, Item, Mode, Node, Of, Operations, Shape, SupplyItem, not_writable};
+use super::supply::Supply;
+use super::{Content, Item, Knobs, Mode, Node, Operations, Shape, not_writable};
 use crate::error::Error;
 use gauge_owner::{Attempt, Done};
 
@@ -17,56 +20,69 @@ pub enum SimItem {
     Knob(u8),
 }
 
-impl Of<'_, SimItem> {
-    fn knobs(&self) -> Vec<(&'static str, bool)> {
-        self.supply.knobs.as_ref().map(|knobs| knobs.list()).unwrap_or_default()
-    }
-
-    /// Name of the knob, and whether it may be written; `None` for the folder.
-    fn knob(&self) -> Option<(&'static str, bool)> {
-        match self.item {
-            SimItem::Folder => None,
-            SimItem::Knob(at) => self.knobs().get(usize::from(at)).copied(),
+impl SimItem {
+    /// What answers for it.
+    pub(super) fn of(self, supply: &Arc<Supply>) -> Box<dyn Operations + '_> {
+        match self {
+            SimItem::Folder => Box::new(Folder(supply)),
+            SimItem::Knob(at) => Box::new(Knob { supply, at }),
         }
     }
 }
 
-impl Operations for Of<'_, SimItem> {
+/// `sim`.
+struct Folder<'a>(&'a Supply);
+
+impl Operations for Folder<'_> {
     fn parent(&self) -> Node {
-        self.supply.node(match self.item {
-            SimItem::Folder => Item::Supply(SupplyItem::Folder),
-            SimItem::Knob(_) => Item::Sim(SimItem::Folder),
-        })
+        self.0.folder()
     }
 
     fn shape(&self) -> Shape {
-        if self.item == SimItem::Folder { Shape::Folder } else { Shape::File }
-    }
-
-    fn mode(&self) -> Mode {
-        if self.knob().is_some_and(|(_, writable)| writable) { Mode::ReadWrite } else { Mode::Read }
+        Shape::Folder
     }
 
     fn list(&self) -> Vec<(String, Node)> {
-        if self.item != SimItem::Folder {
-            return Vec::new();
-        }
-        let node = |at| self.supply.node(Item::Sim(SimItem::Knob(at)));
-        (0..).zip(self.knobs()).map(|(at, (name, _))| (name.to_string(), node(at))).collect()
+        let knobs = self.0.knobs.as_ref().map(|knobs| knobs.list()).unwrap_or_default();
+        let knobs = (0..).zip(knobs);
+        knobs.map(|(at, (name, _))| (name.to_string(), self.0.node(Item::Sim(SimItem::Knob(at))))).collect()
+    }
+}
+
+/// One file of `sim`.
+struct Knob<'a> {
+    supply: &'a Supply,
+    at: u8,
+}
+
+impl<'a> Knob<'a> {
+    /// All knobs, the name of this one, and whether it may be written.
+    fn find(&self) -> Option<(&'a dyn Knobs, &'static str, bool)> {
+        let knobs = self.supply.knobs.as_deref()?;
+        let (name, writable) = *knobs.list().get(usize::from(self.at))?;
+        Some((knobs, name, writable))
+    }
+}
+
+impl Operations for Knob<'_> {
+    fn parent(&self) -> Node {
+        self.supply.node(Item::Sim(SimItem::Folder))
+    }
+
+    fn mode(&self) -> Mode {
+        if self.find().is_some_and(|(_, _, writable)| writable) { Mode::ReadWrite } else { Mode::Read }
     }
 
     fn content(&self) -> Content {
-        let text = self.supply.knobs.as_ref().zip(self.knob()).and_then(|(knobs, (name, _))| knobs.get(name));
+        let text = self.find().and_then(|(knobs, name, _)| knobs.get(name));
         text.map(|text| text + "\n").into()
     }
 
     fn write(&self, data: &[u8], done: Done<()>) {
-        let knob = self.supply.knobs.as_ref().zip(self.knob());
-        if knob.is_some_and(|(_, (_, writable))| !writable) {
-            return done(Err(not_writable()));
-        }
-        let Some((knobs, (name, _))) = knob else {
-            return done(Err(Error::host("", Errno::ENODEV, "the simulated gauge has no such knob")));
+        let (knobs, name) = match self.find() {
+            Some((knobs, name, true)) => (knobs, name),
+            Some((_, _, false)) => return done(Err(not_writable())),
+            None => return done(Err(Error::host("", Errno::ENODEV, "the simulated gauge has no such knob"))),
         };
         let text = std::str::from_utf8(data).unwrap_or_default().trim();
         let attempt = Attempt::Knob(name);

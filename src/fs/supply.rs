@@ -8,7 +8,7 @@ use std::sync::Arc;
 use super::attribute::{self, Attribute, Kind, Reading};
 use super::transaction::Transaction;
 use super::{
-    Content, DfItem, GaugeItem, Item, Knobs, MountedGauge, Node, Of, Operations, SUBSYSTEM, Scales, Shape,
+    Content, DfItem, GaugeItem, Item, Knobs, MountedGauge, Node, Operations, SUBSYSTEM, Scales, Shape,
     SimItem, find,
 };
 use gauge_owner::{Context, Done, Handle, Published, Snapshot, Spoken};
@@ -37,6 +37,11 @@ impl Supply {
         Node::Of(self.index, item)
     }
 
+    /// Its folder.
+    pub(super) fn folder(&self) -> Node {
+        self.node(Item::Supply(SupplyItem::Folder))
+    }
+
     pub(super) fn chip(&self) -> &'static Chip {
         self.handle.chip()
     }
@@ -59,6 +64,10 @@ impl Supply {
 
     pub(super) fn reading<'a>(&'a self, snapshot: Option<&'a Snapshot>) -> Reading<'a> {
         Reading::new(&self.handle, snapshot, &self.scales)
+    }
+
+    fn text_of(&self, attribute: Attribute) -> Option<String> {
+        attribute.text(&self.reading(self.fresh().as_deref()))
     }
 
     /// Asks for what was written to the file of an operation.
@@ -87,70 +96,79 @@ pub enum SupplyItem {
     Subsystem,
 }
 
-impl Of<'_, SupplyItem> {
-    fn attribute_text(&self, attribute: Attribute) -> Option<String> {
-        attribute.text(&self.supply.reading(self.supply.fresh().as_deref()))
+impl SupplyItem {
+    /// What answers for it.
+    pub(super) fn of(self, supply: &Arc<Supply>) -> Box<dyn Operations + '_> {
+        match self {
+            SupplyItem::Folder => Box::new(Folder(supply)),
+            SupplyItem::Attribute(attribute) => Box::new(Value { supply, attribute }),
+            SupplyItem::Uevent => Box::new(Uevent(supply)),
+            SupplyItem::Subsystem => Box::new(Subsystem(supply)),
+        }
     }
+}
 
-    /// The items of the folder beside attributes.
+/// The folder of a gauge.
+struct Folder<'a>(&'a Supply);
+
+impl Folder<'_> {
+    /// What is in it beside attributes.
     fn rest(&self) -> Vec<(String, Node)> {
         let rest = [
             ("uevent", Some(Item::Supply(SupplyItem::Uevent))),
             ("subsystem", Some(Item::Supply(SupplyItem::Subsystem))),
-            ("df", self.supply.has_own_table().then_some(Item::Df(DfItem::Folder))),
+            ("df", self.0.has_own_table().then_some(Item::Df(DfItem::Folder))),
             ("gauge", Some(Item::Gauge(GaugeItem::Folder))),
-            ("sim", self.supply.knobs.is_some().then_some(Item::Sim(SimItem::Folder))),
+            ("sim", self.0.knobs.is_some().then_some(Item::Sim(SimItem::Folder))),
         ];
         let there = rest.into_iter().filter_map(|(name, item)| Some((name, item?)));
-        there.map(|(name, item)| (name.to_string(), self.supply.node(item))).collect()
+        there.map(|(name, item)| (name.to_string(), self.0.node(item))).collect()
     }
 
-    fn attribute_node(&self, attribute: Attribute) -> Node {
-        self.supply.node(Item::Supply(SupplyItem::Attribute(attribute)))
+    fn attribute(&self, attribute: Attribute) -> Node {
+        self.0.node(Item::Supply(SupplyItem::Attribute(attribute)))
     }
 }
 
-impl Operations for Of<'_, SupplyItem> {
+impl Operations for Folder<'_> {
     fn parent(&self) -> Node {
-        match self.item {
-            SupplyItem::Folder => Node::Root,
-            _ => self.supply.node(Item::Supply(SupplyItem::Folder)),
-        }
+        Node::Root
     }
 
     fn shape(&self) -> Shape {
-        match self.item {
-            SupplyItem::Folder => Shape::Folder,
-            SupplyItem::Subsystem => Shape::Link,
-            SupplyItem::Attribute(_) | SupplyItem::Uevent => Shape::File,
-        }
-    }
-
-    fn name(&self) -> Option<&'static str> {
-        if let SupplyItem::Attribute(attribute) = self.item { Some(attribute.name()) } else { None }
+        Shape::Folder
     }
 
     fn list(&self) -> Vec<(String, Node)> {
-        if self.item != SupplyItem::Folder {
-            return Vec::new();
-        }
-        let snapshot = self.supply.fresh();
-        let reading = self.supply.reading(snapshot.as_deref());
+        let snapshot = self.0.fresh();
+        let reading = self.0.reading(snapshot.as_deref());
         let there = Attribute::all().filter(|attribute| attribute.text(&reading).is_some());
-        let attributes =
-            there.map(|attribute| (attribute.name().to_string(), self.attribute_node(attribute)));
+        let attributes = there.map(|attribute| (attribute.name().to_string(), self.attribute(attribute)));
         attributes.chain(self.rest()).collect()
     }
 
     /// Renders no attribute but the one that is looked up.
     fn lookup(&self, name: &str) -> Option<Node> {
-        if self.item != SupplyItem::Folder {
-            return None;
-        }
         match Attribute::by_name(name) {
-            Some(attribute) => self.attribute_text(attribute).map(|_| self.attribute_node(attribute)),
+            Some(attribute) => self.0.text_of(attribute).map(|_| self.attribute(attribute)),
             None => find(self.rest(), name),
         }
+    }
+}
+
+/// A power_supply attribute.
+struct Value<'a> {
+    supply: &'a Supply,
+    attribute: Attribute,
+}
+
+impl Operations for Value<'_> {
+    fn parent(&self) -> Node {
+        self.supply.folder()
+    }
+
+    fn name(&self) -> Option<&'static str> {
+        Some(self.attribute.name())
     }
 
     fn may_be_cached(&self) -> bool {
@@ -158,18 +176,41 @@ impl Operations for Of<'_, SupplyItem> {
     }
 
     fn content(&self) -> Content {
-        match self.item {
-            SupplyItem::Folder | SupplyItem::Subsystem => Content::Absent,
-            SupplyItem::Attribute(attribute) => self.attribute_text(attribute).map(|text| text + "\n").into(),
-            SupplyItem::Uevent => {
-                let snapshot = self.supply.fresh();
-                let reading = self.supply.reading(snapshot.as_deref());
-                Some(attribute::uevent(&self.supply.name, &reading)).into()
-            }
-        }
+        self.supply.text_of(self.attribute).map(|text| text + "\n").into()
+    }
+}
+
+/// `uevent`.
+struct Uevent<'a>(&'a Supply);
+
+impl Operations for Uevent<'_> {
+    fn parent(&self) -> Node {
+        self.0.folder()
+    }
+
+    fn may_be_cached(&self) -> bool {
+        true
+    }
+
+    fn content(&self) -> Content {
+        let snapshot = self.0.fresh();
+        Some(attribute::uevent(&self.0.name, &self.0.reading(snapshot.as_deref()))).into()
+    }
+}
+
+/// `subsystem`.
+struct Subsystem<'a>(&'a Supply);
+
+impl Operations for Subsystem<'_> {
+    fn parent(&self) -> Node {
+        self.0.folder()
+    }
+
+    fn shape(&self) -> Shape {
+        Shape::Link
     }
 
     fn target(&self) -> Option<String> {
-        (self.item == SupplyItem::Subsystem).then(|| SUBSYSTEM.into())
+        Some(SUBSYSTEM.into())
     }
 }
