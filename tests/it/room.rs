@@ -6,6 +6,7 @@
 mod apart;
 mod commands;
 mod documents;
+pub(crate) mod ioctls;
 mod mounted;
 mod scratch;
 mod session;
