@@ -221,6 +221,31 @@ fn the_scenario_swapped_pack_changes_neither_pack() {
     assert_eq!(write(&gauge, "df/80/53", "3200"), Ok(()));
 }
 
+/// An hour in ten seconds.
+#[test]
+fn the_scenario_failing_bus_ends_with_right_values() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let (_mount, gauge) = playing(&folder, "failing-bus");
+    let number = |name: &str| read(&gauge, name).parse::<f64>().expect("a number");
+    let begun = number("sim/clock");
+    assert_eq!(write(&gauge, "sim/speed", "360"), Ok(()));
+    within(Duration::from_secs(60), "an hour", || number("sim/clock") > begun + 3600.0);
+    assert_eq!(write(&gauge, "sim/speed", "0"), Ok(()));
+    assert!(number("sim/nacks") > 0.0);
+    let polls = number("gauge/statistics/polls");
+    within(Duration::from_secs(60), "two polls", || number("gauge/statistics/polls") > polls + 1.0);
+    for (name, text) in
+        [("present", "1"), ("status", "Discharging"), ("current_now", "-100000"), ("temp", "250")]
+    {
+        assert_eq!(read(&gauge, name), text, "{name}");
+    }
+    assert!((68.0..=72.0).contains(&number("capacity")), "{}", number("capacity"));
+    assert!((number("capacity") - number("sim/soc")).abs() <= 1.0, "the pack has {}", number("sim/soc"));
+}
+
 /// A ride of three hours in a few seconds.
 #[test]
 fn a_scenario_is_recorded_and_drawn() {
