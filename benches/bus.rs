@@ -8,12 +8,17 @@
 //! Costs are transfers and bytes, the address byte of each direction included. A parameter's cost is that of the
 //! costliest parameter of the chip, all checks and the journal included: first the first write of a mount to a
 //! sealed gauge, then a later one to a gauge found unsealed. The budgets of the bq34z100-G1 are promises.
+//!
+//! Beside it, what a word takes that another program reads on the bus of `gaugefs sim`. `tests/vm/run bq34z100-g1` compares that
+//! with an adapter of the kernel.
 
 use std::collections::HashMap;
+use std::env;
+use std::error::Error;
 use std::fmt;
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::ExitCode;
+use std::process::{Command, ExitCode};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -21,6 +26,8 @@ use gauge_bus::bounded::Bounded;
 use gauge_bus::clock::{Clock, RealClock, SimClock};
 use gauge_bus::{Bus, BusError, wire_bytes};
 use gauge_sim::{Options, Sim};
+use i2cdev::core::I2CDevice;
+use i2cdev::linux::LinuxI2CDevice;
 use ti_gauge::chip::{CHIPS, Chip, Kind, Parameter, Scheme, Tier};
 use ti_gauge::codec;
 use ti_gauge::codec::WINDOW;
@@ -91,7 +98,22 @@ impl fmt::Display for Cost {
     }
 }
 
+/// What this program is told when it is the other program on a bus of `gaugefs sim`.
+const READ_WORDS: &str = "words";
+
 fn main() -> ExitCode {
+    if env::args().any(|argument| argument == READ_WORDS) {
+        return match read_words() {
+            Ok(each) => {
+                println!("{}", each.as_nanos());
+                ExitCode::SUCCESS
+            }
+            Err(why) => {
+                eprintln!("{why}");
+                ExitCode::FAILURE
+            }
+        };
+    }
     let mut report = Report::default();
     println!(
         "transfers/bytes    poll  kernel  first parameter  later one  blocks      image  of needed   takes"
@@ -106,7 +128,37 @@ fn main() -> ExitCode {
     println!(
         "the thread that bounds real transfers adds {thread:.1?} to each; a word takes {wire:?} at 100 kHz"
     );
+    match [&["--fast"][..], &["--speed", "100"]].map(word_on_a_bus) {
+        [Ok(fast), Ok(slow)] => report.row(
+            "a word that another program reads on the bus of `gaugefs sim`, without and with the time of the bus",
+            &format!("{:.2} ms; {:.2} ms", fast.as_secs_f64() * 1e3, slow.as_secs_f64() * 1e3),
+            &format!("{:.2} ms on a wire at 100 kHz", wire.as_secs_f64() * 1e3),
+        ),
+        [Err(why), _] | [_, Err(why)] => println!("SKIPPED: no bus of `gaugefs sim` was timed: {why}"),
+    }
     report.finish()
+}
+
+/// What a word takes on the bus of a command, which is this program.
+fn word_on_a_bus(how: &[&str]) -> std::result::Result<Duration, Box<dyn Error>> {
+    let mut sim = Command::new(env!("CARGO_BIN_EXE_gaugefs"));
+    let ran =
+        sim.args(["sim", BUDGETED]).args(how).arg("--").arg(env::current_exe()?).arg(READ_WORDS).output()?;
+    if !ran.status.success() {
+        return Err(String::from_utf8_lossy(&ran.stderr).trim_end().into());
+    }
+    Ok(Duration::from_nanos(String::from_utf8(ran.stdout)?.trim_end().parse()?))
+}
+
+/// What one of many words takes.
+fn read_words() -> std::result::Result<Duration, Box<dyn Error>> {
+    const WORDS: u32 = 5000;
+    let mut gauge = LinuxI2CDevice::new(env::var("I2C_DEV")?, 0x55)?;
+    let begun = Instant::now();
+    for _ in 0..WORDS {
+        gauge.smbus_read_word_data(0x08)?;
+    }
+    Ok(begun.elapsed() / WORDS)
 }
 
 /// What [`Bounded`] adds to a transfer.
