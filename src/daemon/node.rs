@@ -40,8 +40,9 @@ const OPTION: &str = "kernel-node";
 const DRIVER: &str = "sbs-battery";
 /// The adapters and devices of I2C.
 const DEVICES: &str = "/sys/bus/i2c/devices";
-/// At most one event in that time: for each the kernel reads everything from the battery.
-const PAUSE: Duration = Duration::from_secs(1);
+/// Between two events: for each the kernel reads everything from the battery. What changes meanwhile is told within a second all
+/// the same.
+const PAUSE: Duration = Duration::from_millis(500);
 /// Most bytes of a message.
 const LONGEST: usize = 256;
 

@@ -195,8 +195,8 @@ fn listeners_hear_of_changes_and_of_each_way_in_which_a_mount_ends() {
 }
 
 #[test]
-fn a_supply_is_told_once_a_second_at_most() {
-    if !is_apart("events::a_supply_is_told_once_a_second_at_most") {
+fn a_supply_is_told_twice_a_second_at_most() {
+    if !is_apart("events::a_supply_is_told_twice_a_second_at_most") {
         return;
     }
     let listener = Listener::new();
@@ -212,7 +212,7 @@ fn a_supply_is_told_once_a_second_at_most() {
             heard += u64::from(listener.next(left).is_some_and(|message| message == CHANGED));
         }
     }
-    assert!((1..=start.elapsed().as_secs() + 1).contains(&heard), "{heard} in {:?}", start.elapsed());
+    assert!((1..=2 * start.elapsed().as_secs() + 2).contains(&heard), "{heard} in {:?}", start.elapsed());
     assert_eq!(events.ends(), Some(0));
     drop(daemon);
     gaugefs(&["umount", SUPPLIES]).done();
