@@ -66,7 +66,8 @@ pub(crate) struct Gauge {
 impl Gauge {
     /// Opens a simulated or recorded gauge, to be at that address.
     pub(crate) fn open(source: &Source, address: u8, clock: &Arc<dyn Clock>) -> Result<Self> {
-        let Opened { chip, bus, sim, lock, .. } = source.open(Path::new("/"), clock, false)?;
+        // It is mounted nowhere.
+        let Opened { chip, bus, sim, lock, .. } = source.open(Path::new(""), clock, false)?;
         Ok(Self { name: chip.name.into(), address, sim, bus, _lock: lock })
     }
 }

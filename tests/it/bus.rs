@@ -178,6 +178,21 @@ fn what_a_killed_server_has_left_is_replaced() {
 }
 
 #[test]
+fn regression_who_has_the_state_of_a_bus_was_told_to_be_mounted_at_the_root() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let state = folder.file("state");
+    let server = Server::start(&folder, &[CHIP, "--state", &state]);
+    let who = format!("{state}: in use by process {} (gaugefs of ", server.child.id());
+    let end = format!("end it: kill {}", server.child.id());
+    let refused = gaugefs(&["sim", CHIP, "--state", &state, "--", "true"]);
+    assert!(!refused.err.contains("umount"), "{}", refused.err);
+    refused.failed(&[&who, &end]);
+}
+
+#[test]
 fn the_knobs_act_on_the_gauges_of_the_bus() {
     if !can_mount() {
         return;
