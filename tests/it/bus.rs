@@ -278,6 +278,32 @@ fn regression_the_bus_of_an_ordinary_user_could_not_be_opened_before_it_was_look
     assert_eq!(run(as_nobody(&folder, &opened)).done(), "opened\n");
 }
 
+/// What it does not have is not acknowledged, so a mount has to be told which chip it is: who looks for that reads other
+/// registers than a mount does.
+#[test]
+fn a_recording_is_a_gauge_of_the_bus() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let (at, trace) = (folder.file("m"), folder.file("trace"));
+    gaugefs(&["mount", "--sim", CHIP, "--poll", "0.5", "--trace", &trace, &at]).done();
+    let read = |name: &str| fs::read_to_string(format!("{at}/BAT0/{name}")).expect("a value");
+    within(Duration::from_secs(60), "three polls", || read("gauge/statistics/polls").trim_end() >= "3");
+    let shown = read("voltage_now");
+    gaugefs(&["umount", &at]).done();
+    let mut server = Server::start(&folder, &["--replay", &trace, "--fast"]);
+    let mut device = server.device(0x55);
+    assert_eq!(voltage(&mut device), 3855);
+    assert!(device.smbus_write_byte_data(0x40, 1).is_err(), "a recording cannot be changed");
+    assert_eq!(voltage(&mut device), 3855);
+    drop(device);
+    gaugefs(&["mount", "--chip", CHIP, "--bus", &server.path, &at]).done();
+    assert_eq!(read("voltage_now"), shown);
+    gaugefs(&["umount", &at]).done();
+    server.ends(Signal::SIGTERM);
+}
+
 /// gaugefs on its own bus shows what it shows of a gauge that it simulates itself, and writes as it does there.
 #[test]
 fn a_gauge_is_mounted_from_its_bus_as_without_one() {
