@@ -17,6 +17,7 @@ use gauge_bus::GAUGE_ADDRESS;
 use gauge_bus::clock::{Clock, RealClock};
 use gauge_owner::{Script, Source};
 use ti_gauge::chip::Chip;
+use ti_gauge::text;
 
 const SIM: &str = "\
 Examples:
@@ -183,12 +184,14 @@ impl Sim {
 fn chip(word: &str) -> Result<Simulated> {
     let (name, at) = word.split_once('@').map_or((word, None), |(name, at)| (name, Some(at)));
     let refuse = |why: String| Error::new(word, Cause::Invalid, why);
-    let known = Chip::by_name(&name.to_ascii_lowercase()).filter(|chip| gauge_sim::Sim::knows(chip.name));
-    let chip = known.ok_or_else(|| {
-        refuse(
-            "no gauge that is simulated; `gaugefs chips` lists them. A PATH has a slash, such as ./bus"
-                .into(),
-        )
+    let is_simulated = |chip: &&'static Chip| gauge_sim::Sim::knows(chip.name);
+    let chip = Chip::by_name(&name.to_ascii_lowercase()).filter(is_simulated).ok_or_else(|| {
+        let names = Chip::all().filter(is_simulated).map(|chip| chip.name);
+        let meant = text::nearest(&name.to_ascii_lowercase(), names);
+        let meant = meant.map_or(";".into(), |meant| format!("; did you mean {meant}?"));
+        refuse(format!(
+            "no gauge that is simulated{meant} `gaugefs chips` lists them. A PATH has a slash, such as ./bus"
+        ))
     })?;
     let address = at.map_or(Ok(GAUGE_ADDRESS), |at| address(at).map_err(refuse))?;
     Ok((chip, address))

@@ -519,7 +519,9 @@ fn what_is_no_bus_is_refused() {
     assert!(!Path::new(&folder.file("bus")).exists());
     gaugefs(&["sim", "--fast"]).failed(&["no gauge; name a CHIP"]);
     gaugefs(&["sim", CHIP]).failed(&["nowhere to offer the bus"]);
-    gaugefs(&["sim", "bus"]).failed(&["bus: no gauge that is simulated"]);
+    gaugefs(&["sim", "bus"]).failed(&["bus: no gauge that is simulated; `gaugefs chips` lists them"]);
+    let typed = ["sim", "bq34z100g1", "--", "true"];
+    gaugefs(&typed).failed(&["bq34z100g1: no gauge that is simulated; did you mean bq34z100-g1?"]);
     gaugefs(&["sim", CHIP, CHIP, "./bus"]).failed(&["another gauge is at address 0x55"]);
     gaugefs(&["sim", "bq34z100-g1@0x80", "./bus"]).failed(&["expected a 7-bit address"]);
     gaugefs(&["sim", CHIP, "bq27220@0x56", "--state", &folder.file("s"), "./bus"]).failed(&["one CHIP"]);
