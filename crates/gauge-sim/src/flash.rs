@@ -322,7 +322,7 @@ const LONGEST: u64 = 4 << 20;
 const HEAD: &str = "gaugefs simulated gauge 1";
 
 fn host(path: &Path, error: &io::Error, what: &str) -> Error {
-    let text = format!("the simulated gauge's state {what}: {error}");
+    let text = format!("the simulated gauge's state {what}: {}", gauge_bus::error::reason(error));
     Error::new(path.display().to_string(), Kind::Io(error.kind()), text)
 }
 

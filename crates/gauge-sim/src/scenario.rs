@@ -218,7 +218,7 @@ impl Scenario {
                 (None, None, Some(count @ 1..)) => Count::Commits(count),
                 _ => {
                     return Err(bad(
-                        "when; write one of `at` with a time, `transfer` or `commit` with a number from 1",
+                        "it has to say when, by one of `at` with a time, `transfer` or `commit` with a number from 1",
                     ));
                 }
             };
@@ -562,8 +562,8 @@ mod tests {
             "{}",
             refused("\n\n[[step]]\nat = 'soon'\n")
         );
-        assert!(refused("[[step]]\nload_ma = 1\n").starts_with("day.toml: step 1: when; write one of"));
-        assert!(refused("[[step]]\nat = 1\ncommit = 1\n").contains("step 1: when"));
+        assert!(refused("[[step]]\nload_ma = 1\n").starts_with("day.toml: step 1: it has to say when, by one of"));
+        assert!(refused("[[step]]\nat = 1\ncommit = 1\n").contains("step 1: it has to say when"));
         assert!(refused("[[step]]\nat = 1\nafter = 1\n").contains("after: it is for a step with"));
         assert!(refused("[[step]]\ncommit = 1\njitter = 1\n").contains("for a step with `at`"));
         assert!(
