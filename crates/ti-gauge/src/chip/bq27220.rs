@@ -86,11 +86,13 @@ pub static CHIP: Chip = Chip {
         soonest: Duration::from_millis(1),
         // All of them wait 10 ms before they read back.
         commit: Duration::from_millis(10),
-        // 6.1: up to 1 s. Flipper's driver and Espressif's ask for [CFGUPDATE] at once, another one after 1.2 s.
+        // 6.1: up to 1 s. Flipper's driver asks for [CFGUPDATE] at once, and then each millisecond; one for the T-Deck Pro every
+        // 20 ms; another one after 1.2 s. Espressif's means to, but the condition of its loop ends it before the first look.
         enter: Duration::ZERO,
         enter_limit: Duration::from_millis(2500),
-        // Flipper's driver: before that, data memory reads as nonsense. Espressif's asks for [CFGUPDATE] after 10 ms, and
-        // then for DesignCapacity(), to see that its profile is there.
+        // Flipper's driver: before that, data memory reads as nonsense. DesignCapacity(), by which they see that the profile is
+        // there, is asked for by the one for the T-Deck Pro after 0.2 s, by Espressif's after 2 s: its loop goes on while
+        // [CFGUPDATE] is clear.
         reset: Duration::from_secs(2),
         reset_limit: Duration::from_secs(4),
     },
