@@ -220,7 +220,9 @@ impl fmt::Display for Holder {
         f.write_str(&process(Path::new("/"), self.pid))?;
         match &self.mountpoint {
             Some(place) => write!(f, " for {0}; end it with: gaugefs umount {0}", shown(place)),
-            None => write!(f, "; if it has mounted the gauge, unmount that, otherwise end it: kill {}", self.pid),
+            None => {
+                write!(f, "; if it has mounted the gauge, unmount that, otherwise end it: kill {}", self.pid)
+            }
         }
     }
 }

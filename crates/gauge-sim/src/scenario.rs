@@ -562,7 +562,9 @@ mod tests {
             "{}",
             refused("\n\n[[step]]\nat = 'soon'\n")
         );
-        assert!(refused("[[step]]\nload_ma = 1\n").starts_with("day.toml: step 1: it has to say when, by one of"));
+        assert!(
+            refused("[[step]]\nload_ma = 1\n").starts_with("day.toml: step 1: it has to say when, by one of")
+        );
         assert!(refused("[[step]]\nat = 1\ncommit = 1\n").contains("step 1: it has to say when"));
         assert!(refused("[[step]]\nat = 1\nafter = 1\n").contains("after: it is for a step with"));
         assert!(refused("[[step]]\ncommit = 1\njitter = 1\n").contains("for a step with `at`"));
