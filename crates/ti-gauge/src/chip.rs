@@ -761,10 +761,7 @@ impl Chip {
 
     /// The register that distinguishes packs. A chemistry ID is no serial number.
     pub fn serial_register(&self) -> Option<u8> {
-        match self.preflight.pack.as_ref()?.word {
-            Word::Register(code) => Some(code),
-            Word::ControlStatus | Word::Answer(_) => None,
-        }
+        self.preflight.pack.as_ref()?.word.register()
     }
 
     /// The register at an address.

@@ -35,6 +35,13 @@ pub enum Word {
     Answer(u16),
 }
 
+impl Word {
+    /// The address of a standard command; `None` for another word.
+    pub fn register(self) -> Option<u8> {
+        if let Word::Register(code) = self { Some(code) } else { None }
+    }
+}
+
 /// A word that differs from pack to pack.
 #[derive(Debug)]
 pub struct Pack {

@@ -300,11 +300,7 @@ impl DataFlash {
             return Err(Error::new("Flags() [ITPOR]", Cause::Gone, why).at(Step::Check));
         }
         for mode in chip.preflight.modes {
-            let word = match mode.word {
-                Word::ControlStatus => found.status,
-                Word::Register(code) => found.register(code),
-                Word::Answer(_) => continue,
-            };
+            let Some(word) = found.word(mode.word) else { continue };
             if !(mode.ours && self.mode_left_on) {
                 off(mode, word)?;
             }
@@ -394,15 +390,21 @@ impl Found {
         u16::from_le_bytes([self.look.behind[at], self.look.behind[at + 1]])
     }
 
+    /// A word that the look has shown; `None` for an answer to a subcommand, which takes a question of its own.
+    fn word(&self, word: Word) -> Option<u16> {
+        match word {
+            Word::ControlStatus => Some(self.status),
+            Word::Register(code) => Some(self.register(code)),
+            Word::Answer(_) => None,
+        }
+    }
+
     /// Whether a later look shows all that decides about a write as this one does. A voltage moves; one with a wrong bit
     /// that matters is further off.
     fn is_like(&self, later: &Self, chip: &Chip) -> bool {
         let decides = |found: &Self| {
-            let modes = chip.preflight.modes.iter().map(|mode| match mode.word {
-                Word::ControlStatus => found.status & mode.mask,
-                Word::Register(code) => found.register(code) & mode.mask,
-                Word::Answer(_) => 0,
-            });
+            let modes = chip.preflight.modes.iter();
+            let modes = modes.map(|mode| found.word(mode.word).map(|word| word & mode.mask));
             let learning = chip.preflight.learning.as_ref();
             let voltage = chip.preflight.voltage_mv.map(|(min, max)| (min..=max).contains(&found.voltage_mv));
             let learns = learning.is_some_and(|learning| learning.may_run(found.status));
@@ -448,10 +450,7 @@ fn voltage(chip: &Chip) -> u8 {
 
 /// How many bytes behind CONTROL_STATUS show the state of a gauge.
 fn behind(chip: &Chip) -> usize {
-    let modes = chip.preflight.modes.iter().filter_map(|mode| match mode.word {
-        Word::Register(code) => Some(code),
-        Word::ControlStatus | Word::Answer(_) => None,
-    });
+    let modes = chip.preflight.modes.iter().filter_map(|mode| mode.word.register());
     let flags = chip.register(Role::Flags).filter(|_| chip.volatile.is_some()).map(|flags| flags.code);
     modes.chain(flags).fold(voltage(chip), u8::max).into()
 }
