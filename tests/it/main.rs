@@ -14,6 +14,9 @@ mod ends;
 mod endurance;
 #[cfg(feature = "screen")]
 mod events;
+#[allow(dead_code, reason = "the tests of the boot loader use the rest")]
+#[path = "../../crates/ti-gauge/tests/it/firmware.rs"]
+mod firmware;
 mod forgetful;
 mod house;
 mod input;
@@ -35,6 +38,7 @@ mod program;
 mod readme;
 mod refused;
 mod report;
+mod rescue;
 #[allow(dead_code, reason = "the tests of the engine use the rest")]
 #[path = "../../crates/ti-gauge/tests/it/rig.rs"]
 mod rig;
