@@ -8,22 +8,18 @@
 use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 
 use gauge_bus::Bus;
 use gauge_bus::clock::Clock;
-use gauge_owner::{self as owner, Handle, Settings, Signal};
-use gauge_sim::{Options, Sim};
-use gaugefs::fs::{Access, Fs, MountedGauge, Scales};
-use gaugefs::fuse::{self, Mounted};
+use gauge_owner::Settings;
+use gaugefs::fs::Access;
 use nix::errno::Errno;
 use ti_gauge::chip::Chip;
 use ti_gauge::journal::Journal;
 
 use crate::rig::Random;
-use crate::room::{Folder, Hurried, SimKnobs, can_mount};
+use crate::room::{Folder, Swift, can_mount};
 
 const CHIP: &str = "bq34z100-g1";
 const TICK: Duration = Duration::from_secs(600);
@@ -74,17 +70,12 @@ impl Used {
 struct Days {
     seed: u64,
     random: Random,
-    root: PathBuf,
+    mount: Swift,
     journals: PathBuf,
-    clock: Arc<Hurried>,
-    sim: Sim,
-    handle: Handle,
     /// What each of [`WRITTEN`] may hold.
     values: Vec<BTreeSet<String>>,
     cycles: u64,
     counts: [u64; 5],
-    _mounted: Mounted,
-    _folder: Folder,
 }
 
 const WRITES: usize = 0;
@@ -102,82 +93,66 @@ impl Drop for Days {
 impl Days {
     fn new(seed: u64) -> Self {
         let folder = Folder::new();
-        let root = PathBuf::from(folder.file("m"));
         // In memory if possible: each write is synced several times.
         let memory = Path::new("/dev/shm");
         let state = format!("gaugefs-days-{}-{seed}", std::process::id());
         let journals = if memory.is_dir() { memory.join(state) } else { PathBuf::from(folder.file("state")) };
-        fs::create_dir(&root).expect("a folder");
-        let clock = Arc::new(Hurried::default());
-        let sim = Sim::new(CHIP, &Options::default(), clock.clone()).expect("a simulated chip");
-        // A board that was calibrated, so that its pack can be told from others.
-        sim.set_flash(104, 11, &[3]);
-        clock.sleep(Duration::from_secs(2));
-        let signal = Arc::new(Signal::default());
         let journal = Journal::new(journals.clone(), "i2c-1-55".into(), "i2c-1 address 0x55".into());
         let settings = Settings { interval: TICK, journal: Some(journal), ..Settings::default() };
         let chip = Chip::by_name(CHIP).expect("a chip of the tables");
-        let handle = owner::spawn(chip, Box::new(sim.bus()), clock.clone(), settings, signal.clone())
-            .expect("a gauge");
-        let gauge = MountedGauge {
-            name: "BAT0".into(),
-            handle: handle.clone(),
-            scales: Scales::default(),
-            knobs: Some(Box::new(SimKnobs { sim: sim.clone(), defect: Arc::new(AtomicBool::new(false)) })),
-        };
         let (uid, gid) = (nix::unistd::geteuid().as_raw(), nix::unistd::getegid().as_raw());
-        let tree = Arc::new(Fs::new(vec![gauge], Access { uid, gid, group: false }));
-        let mounted = fuse::mount(tree, &root, fuse::Options::default(), signal).expect("a mount");
+        let access = Access { uid, gid, group: false };
+        // A board that was calibrated, so that its pack can be told from others.
+        let mount = Swift::new(chip, folder, settings, access, |sim| sim.set_flash(104, 11, &[3]));
         let mut days = Self {
             seed,
             random: Random(seed),
-            root: root.join("BAT0"),
+            mount,
             journals,
-            clock,
-            sim,
-            handle,
             values: Vec::new(),
             cycles: 0,
             counts: [0; 5],
-            _mounted: mounted,
-            _folder: folder,
         };
         days.values = WRITTEN.iter().map(|(place, _)| [days.text(&format!("df/{place}"))].into()).collect();
         // It learns from now on.
         for (name, text) in [("seal", "unsealed"), ("control", "IT_ENABLE"), ("seal", "sealed")] {
-            fs::write(days.root.join("gauge").join(name), text).expect("it is safe");
+            fs::write(days.mount.root.join("gauge").join(name), text).expect("it is safe");
         }
         days
     }
 
     fn text(&self, name: &str) -> String {
-        let text = fs::read_to_string(self.root.join(name));
+        let text = fs::read_to_string(self.mount.root.join(name));
         text.unwrap_or_else(|error| self.fail(&format!("{name}: {error}"))).trim_end().to_string()
     }
 
     #[track_caller]
     fn fail(&self, what: &str) -> ! {
-        let error = self.handle.published().last_error.clone();
-        panic!("GAUGEFS_SEED={}, at {:?}: {what}; gauge/last_error: {error}", self.seed, self.clock.now());
+        let error = self.mount.handle.published().last_error.clone();
+        panic!(
+            "GAUGEFS_SEED={}, at {:?}: {what}; gauge/last_error: {error}",
+            self.seed,
+            self.mount.clock.now()
+        );
     }
 
     fn refresh(&self) -> std::io::Result<()> {
-        fs::write(self.root.join("gauge/refresh"), "1")
+        fs::write(self.mount.root.join("gauge/refresh"), "1")
     }
 
     /// Lets a tick pass, and polls.
     fn tick(&self) -> std::io::Result<()> {
-        self.clock.sleep(TICK);
+        self.mount.clock.sleep(TICK);
         self.refresh()
     }
 
     /// Everything is well again, and what is owed is paid.
     fn heal(&mut self) {
-        self.sim.set("fault", "none").expect("a knob");
-        self.sim.set("power", "on").expect("a knob");
+        self.mount.sim.set("fault", "none").expect("a knob");
+        self.mount.sim.set("power", "on").expect("a knob");
         for attempt in 0.. {
-            self.clock.sleep(Duration::from_secs(31));
-            let is_there = self.refresh().is_ok() && Path::exists(&self.root.join("voltage_now"));
+            self.mount.clock.sleep(Duration::from_secs(31));
+            let is_there = self.refresh().is_ok() && Path::exists(&self.mount.root.join("voltage_now"));
             if is_there && self.text("gauge/owed") == "0" && self.reads_back().is_ok() {
                 break;
             }
@@ -187,7 +162,7 @@ impl Days {
         }
         // Where it was found open, its key has to be used once.
         for seal in ["sealed", "unsealed", "sealed"] {
-            let sealed = fs::write(self.root.join("gauge/seal"), seal);
+            let sealed = fs::write(self.mount.root.join("gauge/seal"), seal);
             sealed.unwrap_or_else(|error| self.fail(&format!("{seal}: {error}")));
         }
     }
@@ -195,7 +170,7 @@ impl Days {
     /// Each parameter has a value that the answers allow.
     fn reads_back(&mut self) -> std::io::Result<()> {
         for (at, (place, _)) in WRITTEN.iter().enumerate() {
-            let text = fs::read_to_string(self.root.join("df").join(place))?.trim_end().to_string();
+            let text = fs::read_to_string(self.mount.root.join("df").join(place))?.trim_end().to_string();
             if !self.values[at].contains(&text) {
                 self.fail(&format!("{place} is {text}, not of {:?}", self.values[at]));
             }
@@ -209,7 +184,7 @@ impl Days {
         let (place, texts) = WRITTEN[at];
         let text = *self.random.pick(texts);
         let is_low = self.word(0x08) < 2900;
-        match fs::write(self.root.join("df").join(place), text) {
+        match fs::write(self.mount.root.join("df").join(place), text) {
             Ok(()) => {
                 self.counts[WRITES] += 1;
                 self.values[at] = [text.to_string()].into();
@@ -233,12 +208,12 @@ impl Days {
     fn word(&self, code: u8) -> u64 {
         let mut bytes = [0; 2];
         // It may be without power.
-        let _ = self.sim.bus().transfer(&[code], &mut bytes);
+        let _ = self.mount.sim.bus().transfer(&[code], &mut bytes);
         u16::from_le_bytes(bytes).into()
     }
 
     fn hour(&mut self, hour: u64) {
-        self.sim.set("load_ma", load(hour)).expect("a knob");
+        self.mount.sim.set("load_ma", load(hour)).expect("a knob");
         let what = self.random.below(30);
         let number = 1 + self.random.below(40);
         let fault = match what {
@@ -252,11 +227,11 @@ impl Days {
         match &fault {
             Some(fault) if fault == "off" => {
                 self.counts[REPLUGS] += 1;
-                self.sim.set("power", "off").expect("a knob");
+                self.mount.sim.set("power", "off").expect("a knob");
             }
             Some(fault) => {
                 self.counts[LOSSES] += u64::from(what < 2);
-                self.sim.set("fault", fault).expect("a fault");
+                self.mount.sim.set("fault", fault).expect("a fault");
             }
             None => {}
         }

@@ -19,10 +19,8 @@ use std::sync::{Arc, mpsc};
 use std::time::{Duration, Instant};
 
 use gauge_bus::clock::Clock;
-use gauge_owner::{self as owner, Handle, Settings, Signal};
-use gauge_sim::{Options, Sim};
-use gaugefs::fs::{Access, Fs, MountedGauge, Scales};
-use gaugefs::fuse::{self, Mounted};
+use gauge_owner::Settings;
+use gaugefs::fs::Access;
 use nix::errno::Errno;
 use rustix::fs::{AtFlags, CWD, FileType, Mode, OFlags, SeekFrom, Timespec, Timestamps, XattrFlags};
 use rustix::process::{Gid, Uid};
@@ -30,9 +28,9 @@ use ti_gauge::chip::{Chip, Effect, Kind, Range, kebab_case};
 use ti_gauge::dataflash::Limits;
 use ti_gauge::value::Type;
 
-use crate::room::{Folder, Hurried, can_mount};
-use crate::room::{SimKnobs, mapped, write_cut};
+use crate::room::{Folder, Swift, can_mount};
 use crate::room::{TEXT, table};
+use crate::room::{mapped, write_cut};
 
 const CHIP: &str = "bq34z100-g1";
 /// Most files that are open at a time.
@@ -244,10 +242,7 @@ struct Model {
     seed: u64,
     random: Random,
     users: Vec<User>,
-    root: PathBuf,
-    sim: Sim,
-    handle: Handle,
-    clock: Arc<Hurried>,
+    mount: Swift,
     files: Vec<(String, Class)>,
     parameters: Vec<Parameter>,
     controls: Vec<&'static str>,
@@ -267,8 +262,6 @@ struct Model {
     /// Calls of other processes, and how many of these were killed.
     processes: (u64, u64),
     recent: Vec<String>,
-    _mounted: Mounted,
-    folder: Folder,
 }
 
 fn of_io(errno: rustix::io::Errno) -> Errno {
@@ -281,8 +274,6 @@ impl Model {
             return None;
         }
         let folder = Folder::new();
-        let root = PathBuf::from(folder.file("m"));
-        fs::create_dir(&root).expect("a folder");
         let is_root = nix::unistd::geteuid().is_root();
         let access = match is_root {
             true => Access { uid: 2001, gid: 2002, group: true },
@@ -302,24 +293,11 @@ impl Model {
             eprintln!("SKIPPED in part: only root can act for other users; one user makes all calls");
             vec![User::new(Role::Owner, None)]
         };
-        let clock = Arc::new(Hurried::default());
-        let sim = Sim::new(CHIP, &Options::default(), clock.clone()).expect("a simulated chip");
-        clock.sleep(Duration::from_secs(2));
-        let signal = Arc::new(Signal::default());
         let chip = Chip::by_name(CHIP).expect("a chip of the tables");
         // IT_ENABLE, which anybody may write to `gauge/control`, begins a learning cycle.
         let limits = Limits { writes_per_hour: 0, allow_learning: true };
         let settings = Settings { limits, ..Settings::default() };
-        let handle = owner::spawn(chip, Box::new(sim.bus()), clock.clone(), settings, signal.clone())
-            .expect("a gauge");
-        let gauge = MountedGauge {
-            name: "BAT0".into(),
-            handle: handle.clone(),
-            scales: Scales::default(),
-            knobs: Some(Box::new(SimKnobs { sim: sim.clone(), defect: Arc::default() })),
-        };
-        let tree = Arc::new(Fs::new(vec![gauge], access));
-        let mounted = fuse::mount(tree, &root, fuse::Options::default(), signal).expect("a mount");
+        let mount = Swift::new(chip, folder, settings, access, |_| ());
         let parameters = parameters(chip);
         let fixed = [
             ("", Class::Folder),
@@ -379,10 +357,7 @@ impl Model {
             seed,
             random: Random(seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1),
             users,
-            root: root.join("BAT0"),
-            sim,
-            handle,
-            clock,
+            mount,
             files,
             parameters,
             controls: answers.map(|one| one.name).collect(),
@@ -397,8 +372,6 @@ impl Model {
             counts: BTreeMap::new(),
             processes: (0, 0),
             recent: Vec::new(),
-            _mounted: mounted,
-            folder,
         };
         for at in 0..model.parameters.len() {
             let value = model.shown(&format!("df/{}", model.parameters[at].place)).expect("a value");
@@ -409,7 +382,7 @@ impl Model {
     }
 
     fn path(&self, name: &str) -> PathBuf {
-        if name.is_empty() { self.root.clone() } else { self.root.join(name) }
+        if name.is_empty() { self.mount.root.clone() } else { self.mount.root.join(name) }
     }
 
     /// The whole text of a file, read by the one who may.
@@ -494,7 +467,7 @@ impl Model {
             99 if self.random.one_in(4) => {
                 self.low = !self.low;
                 self.recent.push(format!("low: {}", self.low));
-                self.sim.set("voltage_mv", if self.low { "2700" } else { "auto" }).expect("a knob");
+                self.mount.sim.set("voltage_mv", if self.low { "2700" } else { "auto" }).expect("a knob");
             }
             _ => drop((self.random.below(self.open.len().max(1) as u64), self.open.pop())),
         }
@@ -633,7 +606,7 @@ impl Model {
             }
             Class::Secret | Class::SecretRaw => bytes.is_empty(),
             Class::Seal if is_fresh => self.seal.iter().any(|seal| part(&format!("{seal}\n"))),
-            Class::Transaction if is_fresh && self.presence != self.handle.published().presence => true,
+            Class::Transaction if is_fresh && self.presence != self.mount.handle.published().presence => true,
             Class::Transaction if is_fresh && !self.disturbed && is_whole => match &self.staged {
                 None => text == "idle\n",
                 Some(staged) => {
@@ -886,7 +859,7 @@ impl Model {
         if !flags.intersects(OFlags::WRONLY | OFlags::RDWR) {
             expected = Expected::failure(&[Errno::EBADF]);
         }
-        let path = self.folder.file("sent");
+        let path = self.mount.folder.file("sent");
         fs::write(&path, &text).expect("a file");
         let from = fs::File::open(&path).expect("a file");
         let length = text.len();
@@ -1040,7 +1013,7 @@ impl Model {
             },
             // A calibration keeps writes out, and ends by itself.
             Class::Control if is_done && text.contains("OFFSET") => {
-                self.clock.sleep(Duration::from_secs(120));
+                self.mount.clock.sleep(Duration::from_secs(120));
                 let refresh = self.path("gauge/refresh");
                 let refreshed = self.users[0].does(move || fs::write(refresh, "1\n"));
                 if let (Err(error), false) = (refreshed, self.disturbed) {
@@ -1123,13 +1096,13 @@ impl Model {
 
     /// How many blocks of flash gaugefs has programmed. The gauge itself programs some as it calibrates and learns.
     fn programmed(&self) -> u64 {
-        let statistics = self.handle.statistics();
+        let statistics = self.mount.handle.statistics();
         statistics.iter().find(|(name, _)| *name == "flash_writes").expect("it is counted").1
     }
 
     /// Lines for `df/transaction`.
     fn stage(&mut self, user: usize) {
-        let presence = self.handle.published().presence;
+        let presence = self.mount.handle.published().presence;
         if std::mem::replace(&mut self.presence, presence) != presence {
             let path = self.path("df/transaction");
             self.users[0].does(move || {
@@ -1559,18 +1532,18 @@ impl Model {
         self.disturbed = true;
         self.open.iter_mut().for_each(|open| open.disturbed = true);
         let knob = if fault == "off" { ("power", "off") } else { ("fault", fault.as_str()) };
-        self.sim.set(knob.0, knob.1).expect("a knob");
+        self.mount.sim.set(knob.0, knob.1).expect("a knob");
     }
 
     /// Afterwards each parameter has a value that the answers allow.
     fn heal(&mut self) {
-        self.sim.set("fault", "none").expect("a knob");
-        self.sim.set("power", "on").expect("a knob");
-        self.sim.set("voltage_mv", "auto").expect("a knob");
+        self.mount.sim.set("fault", "none").expect("a knob");
+        self.mount.sim.set("power", "on").expect("a knob");
+        self.mount.sim.set("voltage_mv", "auto").expect("a knob");
         (self.low, self.staged, self.spoiled) = (false, None, None);
-        let root = self.root.clone();
+        let root = self.mount.root.clone();
         for attempt in 0.. {
-            self.clock.sleep(Duration::from_secs(2));
+            self.mount.clock.sleep(Duration::from_secs(2));
             let at = root.clone();
             let _ = self.users[0].does(move || fs::write(at.join("df/transaction"), "abort\n"));
             let at = root.clone();
@@ -1673,7 +1646,7 @@ fn random_calls_of_several_users_answer_as_documented() {
     let start = Instant::now();
     let stranger = (model.users.len() > 1).then(|| User::new(Role::Stranger, Some((2005, 2005))));
     let over = AtomicBool::new(false);
-    let root = model.root.clone();
+    let root = model.mount.root.clone();
     let refused = std::thread::scope(|scope| {
         let trespasser = stranger.as_ref().map(|stranger| scope.spawn(|| trespass(&root, stranger, &over)));
         // The scope waits for the trespasser, whose loop has to end after a panic too.

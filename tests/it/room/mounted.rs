@@ -23,7 +23,7 @@ use ti_gauge::chip::Chip;
 use ti_gauge::dataflash::Change;
 use ti_gauge::keys::Keys;
 
-use super::within;
+use super::{Folder, within};
 
 /// Real time, except that a sleep ends at once: a write takes seconds of the gauge and microseconds of the test.
 pub(crate) struct Hurried {
@@ -52,9 +52,9 @@ impl Clock for Hurried {
 }
 
 /// The knobs of a simulated gauge. With `defect`, looking at one of them panics.
-pub(crate) struct SimKnobs {
-    pub(crate) sim: Sim,
-    pub(crate) defect: Arc<AtomicBool>,
+struct SimKnobs {
+    sim: Sim,
+    defect: Arc<AtomicBool>,
 }
 
 impl Knobs for SimKnobs {
@@ -172,6 +172,47 @@ impl Mount {
 
     pub(crate) fn transfers(&self) -> u64 {
         statistic(&self.handle, "transfers")
+    }
+}
+
+/// A simulated gauge whose time does not have to pass, mounted at `m` in a folder of its own.
+pub(crate) struct Swift {
+    /// The gauge's folder.
+    pub(crate) root: PathBuf,
+    pub(crate) clock: Arc<Hurried>,
+    pub(crate) sim: Sim,
+    pub(crate) handle: Handle,
+    _mounted: Mounted,
+    pub(crate) folder: Folder,
+}
+
+impl Swift {
+    /// A mount whose simulated gauge is prepared first.
+    pub(crate) fn new(
+        chip: &'static Chip,
+        folder: Folder,
+        settings: Settings,
+        access: Access,
+        prepare: impl FnOnce(&Sim),
+    ) -> Self {
+        let at = PathBuf::from(folder.file("m"));
+        fs::create_dir(&at).expect("a folder");
+        let clock = Arc::new(Hurried::default());
+        let sim = Sim::new(chip.name, &Options::default(), clock.clone()).expect("a simulated chip");
+        prepare(&sim);
+        clock.sleep(Duration::from_secs(2));
+        let signal = Arc::new(Signal::default());
+        let handle = owner::spawn(chip, Box::new(sim.bus()), clock.clone(), settings, signal.clone())
+            .expect("a gauge");
+        let gauge = MountedGauge {
+            name: "BAT0".into(),
+            handle: handle.clone(),
+            scales: Scales::default(),
+            knobs: Some(Box::new(SimKnobs { sim: sim.clone(), defect: Arc::default() })),
+        };
+        let tree = Arc::new(Fs::new(vec![gauge], access));
+        let mounted = fuse::mount(tree, &at, fuse::Options::default(), signal).expect("a mount");
+        Self { root: at.join("BAT0"), clock, sim, handle, _mounted: mounted, folder }
     }
 }
 
