@@ -57,10 +57,13 @@ use slot::Place;
 use tally::Tally;
 pub use tally::Totals;
 
-/// Time between two looks for a pack. The watchdog of some gauges resets them after more than two reads a second.
-const LOOK: Duration = Duration::from_millis(600);
+/// Time between two looks for a pack: less than anybody takes to exchange one.
+const LOOK: Duration = Duration::from_millis(200);
 /// Looks in a row that must find a pack, or none: contacts bounce.
-const STEADY: u32 = 3;
+const STEADY: u32 = 7;
+/// What somebody is told if the contact to a pack that is done with was broken for a moment.
+const MAYBE_ANOTHER: &str =
+    "the contact was broken, so another pack may be there, which was not programmed: take it off";
 
 /// Programs pack after pack, at all places of a station at the same time, until `packs` have been begun, there are no
 /// more, or `stops` is set. Returns whether all have passed; one that an earlier run has left unfinished has not.
@@ -520,12 +523,17 @@ impl Station {
         }
     }
 
-    /// Records the outcome. A pack without its line has not passed.
-    fn end(&self, mut entry: Entry) -> Entry {
+    /// Records the outcome. A pack without its line has not passed. `look_again` makes sure that it is still there after
+    /// the program that the station's file names was told PASS; otherwise it makes the line that of a failure.
+    fn end(&self, mut entry: Entry, look_again: impl FnOnce(&mut Entry)) -> Entry {
         entry.time = self.time();
         // It is read back, and printed as one line.
         entry.reason = entry.reason.map(|reason| text::printable(&reason));
         let was_told = self.hand_over(&mut entry);
+        if was_told {
+            look_again(&mut entry);
+            entry.reason = entry.reason.map(|reason| text::printable(&reason));
+        }
         let mut record = self.record();
         if let Err(error) = record.append(&entry) {
             let reason = entry.reason.take().map_or(String::new(), |reason| format!("{reason}; "));
@@ -688,6 +696,11 @@ impl Station {
                 None => return false,
                 Some(found) if found == there => steady += 1,
                 Some(_) => {
+                    // Whoever exchanges packs quickly must not take the outcome of the first one for the second one's.
+                    if !there && std::mem::take(&mut steady) > 0 {
+                        self.prompt(&bench.name, MAYBE_ANOTHER);
+                        self.desk.sign(&bench.name, Sign::Look, MAYBE_ANOTHER);
+                    }
                     steady = 0;
                     if !std::mem::replace(&mut told, true) {
                         self.prompt(&bench.name, what);

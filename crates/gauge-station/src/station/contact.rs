@@ -44,6 +44,11 @@ impl Watch {
         contact.breaks + u64::from(contact.has_failed)
     }
 
+    /// Whether nothing was sent, or has answered, for so long that somebody could have exchanged the pack.
+    pub(super) fn may_be_exchanged(&self) -> bool {
+        self.clock.now() >= self.contact().answered + QUICK
+    }
+
     /// A bus to the pack.
     pub(super) fn over(&self, bus: Box<dyn Bus>) -> Watched {
         Watched { bus, watch: self.clone() }

@@ -65,6 +65,8 @@ struct Task<'a> {
     step: Step,
     /// Those at which the pack must not be removed.
     busy: Vec<Step>,
+    /// What the pack has that may pass.
+    last: Option<Flash>,
 }
 
 /// A step on the way of a pack.
@@ -122,7 +124,7 @@ pub(super) fn program(station: &Station, bench: &Bench, slot: &mut dyn Slot) -> 
         Ok(settings) => settings,
         Err(error) => {
             entry.reason = Some(error.to_string());
-            return station.end(entry);
+            return station.end(entry, |_| ());
         }
     };
     let watch = Watch::new(clock.clone());
@@ -137,15 +139,22 @@ pub(super) fn program(station: &Station, bench: &Bench, slot: &mut dyn Slot) -> 
         has_new_keys: false,
         step: Step::Identify,
         busy: Vec::new(),
+        last: None,
     };
     match task.run(slot) {
         Ok(()) => task.entry.event = Event::Pass,
         Err(error) => task.failed(&error),
     }
-    let mut entry = task.entry;
+    let mut entry = std::mem::take(&mut task.entry);
     entry.transfers = Some(task.transfers + transfers(&task.gauge));
     entry.seconds = Some((clock.now() - since).as_millis() as f64 / 1000.0);
-    station.end(entry)
+    station.end(entry, |entry| {
+        std::mem::swap(entry, &mut task.entry);
+        if let Err(error) = task.is_still_there() {
+            task.failed(&error);
+        }
+        std::mem::swap(entry, &mut task.entry);
+    })
 }
 
 fn connect(
@@ -261,6 +270,7 @@ impl Task<'_> {
             .replace(|letter: char| !letter.is_ascii_alphanumeric(), "_");
         self.entry.after = Some(self.save(&last.image(), &name)?);
         self.note_readings(readings);
+        self.last = Some(last);
         if !self.station.plan.setup.options.exec.is_empty() {
             self.at(Step::Exec);
         }
@@ -829,6 +839,18 @@ impl Task<'_> {
         let why =
             "the contact was broken each time that all of it was read, so another pack may be there now";
         Err(Error::new("pack", Cause::StateUnknown, why))
+    }
+
+    /// Makes sure that the pack was not swapped while the program of `exec` ran, which may take a minute: PASS would be shown
+    /// over another one. A program that took less time than a swap needs no look.
+    fn is_still_there(&mut self) -> Result<()> {
+        match self.last.take().filter(|_| self.watch.may_be_exchanged()) {
+            Some(last) => self.verify(|now| now.check_same(&last, &[])).map(drop).map_err(|error| {
+                let why = format!("it may have been swapped while the program of exec ran: {error}");
+                Error::new("pack", Cause::StateUnknown, why)
+            }),
+            None => Ok(()),
+        }
     }
 
     /// Nothing is left to do, and the pack is sealed.

@@ -65,7 +65,7 @@ impl Place {
         let slow = chip_of_packs.is_slower_than(opened.clock_hz);
         let bench = plan.bench(at, opened.subject, slow, opened.journal_key)?;
         let bus = Shared(Arc::new(Mutex::new(opened.bus)));
-        let slot = Wired { chip: chip_of_packs, bus, clock: clock.clone(), _lock: opened.lock };
+        let slot = Wired { looks: Looks::of(chip_of_packs), bus, clock: clock.clone(), _lock: opened.lock };
         Ok(Self { bench, slot: Box::new(slot) })
     }
 }
@@ -104,7 +104,7 @@ impl Bus for Shared {
 
 /// A bus on which packs are exchanged.
 struct Wired {
-    chip: &'static Chip,
+    looks: Looks,
     bus: Shared,
     clock: Arc<dyn Clock>,
     _lock: Option<Lock>,
@@ -120,15 +120,31 @@ impl Slot for Wired {
     }
 
     fn is_there(&mut self) -> Option<bool> {
-        Some(answers(self.chip, &mut self.bus))
+        Some(self.looks.find(&mut self.bus))
     }
 }
 
-/// Whether something acknowledges a read of the voltage, which is harmless to any device.
-fn answers(chip: &Chip, bus: &mut dyn Bus) -> bool {
-    let code = chip.register(Role::VoltageNow).map_or(0x08, |register| register.code);
-    bus.release_if_gone();
-    bus.transfer(&[code], &mut [0; 2]).is_ok()
+/// Looks for a device. Each reads another register, because the watchdog of a gauge allows each of them twice a second.
+/// A read is harmless to any device.
+struct Looks {
+    codes: Vec<u8>,
+    next: usize,
+}
+
+impl Looks {
+    fn of(chip: &Chip) -> Self {
+        let roles = [Role::VoltageNow, Role::Temp, Role::CurrentNow];
+        let codes = roles.into_iter().filter_map(|role| chip.register(role)).map(|register| register.code);
+        Self { codes: codes.collect(), next: 0 }
+    }
+
+    /// Whether something acknowledges a read.
+    fn find(&mut self, bus: &mut dyn Bus) -> bool {
+        let code = self.codes.get(self.next % self.codes.len().max(1)).copied().unwrap_or(0x08);
+        self.next += 1;
+        bus.release_if_gone();
+        bus.transfer(&[code], &mut [0; 2]).is_ok()
+    }
 }
 
 /// Simulated packs, each of which comes when the one before has gone.
@@ -147,6 +163,7 @@ struct Simulated {
 
 /// A simulated pack, and the lock of its file.
 struct Pack {
+    looks: Looks,
     bus: Shared,
     _lock: Option<Lock>,
 }
@@ -160,7 +177,8 @@ impl Simulated {
         }
         self.rehearse(&mut source);
         let opened = source.open(Path::new(""), &self.clock, false)?;
-        Ok(Pack { bus: Shared(Arc::new(Mutex::new(opened.bus))), _lock: opened.lock })
+        let looks = source.chip().map_or(Looks { codes: Vec::new(), next: 0 }, Looks::of);
+        Ok(Pack { looks, bus: Shared(Arc::new(Mutex::new(opened.bus))), _lock: opened.lock })
     }
 }
 
@@ -203,7 +221,7 @@ impl Slot for Simulated {
 
     fn is_there(&mut self) -> Option<bool> {
         if let Some(pack) = &mut self.pack {
-            return Some(pack.bus.transfer(&[0x08], &mut [0; 2]).is_ok());
+            return Some(pack.looks.find(&mut pack.bus));
         }
         if self.looks < STEADY {
             self.looks += 1;

@@ -5,6 +5,7 @@
 use std::sync::OnceLock;
 
 use super::*;
+use crate::station::Sign;
 
 /// A bench at which another pack is put in place of the first one, before a transfer; nothing answers meanwhile.
 struct Swapped {
@@ -31,9 +32,9 @@ impl Bus for Swapped {
 }
 
 /// A place at which one pack is begun.
-struct Bench1<F>(Arc<SimClock>, F, bool);
+pub(super) struct Bench1<C, F>(pub(super) Arc<C>, pub(super) F, pub(super) bool);
 
-impl<B: Bus + 'static, F: Fn() -> B + Send> Slot for Bench1<F> {
+impl<C: Clock + 'static, B: Bus + 'static, F: Fn() -> B + Send> Slot for Bench1<C, F> {
     fn clock(&self) -> Arc<dyn Clock> {
         self.0.clone()
     }
@@ -194,4 +195,152 @@ fn regression_two_packs_passed_with_a_number_that_was_scanned_at_two_slots() {
         "{said:?}"
     );
     check_record(&folder);
+}
+
+/// The pack that answers, which somebody exchanges while the program of `exec` runs.
+#[derive(Clone)]
+struct Label {
+    said: Said,
+    clock: Arc<SimClock>,
+    now: Arc<Mutex<Sim>>,
+    next: Arc<Mutex<Option<Sim>>>,
+}
+
+impl Screen for Label {
+    fn outcome(&self, line: &str) {
+        self.said.outcome(line);
+    }
+
+    fn prompt(&self, line: &str) {
+        self.said.prompt(line);
+    }
+
+    fn sign(&self, _: &str, _: Sign, what: &str) {
+        if what.ends_with(": exec)") {
+            self.clock.sleep(Duration::from_secs(5));
+            if let Some(next) = self.next.lock().expect("nobody panics").take() {
+                *self.now.lock().expect("nobody panics") = next;
+            }
+        }
+    }
+}
+
+impl Bus for Label {
+    fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> std::result::Result<(), BusError> {
+        self.now.lock().expect("nobody panics").bus().transfer(write, read)
+    }
+}
+
+/// A label takes its time, and the pack that is there at the end is the one that PASS is shown for.
+#[test]
+fn regression_a_pack_that_was_put_there_while_its_label_was_printed_passed() {
+    // A new one; one that is programmed like the first, but for its number; the first one again.
+    for other in ["new", "programmed", "same"] {
+        let folder = Folder::new(&format!("label-{other}"));
+        let told = folder.file("told");
+        let exec =
+            format!("exec = ['sh', '-c', 'echo $GAUGEFS_EVENT $GAUGEFS_SERIAL >> {}']", told.display());
+        let plan = folder.plan(&format!("{PLAIN}\n{exec}"));
+        let clock = Arc::new(SimClock::new());
+        let packs = [1, 2].map(|seed| new_pack(&clock, seed, None));
+        if other == "programmed" {
+            let twin = Folder::new("label-twin");
+            let lines = PLAIN.replace("first-serial = 1000", "first-serial = 2000");
+            let line = Line::start(twin.plan(&lines), &[], None).expect("a record");
+            let said = line.run(&clock, [(packs[1].clone(), "none".into())]);
+            assert!(said[0].starts_with("PASS"), "{said:?}");
+        }
+        clock.sleep(Duration::from_secs(3));
+        let flash = packs[1].flash();
+        let next = if other == "same" { &packs[0] } else { &packs[1] };
+        let label = Label {
+            said: Said::default(),
+            clock: clock.clone(),
+            now: Arc::new(Mutex::new(packs[0].clone())),
+            next: Arc::new(Mutex::new(Some(next.clone()))),
+        };
+        let bench = plan.bench(0, "a bus".into(), false, Some(KEY.into())).expect("a bench");
+        let stops = Arc::new(AtomicBool::new(false));
+        let station =
+            Station::start(plan, Arc::new(Host), Box::new(label.clone()), Lines::of(&[]), None, stops)
+                .expect("a record");
+        let bus = || label.clone();
+        station.run(&bench, &mut Bench1(clock.clone(), bus, false));
+        check_record(&folder);
+        let said = label.said.all().into_iter().find(|line| !line.starts_with('?')).expect("an outcome");
+        let told = fs::read_to_string(told).expect("it was told");
+        if other == "same" {
+            assert!(said.starts_with("PASS") && told == "pass 0x03e8\n", "{said} {told}");
+            continue;
+        }
+        assert!(said.starts_with("FAIL BAT0 serial 0x03e8"), "{other}: {said}");
+        assert_eq!(told, "pass 0x03e8\nfail 0x03e8\n", "{other}: it knows that its PASS does not hold");
+        assert_eq!(folder.lines().pop().and_then(|last| last.step).as_deref(), Some("exec"));
+        assert!(packs[1].flash() == flash, "{other}: what is there now was not touched");
+    }
+}
+
+/// A place at which a pack is exchanged faster than the station counts one as gone.
+struct Quick(Arc<SimClock>, Sim, VecDeque<bool>);
+
+impl Slot for Quick {
+    fn clock(&self) -> Arc<dyn Clock> {
+        self.0.clone()
+    }
+
+    fn bus(&mut self) -> Box<dyn Bus> {
+        Box::new(self.1.bus())
+    }
+
+    fn is_there(&mut self) -> Option<bool> {
+        self.2.pop_front()
+    }
+}
+
+/// The station waited for the pack to be taken off, and went on showing the outcome of the one before.
+#[test]
+fn regression_pass_was_shown_over_a_pack_that_was_connected_quickly() {
+    #[derive(Clone, Default)]
+    struct Signs(Arc<Mutex<Vec<(Sign, String)>>>);
+    impl Screen for Signs {
+        fn outcome(&self, _: &str) {}
+
+        fn prompt(&self, line: &str) {
+            self.0.lock().expect("nobody panics").push((Sign::Connect, line.into()));
+        }
+
+        fn sign(&self, _: &str, sign: Sign, what: &str) {
+            self.0.lock().expect("nobody panics").push((sign, what.into()));
+        }
+    }
+    let run = |after: &[bool]| {
+        let folder = Folder::new("quick");
+        let plan = folder.plan(PLAIN);
+        let clock = Arc::new(SimClock::new());
+        let sim = new_pack(&clock, 1, None);
+        clock.sleep(Duration::from_secs(3));
+        let signs = Signs::default();
+        let bench = plan.bench(0, "a bus".into(), false, Some(KEY.into())).expect("a bench");
+        let stops = Arc::new(AtomicBool::new(false));
+        let station =
+            Station::start(plan, Arc::new(Host), Box::new(signs.clone()), Lines::of(&[]), None, stops)
+                .expect("a record");
+        let looks = std::iter::repeat_n(true, STEADY as usize).chain(after.iter().copied()).collect();
+        station.run(&bench, &mut Quick(clock, sim, looks));
+        let signs = signs.0.lock().expect("nobody panics").clone();
+        let pass = signs.iter().position(|(sign, _)| *sign == Sign::Pass).expect("it passes");
+        signs[pass + 1..].to_vec()
+    };
+    // It is gone for a moment only.
+    let after = run(&[true, true, false, true, true, true]);
+    assert!(
+        after.iter().any(|(sign, what)| *sign == Sign::Look && what.contains("another pack")),
+        "{after:?}"
+    );
+    assert!(after.iter().any(|(_, line)| line.starts_with("BAT0: the contact was broken")), "{after:?}");
+    // It stays, or goes as it should: PASS stands.
+    for looks in [&[true, true, true][..], &[true, false, false]] {
+        let after = run(looks);
+        assert!(after.iter().all(|(sign, _)| *sign != Sign::Look), "{after:?}");
+    }
 }
