@@ -10,55 +10,55 @@ use gaugefs_client::sample::Sample;
 /// A day of the fastest polls. When it is full, the oldest are dropped.
 const MOST: usize = 172_800;
 
-/// A quantity that can be drawn.
+/// A quantity that can be drawn: its place in [`QUANTITIES`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Quantity {
-    Voltage,
-    Current,
-    Capacity,
-    Temperature,
+pub(super) struct Quantity(usize);
+
+/// A row of [`QUANTITIES`].
+struct Row {
+    /// The key that chooses it.
+    key: char,
+    name: &'static str,
+    unit: &'static str,
+    /// The minimum span of an axis, so that noise of one step does not fill the chart.
+    least_span: f64,
+    attribute: &'static str,
+    /// Steps of the attribute in the unit.
+    steps: f64,
 }
 
-pub(super) const QUANTITIES: [Quantity; 4] =
-    [Quantity::Voltage, Quantity::Current, Quantity::Capacity, Quantity::Temperature];
+#[rustfmt::skip]
+static QUANTITIES: [Row; 4] = [
+    Row { key: 'v', name: "voltage", unit: "V", least_span: 0.02, attribute: "voltage_now", steps: 1e6 },
+    Row { key: 'i', name: "current", unit: "A", least_span: 0.02, attribute: "current_now", steps: 1e6 },
+    Row { key: 'c', name: "capacity", unit: "%", least_span: 4.0, attribute: "capacity", steps: 1.0 },
+    Row { key: 't', name: "temperature", unit: "°C", least_span: 1.0, attribute: "temp", steps: 10.0 },
+];
 
 impl Quantity {
+    pub(super) const VOLTAGE: Self = Self(0);
+
+    /// The one that a key chooses.
+    pub(super) fn of_key(key: char) -> Option<Self> {
+        QUANTITIES.iter().position(|row| row.key == key).map(Self)
+    }
+
     pub(super) fn name(self) -> &'static str {
-        match self {
-            Quantity::Voltage => "voltage",
-            Quantity::Current => "current",
-            Quantity::Capacity => "capacity",
-            Quantity::Temperature => "temperature",
-        }
+        QUANTITIES[self.0].name
     }
 
     pub(super) fn unit(self) -> &'static str {
-        match self {
-            Quantity::Voltage => "V",
-            Quantity::Current => "A",
-            Quantity::Capacity => "%",
-            Quantity::Temperature => "°C",
-        }
+        QUANTITIES[self.0].unit
     }
 
-    /// The minimum span of an axis, so that noise of one step does not fill the chart.
     pub(super) fn least_span(self) -> f64 {
-        match self {
-            Quantity::Voltage => 0.02,
-            Quantity::Current => 0.02,
-            Quantity::Capacity => 4.0,
-            Quantity::Temperature => 1.0,
-        }
+        QUANTITIES[self.0].least_span
     }
+}
 
-    fn of(self, sample: &Sample) -> Option<f64> {
-        let number = |name| sample.number(name).map(|value| value as f64);
-        match self {
-            Quantity::Voltage => number("voltage_now").map(|value| value / 1e6),
-            Quantity::Current => number("current_now").map(|value| value / 1e6),
-            Quantity::Capacity => number("capacity"),
-            Quantity::Temperature => number("temp").map(|value| value / 10.0),
-        }
+impl Row {
+    fn of(&self, sample: &Sample) -> Option<f64> {
+        sample.number(self.attribute).map(|value| value as f64 / self.steps)
     }
 }
 
@@ -75,7 +75,7 @@ pub(super) struct History(VecDeque<Point>);
 impl History {
     pub(super) fn add(&mut self, sample: &Sample) {
         let there = sample.present();
-        let values = QUANTITIES.map(|quantity| quantity.of(sample).filter(|_| there));
+        let values = QUANTITIES.each_ref().map(|row| row.of(sample).filter(|_| there));
         self.push(Point { time: seconds(sample.time), values });
     }
 
@@ -102,11 +102,10 @@ impl History {
         span: f64,
         columns: usize,
     ) -> Vec<Vec<thin::Point>> {
-        let which = QUANTITIES.iter().position(|&one| one == quantity).unwrap_or_default();
         // With the poll before the span, so that a line begins at its edge.
         let first = self.0.partition_point(|point| point.time < now - span).saturating_sub(1);
         let shown = self.0.iter().skip(first).take_while(|point| point.time <= now);
-        let points: Vec<_> = shown.map(|point| (point.time - now, point.values[which])).collect();
+        let points: Vec<_> = shown.map(|point| (point.time - now, point.values[quantity.0])).collect();
         let lines = points.split(|(_, value)| value.is_none()).filter(|line| !line.is_empty());
         let known = |line: &[(f64, Option<f64>)]| -> Vec<_> {
             line.iter().filter_map(|(time, value)| Some((*time, (*value)?))).collect()
@@ -132,7 +131,7 @@ mod tests {
     #[test]
     fn an_absence_is_one_gap() {
         let mut seen = history(&[(0.0, Some(1.0)), (10.0, Some(2.0)), (20.0, None), (30.0, Some(3.0))]);
-        let lines = seen.lines(Quantity::Voltage, 30.0, 60.0, 60);
+        let lines = seen.lines(Quantity::VOLTAGE, 30.0, 60.0, 60);
         assert_eq!(lines, [vec![(-30.0, 1.0), (-20.0, 2.0)], vec![(0.0, 3.0)]]);
         seen.gap(40.0);
         seen.gap(50.0);

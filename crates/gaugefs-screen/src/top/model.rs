@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
 
 use super::super::learning;
-use super::history::{History, QUANTITIES, Quantity, seconds};
+use super::history::{History, Quantity, seconds};
 use gaugefs_client::sample::Sample;
 use gaugefs_client::watch::{Learned, Order, Report, Seen};
 use ti_gauge::learning::{Cycle, Limits, State};
@@ -104,7 +104,7 @@ impl Model {
         Self {
             gauges: Vec::new(),
             selected: 0,
-            quantity: Quantity::Voltage,
+            quantity: Quantity::VOLTAGE,
             span: 1,
             paused: None,
             help: false,
@@ -214,10 +214,6 @@ impl Model {
             KeyCode::Up | KeyCode::Left | KeyCode::BackTab => {
                 self.selected = (self.selected + count - 1) % count;
             }
-            KeyCode::Char('v') => self.quantity = QUANTITIES[0],
-            KeyCode::Char('i') => self.quantity = QUANTITIES[1],
-            KeyCode::Char('c') => self.quantity = QUANTITIES[2],
-            KeyCode::Char('t') => self.quantity = QUANTITIES[3],
             KeyCode::Char('+' | '=') => self.span = (self.span + 1).min(SPANS.len() - 1),
             KeyCode::Char('-') => self.span = self.span.saturating_sub(1),
             KeyCode::Char('l') => self.learning = !self.learning,
@@ -227,6 +223,7 @@ impl Model {
                 self.learning = true;
                 self.order(Order::ReadLearned, "reading data flash");
             }
+            KeyCode::Char(other) => self.quantity = Quantity::of_key(other).unwrap_or(self.quantity),
             _ => {}
         }
         Action::Nothing
