@@ -11,9 +11,9 @@ use std::time::Duration;
 
 use crate::chip::{Calibration, Chip, Offset, Role, Word};
 use crate::codec;
-use crate::dataflash::{BEGINS, Change, DataFlash, Extras, Outcome, Place, Row};
+use crate::dataflash::{BEGINS, Change, DataFlash, Extras, Outcome, Place, Row, is_same};
 use crate::error::{Cause, Error, Reason, Result, Step};
-use crate::gauge::{Gauge, agreed};
+use crate::gauge::{Gauge, Moment, agreed};
 use crate::notation;
 use crate::unit;
 use crate::value::Value;
@@ -120,9 +120,10 @@ pub fn run(
         };
         return Ok(Reached { text: text.into(), ..Reached::default() });
     }
+    let since = gauge.moment();
     dataflash.ready(gauge, waited)?;
     let asked = began.saturating_sub(waited);
-    let mut task = Task { dataflash, gauge, calibration, asked, measured: Vec::new(), tell };
+    let mut task = Task { dataflash, gauge, calibration, asked, since, measured: Vec::new(), tell };
     let text = match *job {
         Job::BoardOffset => task.offset(&calibration.board_offset),
         Job::CcOffset => task.offset(&calibration.cc_offset),
@@ -182,6 +183,8 @@ struct Task<'a> {
     gauge: &'a mut Gauge,
     calibration: &'static Calibration,
     asked: Duration,
+    /// From then on it has to be the same gauge.
+    since: Moment,
     measured: Vec<Measured>,
     tell: &'a mut dyn FnMut(&str),
 }
@@ -268,7 +271,8 @@ impl Task<'_> {
             Ok(())
         };
         let waited = self.waited();
-        let extras = Extras { calibrate, accept: Some(&mut accept), ..Extras::default() };
+        let since = Some(self.since);
+        let extras = Extras { calibrate, accept: Some(&mut accept), since, ..Extras::default() };
         let outcome = self.dataflash.write_with(self.gauge, &changes, extras, waited)?;
         self.note(target, before, after);
         if outcome == Outcome::Unchanged {
@@ -371,7 +375,7 @@ impl Task<'_> {
             rows.push(row(self.gauge.chip, self.calibration.cc_offset.row)?);
         }
         let waited = self.waited();
-        let values = self.dataflash.expect_measured(self.gauge, &rows, waited)?;
+        let values = self.dataflash.expect_measured(self.gauge, &rows, self.since, waited)?;
         let olds: Vec<(Row, Value)> = rows.into_iter().zip(values).collect();
         let (kind, name) = (olds[0].0.1.kind, olds[0].0.1.name);
         let was = notation::render(kind, &olds[0].1);
@@ -379,14 +383,9 @@ impl Task<'_> {
         let measured = self.measure_offset(offset);
         self.gauge.limit(None);
         let measured = measured.and_then(|()| self.save_again(&olds));
-        let after = measured.and_then(|()| readings(self.gauge, Role::CurrentNow, FEW_READINGS));
-        let error = match after {
-            Ok(after) if after.mean.abs() <= before.mean.abs() + 1.0 => {
+        let error = match measured.and_then(|()| self.judge(&olds, before)) {
+            Ok((after, new)) if after.mean.abs() <= before.mean.abs() + 1.0 => {
                 self.dataflash.accept_measured();
-                let (_, new) = self.value_now(offset.row).map_err(|error| {
-                    let why = format!("measured and stored, but then {error}; {name} was {was}");
-                    Error::new("", Cause::StateUnknown, why)
-                })?;
                 self.note(target, before, after);
                 if let (Value::Int(old), Value::Int(new)) = (&olds[0].1, &new) {
                     let (before, after) = (*old as f64, *new as f64);
@@ -399,7 +398,7 @@ impl Task<'_> {
                     after.show("mA")
                 ));
             }
-            Ok(after) => {
+            Ok((after, _)) => {
                 let error = |readings: &Readings| format!("{:+.1}", readings.mean);
                 let worse = Reason::Worse {
                     before: error(&before),
@@ -424,7 +423,7 @@ impl Task<'_> {
     fn measure_offset(&mut self, offset: &Offset) -> Result<()> {
         let gauge = &mut *self.gauge;
         gauge.limit_until(Some(self.asked + ENDS));
-        gauge.command(offset.start)?;
+        gauge.command_since(offset.start, self.since)?;
         let started = gauge.clock.now();
         let mut seen = false;
         loop {
@@ -440,20 +439,42 @@ impl Task<'_> {
                 _ => seen |= running,
             }
         }
-        gauge.command(self.calibration.save)?;
-        gauge.wait(AFTER_RESET);
+        self.save()
+    }
+
+    /// Has the gauge store what it has measured.
+    fn save(&mut self) -> Result<()> {
+        self.gauge.command_since(self.calibration.save, self.since)?;
+        self.gauge.wait(AFTER_RESET);
         Ok(())
+    }
+
+    /// What the gauge shows after a measurement, and the first of the values that it has stored.
+    fn judge(&mut self, olds: &[(Row, Value)], before: Readings) -> Result<(Readings, Value)> {
+        let after = readings(self.gauge, Role::CurrentNow, FEW_READINGS)?;
+        let mut news = Vec::with_capacity(olds.len());
+        for ((subclass, parameter), _) in olds {
+            news.push(self.value_now((subclass.id, parameter.offset))?.1);
+        }
+        is_same(self.gauge, self.since)?;
+        // An offset that was right leaves no current to be taken away.
+        let has_stored = olds.iter().zip(&news).any(|((_, old), new)| old != new);
+        if !has_stored && before.mean.abs() > 1.0 {
+            let why =
+                "the gauge has measured its offset and stored nothing, as after a loss of power in between";
+            return Err(Error::new(olds[0].0.1.name, Cause::TimedOut, why).at(Step::Verify));
+        }
+        Ok((after, news.swap_remove(0)))
     }
 
     /// Sends CC_OFFSET_SAVE again if nothing was stored: the command may have been lost.
     fn save_again(&mut self, olds: &[(Row, Value)]) -> Result<()> {
         let place = self.calibration.cc_offset.row;
         let (row, new) = self.value_now(place)?;
-        if olds.iter().any(|((_, old), value)| old.offset == row.1.offset && *value == new) {
-            self.gauge.command(self.calibration.save)?;
-            self.gauge.wait(AFTER_RESET);
+        match olds.iter().any(|((_, old), value)| old.offset == row.1.offset && *value == new) {
+            true => self.save(),
+            false => Ok(()),
         }
-        Ok(())
     }
 
     /// Writes old offsets back after a measurement that has failed.
@@ -547,8 +568,11 @@ impl Task<'_> {
             Ok(())
         };
         let waited = self.waited();
-        let extras = Extras { calibrate: true, accept: Some(&mut accept), ..Extras::default() };
+        let since = Some(self.since);
+        let extras = Extras { calibrate: true, accept: Some(&mut accept), since, ..Extras::default() };
         self.dataflash.write_with(self.gauge, &changes, extras, waited)?;
+        // It was accepted as the same one, whatever has happened to it in its reset.
+        self.since = self.gauge.moment();
         let read = match found {
             Some(read) => read,
             // Nothing had to be written.

@@ -24,7 +24,7 @@ use crate::chip::{Chip, FLAT, Kind, Subclass};
 use crate::codec::{Bytes, WINDOW};
 use crate::epoch::Fact;
 use crate::error::{Cause, Error, Result, Step};
-use crate::gauge::{Gauge, Seal};
+use crate::gauge::{Gauge, Moment, Seal};
 use crate::journal::{Identity, Journal, OpenJournal};
 
 mod anonymous;
@@ -61,7 +61,7 @@ pub use erased::{erased, erased_since, says_erased};
 use io::read_subclass;
 use job::{Job, Landed, Side, converge};
 use keychange::Unfinished;
-pub(crate) use measured::BEGINS;
+pub(crate) use measured::{BEGINS, is_same};
 use now::{Arrival, Name, Now, Pack, Values};
 use owedseal::OwedSeal;
 pub use pack::distinguishes;
@@ -449,6 +449,7 @@ impl DataFlash {
         session: &mut Session,
     ) -> Result<Outcome> {
         let voltage_mv = found.voltage_mv;
+        extras.since.map_or(Ok(()), |since| is_same(gauge, since))?;
         if !gauge.is_unbroken_since(found.moment) {
             // It may have been exchanged since it was confirmed. Nothing was written yet.
             if found.seal == Seal::Sealed && !gauge.was_opened() && !self.is_certain(gauge)? {
@@ -681,6 +682,8 @@ pub(crate) struct Extras<'a> {
     pub(crate) accept: Option<Accept<'a>>,
     /// End before anything is recorded or programmed.
     pub(crate) only_check: bool,
+    /// What is written was measured on the gauge that has answered since then, and is for no other one.
+    pub(crate) since: Option<Moment>,
 }
 
 impl Place {

@@ -490,7 +490,7 @@ impl Gauge {
 
     /// Sends a subcommand that must not reach another gauge: only if nothing has happened since then behind which this
     /// one could have been exchanged.
-    fn command_since(&mut self, code: u16, moment: Moment) -> Result<()> {
+    pub(crate) fn command_since(&mut self, code: u16, moment: Moment) -> Result<()> {
         self.may_write()?;
         let subject = self.subcommand_name(code);
         let mut is_same = true;

@@ -14,7 +14,7 @@ use super::{Change, DataFlash, Place, Row, old_bytes};
 use crate::chip::Kind;
 use crate::codec;
 use crate::error::{Cause, Error, Result, Step};
-use crate::gauge::{Gauge, agreed};
+use crate::gauge::{Gauge, Moment, agreed};
 use crate::journal::{OpenJournal, Plan};
 use crate::value::Value;
 
@@ -22,11 +22,13 @@ use crate::value::Value;
 pub(crate) const BEGINS: Duration = Duration::from_secs(2);
 
 impl DataFlash {
-    /// Records that the gauge is about to store values of its own in these rows. Returns the old values.
+    /// Records that the gauge, which has to be the one that has answered since then, is about to store values of its own in
+    /// these rows. Returns the old values.
     pub(crate) fn expect_measured(
         &mut self,
         gauge: &mut Gauge,
         rows: &[Row],
+        since: Moment,
         waited: Duration,
     ) -> Result<Vec<Value>> {
         let waited = self.settle_first(gauge, waited)?;
@@ -35,6 +37,7 @@ impl DataFlash {
             let found = gauge.seal_anew()?;
             self.session(gauge, (found, asked), Self::owing(rows.len()), |this, gauge, session| {
                 session.open(gauge)?;
+                is_same(gauge, since)?;
                 this.note_measured(gauge, rows, session)
             })
         })
@@ -83,6 +86,17 @@ impl DataFlash {
         self.still_certain(gauge);
         self.settle(gauge, Duration::ZERO).map(drop)
     }
+}
+
+/// Makes sure that nothing has happened since then behind which the pack could have been exchanged: what was measured on
+/// one says nothing of another.
+pub(crate) fn is_same(gauge: &Gauge, since: Moment) -> Result<()> {
+    if gauge.is_unbroken_since(since) {
+        return Ok(());
+    }
+    let why = "it did not answer for a moment while it was calibrated, so another pack may be there; try again, with the \
+               contact kept";
+    Err(Error::new(gauge.chip.model, Cause::NotNow, why).at(Step::Identify))
 }
 
 /// Makes sure that the gauge does not measure any more: it would store its result later.

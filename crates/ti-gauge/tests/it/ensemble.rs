@@ -496,6 +496,15 @@ fn regression_drawn_imports_that_were_left_in_between() {
     }
 }
 
+/// Calibrations in which the gauge lost its power before it had stored what it had measured: they were told as done.
+#[test]
+fn regression_drawn_calibrations_that_had_stored_nothing() {
+    let known = Known::new();
+    for seed in [1_000_620, 10_008_716, 10_010_085] {
+        run(seed, &known, calibrations).unwrap_or_else(|why| panic!("seed {seed}: {why}"));
+    }
+}
+
 /// Runs that have found something: a commit that was at work when the host was back, a row that a loss of power had
 /// disturbed before it was its turn, a key that took effect after a change of keys had failed, an authentication key that was lost with
 /// another, and a gauge that is silent for longer than a session waits after it has taken a key.
@@ -640,7 +649,7 @@ fn run(
     if is_refused && matches!(outcome, Some(Ok(()))) {
         // A wrong bit has sealed the gauge, so that its key was tried and the write was not refused.
         new = run.flash();
-        if new == old {
+        if new == old && (!is_calibration || run.sim.flash() == all) {
             return Err(format!("success without a change <- {}", about(&fault)));
         }
     }

@@ -13,6 +13,7 @@ use std::time::Duration;
 use gauge_bus::clock::{Clock, SimClock};
 use gauge_bus::{Bus, BusError};
 use gauge_sim::{Options, Sim, SimBus};
+use ti_gauge::calibration::{self, Job};
 use ti_gauge::chip::Chip;
 use ti_gauge::dataflash::{DataFlash, Decision, Limits};
 use ti_gauge::error::Result;
@@ -261,17 +262,21 @@ impl Scene {
     }
 
     /// What a mount does first: the gauge is identified, its key tried, its marks read.
-    fn known(&self, (gauge, dataflash): &mut (Gauge, DataFlash)) {
-        let answers = gauge.identify().expect("it answers");
-        dataflash.meet(gauge.chip, &answers);
-        dataflash.settle(gauge, Duration::ZERO).expect("nothing to settle");
-        let id = self.case.changes(&self.first)[0].place().subclass;
-        let row = gauge.chip.subclasses.iter().find(|row| row.id == id).expect("a subclass");
-        dataflash.read(gauge, &[row], Duration::ZERO).expect("it can be read");
+    fn known(&self, host: &mut (Gauge, DataFlash)) {
+        meet(host, self.case.changes(&self.first)[0].place().subclass);
         if self.case.found != Seal::Sealed {
-            gauge.prove_key();
+            host.0.prove_key();
         }
     }
+}
+
+/// The gauge is identified, and a subclass is read.
+fn meet((gauge, dataflash): &mut (Gauge, DataFlash), id: u8) {
+    let answers = gauge.identify().expect("it answers");
+    dataflash.meet(gauge.chip, &answers);
+    dataflash.settle(gauge, Duration::ZERO).expect("nothing to settle");
+    let row = gauge.chip.subclasses.iter().find(|row| row.id == id).expect("a subclass");
+    dataflash.read(gauge, &[row], Duration::ZERO).expect("it can be read");
 }
 
 /// One run. Returns what it has covered, or what is wrong.
@@ -387,4 +392,89 @@ fn regression_no_byte_of_one_pack_goes_into_another() {
             false => run(seed, &draw),
         }
     });
+}
+
+/// Exchanges in mid-calibration in the everyday test.
+const CALIBRATIONS: u64 = 200;
+
+/// A board with an error, and what takes it away.
+const BOARDS: &[(&str, &str, Job)] = &[
+    ("board_offset_ma", "8", Job::BoardOffset),
+    ("cc_offset_ma", "7", Job::CcOffset),
+    ("temperature_error", "35", Job::Temperature(25.0)),
+];
+
+/// One calibration, which takes up to a minute, and in it an exchange.
+fn calibrate(seed: u64) -> std::result::Result<Vec<String>, String> {
+    let random = &mut Random(seed);
+    let chip = *random.pick(&["bq34z100-g1", "bq34z100-r2"]);
+    let (knob, error, job) = random.pick(BOARDS);
+    let (found, other) =
+        (*random.pick(&[Seal::Sealed, Seal::Unsealed]), *random.pick(&[Seal::Sealed, Seal::Unsealed]));
+    let silent = Duration::from_millis(*random.pick(&[100, 1000, 4000]));
+    let part = random.below(1000);
+    let scene = || {
+        let first = Rig::calibrated(chip, found);
+        let second =
+            Sim::new(chip, &Options::default(), first.clock.clone()).expect("a chip that is simulated");
+        Rig::on(first.gauge.chip, second.clone(), first.clock.clone()).calibrate(7);
+        for sim in [&first.sim, &second] {
+            sim.set(knob, error).expect("a knob");
+        }
+        first.clock.sleep(Duration::from_secs(5));
+        if other != Seal::Sealed {
+            open_second(&second, &first, None, other);
+        }
+        let folder = Folder::new(&format!("exchange-calibration-{seed}"));
+        let (done, comes) = (Arc::new(AtomicU64::new(0)), Arc::new(AtomicU64::new(u64::MAX)));
+        let bus = Place {
+            packs: [first.sim.bus(), second.bus()],
+            clock: first.clock.clone(),
+            done: done.clone(),
+            comes: comes.clone(),
+            silent,
+            asleep: Duration::ZERO,
+            silent_until: None,
+            is_back: Arc::default(),
+            fails: None,
+        };
+        let gauge = Gauge::new(first.gauge.chip, Box::new(bus), first.clock.clone(), Keys::default(), false);
+        let dataflash = DataFlash::new(Limits::default(), Some(folder.journal()));
+        let mut host = (gauge, dataflash);
+        meet(&mut host, 104);
+        if found != Seal::Sealed {
+            host.0.prove_key();
+        }
+        done.store(0, Ordering::Relaxed);
+        (first, second, folder, [done, comes], host)
+    };
+    let (_first, _second, _folder, [done, _], (mut gauge, mut dataflash)) = scene();
+    calibration::run(&mut dataflash, &mut gauge, job, Duration::ZERO, &mut |_| {})
+        .map_err(|error| format!("{chip} {job:?}, without an exchange: {error}"))?;
+    let transfers = done.load(Ordering::Relaxed);
+    let number = 1 + part * transfers / 1000;
+    let (first, second, _folder, [_, comes], (mut gauge, mut dataflash)) = scene();
+    comes.store(number, Ordering::Relaxed);
+    let flash = second.flash();
+    let outcome = calibration::run(&mut dataflash, &mut gauge, job, Duration::ZERO, &mut |_| {});
+    let at = format!(
+        "{chip} {job:?} found {found:?}, other {other:?}, silent {silent:?}, at {number} of {transfers}"
+    );
+    for tried in ["at once", "later", "later still"] {
+        let differ: Vec<_> = (0..flash.len()).filter(|&at| second.flash()[at] != flash[at]).take(6).collect();
+        if !differ.is_empty() {
+            return Err(format!("{tried}: the other pack has changed at {differ:?}: {outcome:?} <- {at}"));
+        }
+        first.clock.sleep(Duration::from_secs(5));
+        let _ = dataflash.settle(&mut gauge, Duration::ZERO);
+    }
+    Ok(vec![match &outcome {
+        Ok(_) => format!("{job:?}: success"),
+        Err(error) => format!("{job:?}: {}", cause(error)),
+    }])
+}
+
+#[test]
+fn regression_no_offset_of_one_pack_goes_into_another() {
+    drawn("exchanges in mid-calibration", CALIBRATIONS, calibrate);
 }
