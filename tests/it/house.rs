@@ -301,7 +301,7 @@ fn nothing_is_decided_by_the_words_of_a_message() {
     for folder in crates() {
         for (module, text) in modules(&folder.join("src")) {
             let name = module.join("/");
-            if module.last().is_some_and(|name| name == "tests" || name == "rig") {
+            if module.iter().any(|name| name == "tests" || name == "rig") {
                 continue;
             }
             let compared = compared(&text).into_iter().filter(|one| !OF_OTHERS.contains(&(&name, one)));
