@@ -116,7 +116,9 @@ impl Import {
         let set = assignment::wanted(chip, &self.set)?;
         let mut file = self.file(chip, source, &groups, &set)?;
         file.entries.retain(|entry| !set.image().entries.iter().any(|other| other.is(entry)));
-        let (image, path) = (mounted::now(gauge)?, gauge.folder().display());
+        mounted::poll(gauge)?;
+        let presence = gauge.presence()?;
+        let (image, path) = (gauge.configuration()?, gauge.folder().display());
         report.identify(gauge);
         if let Some(sum) = file.chemistry_sum.filter(|_| !self.same_chemistry) {
             let same = check_chemistry(gauge, chip, sum)?;
@@ -143,7 +145,7 @@ impl Import {
         };
         if !self.dry_run {
             let bar = progress::Bar::start(gauge);
-            let outcome = gauge.apply(&changes, &raw);
+            let outcome = gauge.apply(&presence, &changes, &raw);
             bar.end();
             outcome?;
         }

@@ -75,11 +75,12 @@ fn set(gauge: &Gauge, assignments: &[Assignment], dry_run: bool, report: &mut Re
     let wanted = assignment::wanted(chip, assignments)?;
     mounted::poll(gauge)?;
     report.identify(gauge);
+    let presence = gauge.presence()?;
     let stored = gauge.values(chip, &wanted.rows())?;
     // Whether unproven ones may be written is the mount's to decide.
     let Changes { changes, .. } = stored.changes(wanted.image(), &[], true)?;
     if !dry_run {
-        gauge.apply(&changes, &[])?;
+        gauge.apply(&presence, &changes, &[])?;
     }
     report.change(&changes, &[]);
     Ok(report.done(dry_run))

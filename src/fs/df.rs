@@ -456,6 +456,7 @@ impl Supply {
             chip: self.chip(),
             allow_unproven: handle.allows_unproven(),
             stored: &stored,
+            presence: self.moment().presence,
         };
         let staged = self.transaction.write(&rules, self.moment(), data);
         if staged.is_ok() && !self.transaction.is_spoiled() {

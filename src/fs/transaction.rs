@@ -34,6 +34,8 @@ pub(super) struct Rules<'a> {
     pub(super) allow_unproven: bool,
     /// A subclass as the gauge stores it, by its index in the table, if that is known.
     pub(super) stored: &'a dyn Fn(usize) -> Option<Arc<[u8]>>,
+    /// See [`Published::presence`](gauge_owner::Published::presence).
+    pub(super) presence: Epoch<Presence>,
 }
 
 /// The state of a gauge's transaction.
@@ -264,10 +266,26 @@ impl State {
     }
 }
 
-/// Whether the first line of a write(2) is `begin`.
+/// Whether the first line of a write(2) is `begin`, with a presence or without.
 fn begins(data: &[u8]) -> bool {
     let mut lines = data.split(|&byte| byte == b'\n').map(<[u8]>::trim_ascii);
-    lines.find(|line| !line.is_empty()) == Some(b"begin")
+    let first = lines.find(|line| !line.is_empty());
+    first.and_then(|line| line.split(u8::is_ascii_whitespace).next()) == Some(b"begin")
+}
+
+/// Whether a line is `begin`. One with a presence is for the gauge that was there then.
+fn is_begin(line: &str, presence: Epoch<Presence>) -> Result<bool> {
+    let (word, then) = split(line);
+    if word != "begin" || then.is_empty() {
+        return Ok(word == "begin");
+    }
+    let then: u64 =
+        then.trim().parse().map_err(|_| invalid("after `begin` stands what gauge/presence has shown"))?;
+    if then == presence.number() {
+        return Ok(true);
+    }
+    let why = "the gauge has been away or is another one since its values were read, so nothing was written; read them again";
+    Err(Error::new("", Cause::Gone, why))
 }
 
 /// Checks the lines of one write(2), which continue the transaction `before`.
@@ -302,9 +320,10 @@ fn take(
     }
     let none = |why: &str| Error::host("", Errno::ENODATA, why);
     let dropped = dropped.filter(|_| !next.is_open && !next.is_new);
+    let begins = is_begin(line, rules.presence)?;
     match line {
-        "begin" if next.is_open && !next.is_spoiled => return Err(busy()),
-        "begin" => next.restart(true),
+        _ if begins && next.is_open && !next.is_spoiled => return Err(busy()),
+        _ if begins => next.restart(true),
         "commit" if next.is_spoiled => (next.is_open, next.commits) = (false, true),
         "abort" if next.is_spoiled => next.restart(false),
         _ if matches!(dropped, Some(Dropped::Old)) => {
@@ -421,7 +440,8 @@ mod tests {
         let chip = Chip::by_name("bq27520-g3").expect("it has a table");
         let transaction = Transaction::default();
         let lines = b"begin\n91/0 0x55\n92/0 0x55\n92/0 0x00\n";
-        let rules = Rules { chip, allow_unproven: true, stored: &|_| None };
+        let presence = Epoch::default();
+        let rules = Rules { chip, allow_unproven: true, stored: &|_| None, presence };
         let at = Moment { now: Duration::ZERO, presence: Epoch::default() };
         assert!(transaction.write(&rules, at, lines).expect("lines").is_none());
         let staged = transaction.staged(at).expect("open").changes(chip);

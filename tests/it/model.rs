@@ -314,6 +314,7 @@ impl Model {
             ("model_name", Class::Steady),
             ("gauge/last_error", Class::Steady),
             ("gauge/last_error_facts", Class::Steady),
+            ("gauge/presence", Class::Steady),
             ("gauge/statistics/polls", Class::Steady),
             ("voltage_now", Class::Measured),
             ("capacity", Class::Measured),

@@ -22,12 +22,13 @@ use crate::room::{Folder, gaugefs};
 
 const WRITTEN: Result<Outcome> = Ok(Outcome::Written { reset: true, old: Vec::new() });
 
-/// Two packs at one address; the switch selects one.
+/// Two packs at one address; the switch selects one, or none.
 struct Swap([Box<dyn Bus>; 2], Arc<AtomicUsize>);
 
 impl Bus for Swap {
     fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
-        self.0[self.1.load(Ordering::SeqCst)].transfer(write, read)
+        let pack = self.0.get_mut(self.1.load(Ordering::SeqCst));
+        pack.map_or(Err(BusError::NoAck), |pack| pack.transfer(write, read))
     }
 }
 
@@ -114,6 +115,16 @@ fn the_commands_read_the_pack_that_is_there() {
     at.store(0, Ordering::SeqCst);
     assert!(gaugefs(&["export", folder]).done().contains("\ncell-terminate-voltage = 3100 "));
     at.store(1, Ordering::SeqCst);
+    let mounted = gaugefs_client::Gauge::open(folder).expect("a mounted gauge");
+    let (then, now) = (mounted.presence(), |text: &str| mount.echo(text, "gauge/refresh"));
+    let then = then.expect("a number");
+    assert!(mounted.apply(&then, &[], &[]).is_ok(), "it is the one");
+    at.store(2, Ordering::SeqCst);
+    (0..3).for_each(|_| assert!(now("1").is_err(), "nothing answers"));
+    at.store(1, Ordering::SeqCst);
+    now("1").expect("it is back");
+    let error = mounted.apply(&then, &[], &[]).expect_err("it was away").to_string();
+    assert!(error.contains("nothing was written"), "{error}");
     let import = gaugefs(&["import", folder, file]);
     assert_eq!(import.done(), "it-cfg/cell-terminate-voltage: 3000 -> 3100 mV\n");
     assert!(second.flash() != before);

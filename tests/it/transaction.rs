@@ -559,3 +559,33 @@ fn regression_a_transaction_ends_when_its_gauge_leaves() {
     assert_eq!(tree.stage("begin\n80/53 3100\ncommit"), Ok(()));
     assert_eq!(tree.read("df/80/53").as_deref(), Ok("3100\n"));
 }
+
+/// What is to be changed follows from what the gauge had. A command read that from one pack, and the next one, which had
+/// come meanwhile, got what the first one lacked; what it lacked itself was told as being there.
+#[test]
+fn regression_the_next_pack_got_what_the_first_one_lacked() {
+    let tree = tree("bq34z100-g1");
+    let presence = || tree.read("gauge/presence").expect("a number").trim().to_string();
+    let begin = |presence: &str| tree.stage(&format!("begin {presence}\n80/53 3100\ncommit"));
+    let first = presence();
+    tree.sim.set("power", "off").expect("a knob");
+    for _ in 0..3 {
+        assert!(tree.write("gauge/refresh", "1").is_err());
+        tree.clock.sleep(Duration::from_secs(1));
+    }
+    tree.sim.set("power", "on").expect("a knob");
+    tree.clock.sleep(Duration::from_secs(3));
+    assert_eq!(tree.write("gauge/refresh", "1"), Ok(()));
+    let before = tree.sim.flash();
+    assert_ne!(presence(), first);
+    assert_eq!(begin(&first), Err(Errno::ENODEV));
+    let why = tree.handle.published().last_error.to_string();
+    assert!(why.contains("since its values were read") && why.contains("read them again"), "{why}");
+    assert!(tree.sim.flash() == before);
+    assert_eq!(tree.read("df/transaction").as_deref(), Ok("idle\n"));
+    for text in ["-1", "x", "1 2"] {
+        assert_eq!(begin(text), Err(Errno::EINVAL), "{text}");
+    }
+    assert_eq!(begin(&presence()), Ok(()));
+    assert_eq!(tree.read("df/80/53").as_deref(), Ok("3100\n"));
+}

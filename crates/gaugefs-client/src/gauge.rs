@@ -319,12 +319,27 @@ impl Gauge {
         })?)
     }
 
-    /// Writes changes, all of them or none, as one transaction.
-    pub fn apply(&self, changes: &[Difference<'_>], raw: &[RawDifference]) -> Result<()> {
+    /// Which gauge is there. What is read from now on is of that one for as long as this does not change.
+    pub fn presence(&self) -> Result<Presence> {
+        let text = self.text("gauge/presence")?;
+        Ok(Presence(text.trim().to_string()))
+    }
+
+    /// Writes changes, all of them or none, as one transaction, to the gauge that was there when they were found.
+    pub fn apply(
+        &self,
+        presence: &Presence,
+        changes: &[Difference<'_>],
+        raw: &[RawDifference],
+    ) -> Result<()> {
         if changes.is_empty() && raw.is_empty() {
-            return Ok(());
+            if self.presence()? == *presence {
+                return Ok(());
+            }
+            let why = "it has been away or is another gauge since its values were read; nothing was written, try again";
+            return Err(ti_gauge::error::Error::new(self.name(), Cause::Gone, why).into());
         }
-        let mut lines = String::from("begin\n");
+        let mut lines = format!("begin {}\n", presence.0);
         for Difference { new, .. } in changes {
             lines += &format!("{} {}\n", Place::of((new.subclass, new.parameter)), new.text());
         }
@@ -348,6 +363,10 @@ impl Gauge {
         Ok(())
     }
 }
+
+/// Which gauge is there, for [`Gauge::apply`].
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Presence(String);
 
 /// What a poll has shown: which gauge it is, and when it was polled.
 #[derive(Clone, Debug)]

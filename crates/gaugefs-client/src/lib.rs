@@ -105,7 +105,7 @@ pub mod watch;
 
 pub use error::{Error, Result};
 pub use file::GaugeFile;
-pub use gauge::{Decision, Gauge, Polled, folder_name};
+pub use gauge::{Decision, Gauge, Polled, Presence, folder_name};
 pub use hang::within;
 pub use parameter::{Changed, Transaction, Wanted, row};
 pub use place::{died, gauges_at, last_name};

@@ -107,6 +107,7 @@ static FILES: &[(&str, &str)] = &[
     ("current_scale", ""),
     ("charge_scale", ""),
     ("energy_scale", ""),
+    ("presence", ""),
     ("poll_interval", "s"),
     ("age_ms", "ms"),
     ("last_error", ""),

@@ -128,10 +128,11 @@ impl<'a> Transaction<'a> {
     /// Writes what the gauge does not have yet, and verifies it. Returns when it is in data flash, with what has changed.
     /// After an error nothing has changed, unless the error says something else.
     pub fn commit(self) -> Result<Vec<Changed>> {
+        let presence = self.gauge.presence()?;
         let stored = self.gauge.values(self.wanted.0.chip, &self.wanted.rows())?;
         // Whether unproven ones may be written is the mount's to decide.
         let Changes { changes, .. } = stored.changes(&self.wanted.0, &[], true)?;
-        self.gauge.apply(&changes, &[])?;
+        self.gauge.apply(&presence, &changes, &[])?;
         Ok(changes.iter().map(Changed::of).collect())
     }
 }

@@ -42,6 +42,11 @@ impl<Of> Epoch<Of> {
     pub fn next(&mut self) {
         self.number += 1;
     }
+
+    /// Which one it is, for whoever is told of it by its number.
+    pub fn number(self) -> u64 {
+        self.number
+    }
 }
 
 impl<Of> Default for Epoch<Of> {
