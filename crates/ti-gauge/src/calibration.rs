@@ -375,7 +375,7 @@ impl Task<'_> {
             rows.push(row(self.gauge.chip, self.calibration.cc_offset.row)?);
         }
         let waited = self.waited();
-        let values = self.dataflash.expect_measured(self.gauge, &rows, self.since, waited)?;
+        let values = self.dataflash.expect_measured(self.gauge, &rows, waited)?;
         let olds: Vec<(Row, Value)> = rows.into_iter().zip(values).collect();
         let (kind, name) = (olds[0].0.1.kind, olds[0].0.1.name);
         let was = notation::render(kind, &olds[0].1);
