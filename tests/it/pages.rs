@@ -7,11 +7,11 @@ use std::fs;
 
 use crate::room::{Session, Step, can_mount, root, steps, table};
 
-/// The pages with code blocks. docs/PRODUCTION.md has a test of its own.
+/// The pages with code blocks. The first two have tests of their own.
 macro_rules! pages {
     ($($test:ident: $page:literal, $least:literal;)*) => {
         /// Each, and how many of its commands are run at least.
-        const PAGES: &[&str] = &["docs/PRODUCTION.md", $($page),*];
+        const PAGES: &[&str] = &["docs/BY-HAND.md", "docs/PRODUCTION.md", $($page),*];
 
         $(#[test]
         fn $test() {

@@ -1,13 +1,15 @@
 // SPDX-License-Identifier: MIT
 
-//! Holds docs/PRODUCTION.md to what gaugefs does: every command of its worked example is run as it is printed, in its
-//! order, and prints what the document shows. The hidden comments of the document turn the knobs of the simulated gauge.
+//! Holds docs/BY-HAND.md and docs/PRODUCTION.md to what gaugefs does: every command of the worked example and of the rehearsal
+//! is run as it is printed, in its order, and prints what the document shows. The hidden comments of the document turn the
+//! knobs of the simulated gauge.
 
 use std::fs;
 use std::path::Path;
 
-use crate::room::{CHIP, Session, Step, can_mount, steps};
+use crate::room::{CHIP, Session, Step, can_mount, steps, table};
 
+const BY_HAND: &str = include_str!("../../docs/BY-HAND.md");
 const TEXT: &str = include_str!("../../docs/PRODUCTION.md");
 
 #[test]
@@ -18,7 +20,7 @@ fn production_by_hand_is_as_printed() {
     let mut session = Session::new();
     session.strict = true;
     session.sim = format!("--sim {CHIP} --poll 0.5 --state-dir state --sim-state flash");
-    let steps = steps(TEXT, Some("## By hand"));
+    let steps = steps(BY_HAND, None);
     // What a gauge of TI's is when it is delivered, and what the pack is, before the first look at it.
     let pack = steps.iter().find_map(|step| if let Step::Knobs(knobs) = step { Some(knobs) } else { None });
     let mut is_new = true;
@@ -37,7 +39,7 @@ fn production_by_hand_is_as_printed() {
 fn a_rehearsal_is_as_printed() {
     let mut session = Session::new();
     session.strict = true;
-    let by_hand = steps(TEXT, Some("## By hand"));
+    let by_hand = steps(BY_HAND, None);
     let image = by_hand.iter().filter(|step| matches!(step, Step::File(name, _) if name == "golden.toml"));
     for step in image.chain(&steps(TEXT, Some("### Trying it"))) {
         session.step(step);
@@ -60,14 +62,13 @@ fn sources(folder: &Path) -> String {
 fn what_can_go_wrong_is_said_so() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let text = sources(&root.join("src")) + &sources(&root.join("crates"));
-    let section = TEXT.split_once("\n### What can go wrong\n").expect("the section is there").1;
-    let section = section.split("\n## ").next().unwrap_or_default();
-    let rows: Vec<&str> = section.lines().filter(|line| line.starts_with("| `")).collect();
-    assert!(rows.len() > 6, "{rows:?}");
-    for row in rows {
-        let cell = row.split('|').nth(1).expect("a cell");
-        for part in cell.split('`').nth(1).expect("a text").split("...") {
-            assert!(text.contains(part.trim()), "no message has `{part}`: {row}");
+    for rows in [table(BY_HAND, "## What can go wrong"), table(TEXT, "FAIL has the reason behind it:")] {
+        assert!(rows.len() > 6, "{rows:?}");
+        for row in rows {
+            let quoted = row[0].split('`').skip(1).step_by(2);
+            for part in quoted.flat_map(|quoted| quoted.split("...")) {
+                assert!(text.contains(part.trim()), "no message has `{part}`: {row:?}");
+            }
         }
     }
 }
