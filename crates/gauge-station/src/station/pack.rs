@@ -188,9 +188,9 @@ impl Task<'_> {
         self.at(Step::Identify);
         self.open(slot)?;
         self.at(Step::Settle);
-        self.settle_before(slot)?;
+        let is_new = self.settle_before(slot)?;
         self.at(Step::Read);
-        let before = self.first_look(slot)?;
+        let before = self.first_look(slot, is_new)?;
         let readings = self.readings();
         // Only an open gauge shows that a journal waits for it.
         self.at(Step::Settle);
@@ -325,15 +325,20 @@ impl Task<'_> {
         }
     }
 
-    /// What an earlier pack, or a station that was stopped, has left is settled first.
-    fn settle_before(&mut self, slot: &mut dyn Slot) -> Result<()> {
-        let Some((why, needs_decision)) = self.gauge.settle(PATIENCE) else {
+    /// What an earlier pack, or a station that was stopped, has left is settled first. Returns whether there was nothing.
+    fn settle_before(&mut self, slot: &mut dyn Slot) -> Result<bool> {
+        let Some(mut left) = self.gauge.settle(PATIENCE) else {
             self.keep_journals();
-            return Ok(());
+            return Ok(true);
         };
-        if self.finish_keys(slot).is_ok() && self.gauge.settle(PATIENCE).is_none() {
-            return Ok(());
+        if self.finish_keys(slot).is_ok() {
+            // Another key may have been lost with the one that was changed.
+            match self.gauge.settle(PATIENCE) {
+                Some(other) => left = other,
+                None => return Ok(false),
+            }
         }
+        let (why, needs_decision) = left;
         if !needs_decision
             || self.station.plan.setup.options.unsettled.unwrap_or_default() == Unsettled::Refuse
         {
@@ -345,7 +350,7 @@ impl Task<'_> {
         }
         self.gauge.ask(&op::SETTLE, Some(Decision::Discard))?;
         self.keep_journals();
-        Ok(())
+        Ok(false)
     }
 
     /// Finishes a change of keys that was interrupted, if this station knows both keys. Keys are changed in the order of
@@ -385,13 +390,20 @@ impl Task<'_> {
         }
     }
 
-    /// Reads the pack, and refuses one that was programmed before.
-    fn first_look(&mut self, slot: &mut dyn Slot) -> Result<Flash> {
-        let flash = match self.look() {
+    /// Reads the pack, and refuses one that was programmed before. Of one that nothing was sent to since it was opened, the
+    /// registers are not read again: a gauge allows that twice a second only.
+    fn first_look(&mut self, slot: &mut dyn Slot, is_new: bool) -> Result<Flash> {
+        let is_new = is_new && self.watch.breaks() == 0 && !self.watch.may_be_exchanged();
+        let look = if is_new { Flash::of_new(&mut self.gauge) } else { self.look() };
+        let flash = match look {
             Err(error) if matches!(error.cause(), Cause::NotPermitted) => {
                 let found = self.look_with_new_keys(slot);
                 let found = found.or_else(|| self.look_with_erased_key(slot));
-                found.ok_or_else(|| self.with_number(&error))?
+                found.ok_or_else(|| {
+                    // Its serial number is not one of the registers that were read first.
+                    let _ = self.gauge.ask(&op::REFRESH, ());
+                    self.with_number(&error)
+                })?
             }
             read => read?,
         };

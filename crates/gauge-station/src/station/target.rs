@@ -31,6 +31,11 @@ impl Flash {
     /// Reads it anew.
     pub(super) fn read(gauge: &mut Direct) -> Result<Self> {
         gauge.ask(&op::REFRESH, ())?;
+        Self::of_new(gauge)
+    }
+
+    /// Reads it from a gauge that was opened just now: its registers were read then, and nothing else is known of it.
+    pub(super) fn of_new(gauge: &mut Direct) -> Result<Self> {
         let chip = gauge.handle.chip();
         let wanted = readable(chip);
         let read = gauge.ask(&op::READ, wanted.clone())?;

@@ -31,6 +31,7 @@ use ti_gauge::notation;
 
 mod attacks;
 mod mux;
+mod waits;
 
 /// A station's folder, which is removed at the end.
 struct Folder(PathBuf);
@@ -1218,22 +1219,31 @@ fn regression_a_pack_without_its_keys_stays_without() {
     assert!(said[0].starts_with("PASS") && opens(&erased), "{said:?}");
 
     // The commits of the image come first.
-    let pulled = (100..900).step_by(9).find_map(|at| {
+    let (mut passed, mut lost) = (0, 0);
+    for at in (100..900).step_by(3) {
         let folder = folder("pulled-keys");
         let sim = new_pack(&clock, 2, None);
         sim.set("tear", "erased").expect("a knob");
         let line = Line::start(folder.plan(&lines), &[], None).expect("a record");
         let said = line.run(&clock, [(sim.clone(), format!("power-cut-after {at} 900000"))]);
-        (said[0].contains("a change of the") || said[0].contains("keys change"))
-            .then_some((folder, sim, said))
-    });
-    let (folder, sim, _) = pulled.expect("a change of keys");
-    clock.sleep(Duration::from_secs(1000));
-    sim.set("power", "on").expect("a knob");
-    let line = Line::start(folder.plan(&lines), &[], None).expect("a record");
-    let said = line.run(&clock, [(sim.clone(), "none".into())]);
-    let last = said.last().expect("an outcome");
-    assert!(last.starts_with("PASS") && opens(&sim), "{said:?}");
+        drop(line);
+        if !(said[0].contains("a change of the") || said[0].contains("keys change")) {
+            continue;
+        }
+        clock.sleep(Duration::from_secs(1000));
+        sim.set("power", "on").expect("a knob");
+        let line = Line::start(folder.plan(&lines), &[], None).expect("a record");
+        let said = line.run(&clock, [(sim.clone(), "none".into())]);
+        let last = said.last().expect("an outcome");
+        // One that the station does not have may be in the row that was erased: then a person has to decide.
+        let is_lost = last.contains("the authentication key may have been lost");
+        assert!(
+            last.starts_with("PASS") && opens(&sim) || last.starts_with("FAIL") && is_lost,
+            "{at}: {said:?}"
+        );
+        (passed, lost) = (passed + u32::from(!is_lost), lost + u32::from(is_lost));
+    }
+    assert!(passed > 5 && lost < passed / 4, "{passed} {lost}");
 }
 
 /// A gate that would shut at the packs' voltage.
@@ -1362,7 +1372,8 @@ fn a_label_is_kept_in_the_record_and_in_the_pack() {
     drop(line);
     let line = Line::start(folder.plan(&lines), &["SN7", "SN7", "SN00124"], None).expect("a record");
     let sim = new_pack(&clock, 3, None);
-    let said = line.run(&clock, [(sim.clone(), "silence 300 900000".into())]);
+    // After its number is given, and before the first commit.
+    let said = line.run(&clock, [(sim.clone(), "silence 280 900000".into())]);
     assert!(said[0].starts_with("FAIL BAT0 SN7"), "{said:?}");
     clock.sleep(Duration::from_secs(1000));
     let said = line.run(&clock, [(sim, "none".into()), (new_pack(&clock, 4, None), "none".into())]);
