@@ -248,11 +248,13 @@ const LONGEST: u64 = 64 << 10;
 struct Input {
     lines: Option<Receiver<String>>,
     terminal: Terminal,
+    /// The last line was not empty.
+    has_answered: bool,
 }
 
 impl Input {
     fn new(terminal: Terminal) -> Self {
-        Self { lines: None, terminal }
+        Self { lines: None, terminal, has_answered: false }
     }
 }
 
@@ -276,7 +278,8 @@ impl Scanner for Input {
             });
             lines
         });
-        if io::stdin().is_terminal() {
+        let is_terminal = io::stdin().is_terminal();
+        if is_terminal {
             // What was scanned before it was asked for was for nobody. A program that writes lines may be ahead.
             let _ = tcflush(io::stdin(), FlushArg::TCIFLUSH);
             while lines.try_recv().is_ok() {}
@@ -284,7 +287,12 @@ impl Scanner for Input {
         self.terminal.prompt(what);
         loop {
             match lines.recv_timeout(LOOK) {
-                Ok(line) => return Some(line),
+                // The line feed of a scanner that ends its lines with two characters is no answer to the next question.
+                Ok(line) if is_terminal && line.is_empty() && std::mem::take(&mut self.has_answered) => {}
+                Ok(line) => {
+                    self.has_answered = !line.is_empty();
+                    return Some(line);
+                }
                 Err(RecvTimeoutError::Timeout) if !self.terminal.stops.load(Ordering::SeqCst) => {}
                 Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => return None,
             }

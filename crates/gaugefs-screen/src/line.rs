@@ -41,6 +41,8 @@ struct Model {
     /// What is asked for, and what has been typed so far.
     asked: Option<String>,
     typed: String,
+    /// The last line was not empty, and no key has followed.
+    has_answered: bool,
     totals: String,
     last: VecDeque<String>,
     colour: bool,
@@ -184,6 +186,7 @@ impl Model {
             fields: slots.iter().map(field).collect(),
             asked: None,
             typed: String::new(),
+            has_answered: false,
             totals: String::new(),
             last: VecDeque::new(),
             colour,
@@ -196,12 +199,18 @@ impl Model {
     fn key(&mut self, key: Key) -> Option<String> {
         self.asked.as_ref()?;
         self.changed = true;
+        self.has_answered &= key == Key::Enter;
         match key {
             Key::Letter(letter) if self.typed.chars().count() < LONGEST => self.typed.push(letter),
             Key::Letter(_) => {}
             Key::Back => drop(self.typed.pop()),
             Key::Clear => self.typed.clear(),
-            Key::Enter => return Some(std::mem::take(&mut self.typed)),
+            // The line feed of a scanner that ends its lines with two characters is no answer to the next question.
+            Key::Enter if self.typed.is_empty() && std::mem::take(&mut self.has_answered) => {}
+            Key::Enter => {
+                self.has_answered = !self.typed.is_empty();
+                return Some(std::mem::take(&mut self.typed));
+            }
         }
         None
     }
@@ -332,5 +341,20 @@ mod tests {
         }
         assert_eq!(model.typed.len(), LONGEST);
         assert_eq!((model.key(Key::Clear), model.typed.len()), (None, 0));
+    }
+
+    #[test]
+    fn regression_the_line_feed_of_a_scanner_answered_the_next_question() {
+        let mut model = model(&["LEFT"], false);
+        assert_eq!(model.key(Key::Enter).as_deref(), Some("SN0012"));
+        // The second question is there already.
+        assert_eq!(model.key(Key::Enter), None);
+        // What somebody presses is an empty line, which is told.
+        assert_eq!(model.key(Key::Enter).as_deref(), Some(""));
+        assert_eq!(model.key(Key::Enter).as_deref(), Some(""));
+        for key in [Key::Letter('7'), Key::Back] {
+            assert_eq!(model.key(key), None);
+        }
+        assert_eq!(model.key(Key::Enter).as_deref(), Some(""));
     }
 }
