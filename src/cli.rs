@@ -49,12 +49,12 @@ mod watch;
 
 const EXAMPLES: &str = "\
 Examples:
-  gaugefs mount --sim bq34z100-g1 /tmp/gauges     a simulated gauge, no hardware needed
+  gaugefs mount --sim bq34z100-g1 /tmp/gauges     a simulated gauge
   cat /tmp/gauges/BAT0/voltage_now                its voltage in microvolts
   gaugefs umount /tmp/gauges
 
   gaugefs probe --bus /dev/i2c-1                  scan a bus for gauges
-  gaugefs mount --bus /dev/i2c-1 ~/gauges         mount the gauge on it, for you alone
+  gaugefs mount --bus /dev/i2c-1 ~/gauges         mount it, for you alone
   sudo gaugefs mount --bus /dev/i2c-1 /run/gauges     for all users to read";
 
 /// Mounts TI battery fuel gauges as a Linux power_supply tree, data flash included
@@ -292,6 +292,19 @@ mod tests {
     fn prose_takes_the_width_of_the_terminal_and_examples_stay() {
         let text = "One\ntwo.\n\nThree\nfour:\n  a\n  b\nFive\nsix";
         assert_eq!(flow(text), "One two.\n\nThree four:\n  a\n  b\nFive six");
+    }
+
+    /// A terminal of 80 columns would break an example in the middle, with what it is about below it.
+    #[test]
+    fn regression_examples_were_broken_at_80_columns() {
+        fn check(command: &clap::Command) {
+            let text = command.get_after_help().map(ToString::to_string).unwrap_or_default();
+            for line in text.lines().filter(|line| line.starts_with(' ')) {
+                assert!(line.chars().count() <= 80, "{}: {line}", command.get_name());
+            }
+            command.get_subcommands().for_each(check);
+        }
+        check(&definition());
     }
 
     /// Where the options of a table must be found, by the command that has them.

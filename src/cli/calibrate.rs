@@ -26,9 +26,9 @@ the journal until the gauge has been measured again, and are put back if the err
 Takes up to half a minute. Exit code 0: calibrated; 1: refused, or put back.
 
 Examples:
-  gaugefs calibrate /run/gauges/BAT0 board-offset                no load, no charger
-  gaugefs calibrate /run/gauges/BAT0 voltage --actual 25.2V      what a meter at the pack shows
-  gaugefs calibrate /run/gauges/BAT0 current --actual -2000mA    a load of 2 A discharges
+  gaugefs calibrate /run/gauges/BAT0 board-offset               no load
+  gaugefs calibrate /run/gauges/BAT0 voltage --actual 25.2V     as a meter shows
+  gaugefs calibrate /run/gauges/BAT0 current --actual -2000mA   a load of 2 A
   gaugefs calibrate /run/gauges/BAT0 temperature --actual 23.5C";
 
 /// Calibrate a mounted gauge against a meter

@@ -35,7 +35,7 @@ has meanwhile. Keys of the mount's key file that were erased with it are put bac
 
 Examples:
   gaugefs keys change /run/gauges/BAT0 unseal
-  gaugefs keys change /run/gauges/BAT0 unseal --key-file old.keys --new-key-file new.keys";
+  gaugefs keys change --key-file old.keys --new-key-file new.keys BAT0 unseal";
 
 /// Longest line that is accepted from the terminal.
 const LINE: usize = 256;

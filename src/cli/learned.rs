@@ -18,8 +18,8 @@ with --pack; no such gauge can tell its pack from another one after a loss of po
 cannot be right are not written, and this command says which.
 
 Examples:
-  gaugefs learned /run/gauges/BAT0             what is kept, from when, and whether it would be restored
-  gaugefs learned /run/gauges/BAT0 --restore   write it now, because this is the pack
+  gaugefs learned /run/gauges/BAT0             what is kept, and from when
+  gaugefs learned /run/gauges/BAT0 --restore   write it now: this is the pack
   gaugefs learned /run/gauges/BAT0 --forget    another pack is there";
 
 /// Show, restore or forget what a gauge without flash has learned

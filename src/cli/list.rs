@@ -22,7 +22,7 @@ or none is mounted.
 
 Examples:
   gaugefs list
-  gaugefs list --json | jq -r 'select(.capacity != null and .capacity < 20) | .path'";
+  gaugefs list --json | jq -r 'select((.capacity // 100) < 20) | .path'";
 
 /// List all mounted gauges
 #[derive(Args, Debug)]

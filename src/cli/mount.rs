@@ -16,11 +16,11 @@ use crate::output::{print, say};
 const MOUNT: &str = "\
 Examples:
   gaugefs mount --sim bq34z100-g1 /tmp/gauges
-  gaugefs mount --bus /dev/i2c-1 ~/gauges                         for you alone
-  sudo gaugefs mount --bus /dev/i2c-1 --group i2c /run/gauges     all may read, the group write
-  gaugefs mount --bus /dev/i2c-1 --chip bq34z100-g1 --name PACK --key-file ~/pack.keys ~/gauges
-  sudo gaugefs mount --bus /dev/i2c-1 /sys/class/power_supply     with the kernel's supplies
-  sudo gaugefs mount --config /etc/gaugefs/packs.toml             many gauges
+  gaugefs mount --bus /dev/i2c-1 ~/gauges                      for you alone
+  sudo gaugefs mount --bus /dev/i2c-1 --group i2c /run/gauges  for all to read
+  gaugefs mount --bus /dev/i2c-1 --key-file ~/pack.keys ~/gauges
+  sudo gaugefs mount --bus /dev/i2c-1 /sys/class/power_supply  beside others
+  sudo gaugefs mount --config /etc/gaugefs/packs.toml          many gauges
 
 Each gauge is a folder in MOUNTPOINT with the files of a kernel power supply: BAT0/voltage_now,
 BAT0/capacity and so on. Its data flash is in BAT0/df, everything else in BAT0/gauge.";

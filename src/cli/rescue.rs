@@ -43,7 +43,7 @@ whole firmware then starts by itself. Charge the pack and keep the power on.
 It can be interrupted at any time: run it again, and it begins with the first row.
 
 Examples:
-  gaugefs rescue 0100_0_16-bq34z100G1.bq.fs --sim bq34z100-g1     without a gauge, to see it once
+  gaugefs rescue 0100_0_16-bq34z100G1.bq.fs --sim bq34z100-g1     to see it once
   gaugefs rescue 0100_0_16-bq34z100G1.bq.fs --bus /dev/i2c-1 --chip bq34z100-g1";
 
 /// How long a gauge may take to start its firmware, and the time between two looks.

@@ -27,7 +27,7 @@ worst.
 
 Examples:
   gaugefs set /run/gauges/BAT0 it-cfg/cell-terminate-voltage=3.1V
-  gaugefs set /run/gauges/BAT0 design-capacity=2200mAh manufacture-date=2026-11-22
+  gaugefs set /run/gauges/BAT0 design-capacity=2200mAh serial-number=0x0107
   gaugefs set --dry-run /run/gauges/BAT0 /run/gauges/BAT1 80/53=3100";
 
 /// Write parameters of mounted gauges by name, all of them or none

@@ -21,15 +21,15 @@ use ti_gauge::text;
 
 const SIM: &str = "\
 Examples:
-  gaugefs sim bq34z100-g1 -- i2cdump -y 90 0x55                   as /dev/i2c-90
+  gaugefs sim bq34z100-g1 -- i2cdump -y 90 0x55          as /dev/i2c-90
   gaugefs sim bq34z100-g1 -- sh -c 'i2cget -y $I2C_BUS 0x55 8 w'
-  gaugefs sim bq34z100-g1 -- sh -c 'gaugefs mount --bus $I2C_DEV /tmp/gauges; ls /tmp/gauges'
-  gaugefs sim bq34z100-g1 bq27220@0x56 /tmp/bus                   a file, for any program of yours
-  gaugefs sim bq34z100-g1 --knobs /tmp/knobs /tmp/bus &           with the knobs of the gauge
-  echo 500 > /tmp/knobs/load_ma                                   a discharge with 500 mA
-  gaugefs sim --replay pack.log /tmp/bus                          what `mount --trace` has recorded
-  sudo gaugefs sim bq34z100-g1 --cuse i2c-9                       a device for every program: /dev/i2c-9
-  sudo gaugefs sim bq34z100-g1 --device                           an adapter of the kernel's, for drivers too
+  gaugefs sim bq34z100-g1 -- sh -c 'gaugefs mount --bus $I2C_DEV m; ls m'
+  gaugefs sim bq34z100-g1 bq27220@0x56 /tmp/bus          a file, for any program
+  gaugefs sim bq34z100-g1 --knobs /tmp/knobs /tmp/bus &  with the gauge's knobs
+  echo 500 > /tmp/knobs/load_ma                          a load of 500 mA
+  gaugefs sim --replay pack.log /tmp/bus                 a recording
+  sudo gaugefs sim bq34z100-g1 --cuse i2c-9              as /dev/i2c-9
+  sudo gaugefs sim bq34z100-g1 --device                  for drivers
 
 A program uses the file as it uses /dev/i2c-N. With a COMMAND the bus is /dev/i2c-N for it alone, N is in
 $I2C_BUS and the path in $I2C_DEV, and the exit code is the command's. Both work without root; the

@@ -22,7 +22,7 @@ refused there: write it before --exec, or behind the `;`. The environment of the
   GAUGEFS_EVENT       raised or cleared
   GAUGEFS_ALERT       name of the alert
   GAUGEFS_CONDITION   its condition
-  GAUGEFS_VALUE       text of the first file that it compares; not set if it is missing
+  GAUGEFS_VALUE       text of the first file that it compares, if there is one
   GAUGEFS_GAUGE       folder of the gauge
   POWER_SUPPLY_*      the lines of its uevent
 
@@ -31,8 +31,9 @@ program runs is not reported to it again. Everything is read after each poll of 
 causes no bus traffic.
 
 Examples:
-  gaugefs watch /run/gauges 'capacity<=5 && status==Discharging' --for 60 --exec systemctl poweroff
-  gaugefs watch /run/gauges/BAT0 'temp>50C' --clear 'temp<45C' --exec fan on \\; --exec-clear fan off
+  gaugefs watch /run/gauges 'capacity<=5' --for 60 --exec systemctl poweroff
+  gaugefs watch BAT0 'temp>50C' --clear 'temp<45C' --exec fan on \\; \\
+    --exec-clear fan off
   gaugefs watch --config /etc/gaugefs/gaugefs.toml     its [[alert]] tables";
 
 /// Run programs when conditions on gauges come true

@@ -41,7 +41,7 @@ The times of a simulated gauge are those of its battery, to which `sim/speed` ap
 
 Examples:
   gaugefs log /run/gauges/BAT0 -o history.csv
-  gaugefs log --columns voltage,current,true_fcc,learning,events /run/gauges/BAT0 -o cycle.csv
+  gaugefs log --columns voltage,true_fcc,events /run/gauges/BAT0 -o cycle.csv
   gaugefs log --interval 60 --count 1440 /run/gauges > day.csv";
 
 /// Changes between two rows that are listed; the others are counted.

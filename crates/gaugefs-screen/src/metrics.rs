@@ -43,10 +43,10 @@ gauge/seal gets the seal of some parts only, and no poll interval.
 
 Examples:
   gaugefs metrics
-  gaugefs metrics --interval 30 -o /var/lib/prometheus/node-exporter/gaugefs.prom
+  gaugefs metrics --interval 30 -o /var/lib/prometheus/node-exporter/gauges.prom
   gaugefs metrics --listen 127.0.0.1:9947
   gaugefs metrics --listen unix:/run/gaugefs-metrics.sock
-  gaugefs metrics --format nut --interval 2 -o /run/gaugefs-nut/BAT0.seq /run/gauges/BAT0";
+  gaugefs metrics --format nut --interval 2 -o BAT0.seq /run/gauges/BAT0";
 
 /// The most threads that read one mount, for as many clients at once.
 const MOST: usize = 8;

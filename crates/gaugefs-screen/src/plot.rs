@@ -25,8 +25,8 @@ The shaded part of the capacity is where the gauge has set [SOC1] or [SOCF].
 
 Examples:
   gaugefs plot history.csv -o history.svg
-  gaugefs plot history.csv --columns 'voltage,charge,full charge' --width 1600 -o history.svg
-  gaugefs plot history.csv --limit voltage=3.0..4.2 --limit temperature=..45 -o history.svg
+  gaugefs plot history.csv --columns 'voltage,full charge' -o history.svg
+  gaugefs plot history.csv --limit voltage=3.0..4.2 -o history.svg
   rsvg-convert history.svg -o history.png";
 
 /// Longer than a history of a year.
