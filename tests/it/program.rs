@@ -89,7 +89,7 @@ fn packs_on_two_buses_are_programmed_and_recognised() {
     // The same files are the same packs.
     let said = run(1);
     let reasons = gaugefs(&["records", "--by", "reason", &record]).done();
-    assert!(reasons.lines().any(|line| line.starts_with("1 ") && line.contains("  reading  ")), "{reasons}");
+    assert!(reasons.lines().any(|line| line.starts_with("2 ") && line.contains("  reading  ")), "{reasons}");
     assert_eq!(said.matches("it was programmed before as serial number 0x000").count(), 2, "{said}");
 }
 

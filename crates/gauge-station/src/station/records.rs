@@ -110,16 +110,31 @@ impl Records {
 
     /// The failures, the most frequent first.
     pub fn failures(&self) -> Vec<Failures> {
-        let mut counts: BTreeMap<(String, String), u64> = BTreeMap::new();
+        // Serial numbers, times and files differ from pack to pack.
+        let alike = |word: &str| !word.contains(|letter: char| letter.is_ascii_digit());
+        type Kind<'a> = (String, Vec<Option<&'a str>>);
+        let mut all: BTreeMap<Kind<'_>, (u64, Vec<&str>)> = BTreeMap::new();
         for entry in self.outcomes.iter().filter(|entry| entry.event != Event::Pass) {
             let reason = entry.reason.as_deref().unwrap_or("unknown");
             let reason = reason.split("; ").next().unwrap_or_default();
-            // Subject, step and what follows, whose numbers differ from pack to pack.
-            let reason = reason.split(": ").take(3).collect::<Vec<_>>().join(": ");
-            *counts.entry((entry.step.clone().unwrap_or_default(), reason)).or_default() += 1;
+            // What follows differs from pack to pack.
+            let end = reason.match_indices(": ").nth(2).map_or(reason.len(), |(at, _)| at);
+            let words: Vec<&str> = reason[..end].split(' ').collect();
+            let kind = words.iter().map(|word| alike(word).then_some(*word)).collect();
+            let step = entry.step.clone().unwrap_or_default();
+            let (count, common) = all.entry((step, kind)).or_insert_with(|| (0, words.clone()));
+            *count += 1;
+            for (common, word) in common.iter_mut().zip(words) {
+                if *common != word {
+                    *common = "...";
+                }
+            }
         }
-        let mut list: Vec<Failures> =
-            counts.into_iter().map(|((step, reason), count)| Failures { count, step, reason }).collect();
+        let list = all.into_iter().map(|((step, _), (count, words))| {
+            let reason = words.join(" ");
+            Failures { count, step, reason }
+        });
+        let mut list: Vec<Failures> = list.collect();
         list.sort_by_key(|failures| std::cmp::Reverse(failures.count));
         list
     }

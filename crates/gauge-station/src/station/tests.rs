@@ -1218,9 +1218,15 @@ fn regression_a_pack_without_its_keys_stays_without() {
     let said = line.run(&clock, [(erased.clone(), "none".into())]);
     assert!(said[0].starts_with("PASS") && opens(&erased), "{said:?}");
 
-    // The commits of the image come first.
     let (mut passed, mut lost) = (0, 0);
-    for at in (100..900).step_by(3) {
+    let all = {
+        let folder = folder("all-keys");
+        let line = Line::start(folder.plan(&lines), &[], None).expect("a record");
+        line.run(&clock, [(new_pack(&clock, 2, None), "none".into())]);
+        folder.lines().pop().and_then(|last| last.transfers).expect("they are counted")
+    };
+    // The commits of the image come before those of the keys.
+    for at in (all / 2..all).step_by(4) {
         let folder = folder("pulled-keys");
         let sim = new_pack(&clock, 2, None);
         sim.set("tear", "erased").expect("a knob");
@@ -1515,6 +1521,33 @@ fn an_older_record_is_read() {
     let line = Line::start(folder.plan(PLAIN), &[], None).expect("a record");
     let said = line.run(&clock, [(new_pack(&clock, 1, None), "none".into())]);
     assert!(said[0].starts_with("PASS BAT0 serial 0x03e9 (pack 2"), "{said:?}");
+}
+
+/// Each pack has files of its own, so a full disk was as many reasons as it had failures.
+#[test]
+fn regression_one_reason_was_counted_once_for_each_pack() {
+    let folder = Folder::new("reasons");
+    let lines = [
+        "/line/000005-LEFT-before.toml: cannot be saved: No space left on device; nothing was changed",
+        "/line/000006-LEFT-before.toml: cannot be saved: No space left on device; nothing was changed",
+        "/line/000007-LEFT-before.toml: cannot be saved: Read-only file system; nothing was changed",
+        "bq34z100-G1: identify: device type 0x0100, firmware 0x0202: this is a bq34z100-R2",
+    ];
+    let text = (1..).zip(lines).map(|(number, reason)| {
+        let (step, reason) = (Some("checks".into()), Some(reason.into()));
+        let entry = Entry { event: Event::Fail, number, step, reason, ..Entry::default() };
+        serde_json::to_string(&entry).expect("JSON") + "\n"
+    });
+    fs::write(folder.file("line1.jsonl"), text.collect::<String>()).expect("a file");
+    let failures = super::Records::read(&folder.file("line1.jsonl")).expect("a record").failures();
+    let mut failures: Vec<_> = failures.iter().map(|one| (one.count, one.reason.as_str())).collect();
+    failures.sort_unstable();
+    let expected = [
+        (1, "/line/000007-LEFT-before.toml: cannot be saved: Read-only file system"),
+        (1, "bq34z100-G1: identify: device type 0x0100, firmware 0x0202"),
+        (2, "... cannot be saved: No space left on device"),
+    ];
+    assert_eq!(failures, expected);
 }
 
 #[test]
