@@ -4,7 +4,7 @@
 
 use std::process::ExitCode;
 
-use clap::{Args, CommandFactory};
+use clap::{ArgGroup, Args, CommandFactory, Id};
 use clap_complete::Shell;
 
 use super::Cli;
@@ -34,12 +34,27 @@ impl Completions {
 
 pub(super) fn script(shell: Shell) -> String {
     let mut script = Vec::new();
-    // Nobody types what other programs call.
-    let all = Cli::command();
-    let visible = all.get_subcommands().filter(|command| !command.is_hide_set()).cloned();
-    let mut visible = clap::Command::new("gaugefs").version(env!("CARGO_PKG_VERSION")).subcommands(visible);
-    clap_complete::generate(shell, &mut visible, "gaugefs", &mut script);
+    let mut typed = typed(&Cli::command()).version(env!("CARGO_PKG_VERSION"));
+    clap_complete::generate(shell, &mut typed, "gaugefs", &mut script);
     with_names(shell, &String::from_utf8_lossy(&script))
+}
+
+/// A command without what nobody types, because other programs call it.
+fn typed(command: &clap::Command) -> clap::Command {
+    let arguments: Vec<_> = command.get_arguments().filter(|argument| !argument.is_hide_set()).collect();
+    let groups = command.get_groups().map(|group| {
+        let is_there = |id: &&Id| arguments.iter().any(|argument| argument.get_id() == *id);
+        let members: Vec<&Id> = group.get_args().filter(is_there).collect();
+        ArgGroup::new(group.get_id().clone()).multiple(true).args(members)
+    });
+    let commands = command.get_subcommands().filter(|command| !command.is_hide_set());
+    // clap keeps names that the program has; this one ends when the script is printed.
+    let name: &str = command.get_name().to_string().leak();
+    clap::Command::new(name)
+        .about(command.get_about().cloned().unwrap_or_default())
+        .groups(groups)
+        .args(arguments.iter().copied())
+        .subcommands(commands.map(typed))
 }
 
 /// The script, with the names of parameters after the gauge of `get` and `set`. `gaugefs names` knows them, and answers within
@@ -96,7 +111,7 @@ function __gaugefs_names
     set -l words (commandline -opc)
     set -l gauge (string match -r '^[/.].*' -- $words)[1]
     test -n "$gauge"; or return
-    set -l end
+    set -l end ''
     contains -- set $words; and set end =
     for name in (gaugefs names -- $gauge 2>/dev/null)
         echo $name$end
@@ -107,6 +122,8 @@ complete -c gaugefs -n "__fish_seen_subcommand_from get set" -a "(__gaugefs_name
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeSet;
+
     use super::*;
 
     #[test]
@@ -123,6 +140,30 @@ mod tests {
                 };
                 assert_eq!(is_there, !command.is_hide_set(), "{shell}: {}", command.get_name());
             }
+        }
+    }
+
+    #[test]
+    fn regression_options_that_other_programs_pass_were_completed() {
+        let names = |is_hidden: bool| -> BTreeSet<String> {
+            let all = Cli::command();
+            let of = |command: &clap::Command| command.get_arguments().cloned().collect::<Vec<_>>();
+            let arguments = all.get_subcommands().filter(|command| !command.is_hide_set()).flat_map(of);
+            arguments
+                .filter(|argument| argument.is_hide_set() == is_hidden)
+                .filter_map(|argument| argument.get_long().map(String::from))
+                .collect()
+        };
+        let (hidden, shown) = (names(true), names(false));
+        assert!(hidden.contains("service") && shown.contains("kernel-node"), "{hidden:?}");
+        for shell in [Shell::Bash, Shell::Zsh, Shell::Fish] {
+            let script = script(shell);
+            let is_there = |name: &String| match shell {
+                Shell::Fish => script.contains(&format!(" -l {name} ")),
+                _ => script.contains(&format!("--{name}")),
+            };
+            assert!(hidden.difference(&shown).all(|name| !is_there(name)), "{shell}: {hidden:?}");
+            assert!(shown.iter().all(is_there), "{shell}");
         }
     }
 }

@@ -461,17 +461,21 @@ fn the_names_that_a_shell_completes_are_those_that_set_takes() {
     assert_eq!(complete("get", "it-cfg/cell-termi").done(), "it-cfg/cell-terminate-voltage\n");
     assert_eq!(complete("set", "cell-termi").done(), "cell-terminate-voltage=\n");
     fs::write(&script, gaugefs(&["completions", "fish"]).done()).expect("a file");
-    let mut fish = std::process::Command::new("fish");
-    let ask =
-        r#"set PATH $argv[3] $PATH; source $argv[1]; complete -C "gaugefs set '$argv[2]' it-cfg/cell-termi""#;
-    let program = Path::new(env!("CARGO_BIN_EXE_gaugefs")).parent().expect("a folder");
-    fish.args(["--no-config", "-c", ask, &script, &gauge.path()]).arg(program);
-    match fish.output() {
-        Ok(answer) => {
-            let answer = String::from_utf8_lossy(&answer.stdout).into_owned();
-            assert_eq!(answer.trim_end(), "it-cfg/cell-terminate-voltage=");
+    // In fish a variable without a value makes the whole word vanish: `get` completed nothing.
+    for (verb, end) in [("set", "="), ("get", "")] {
+        let mut fish = std::process::Command::new("fish");
+        let ask = format!(
+            r#"set PATH $argv[3] $PATH; source $argv[1]; complete -C "gaugefs {verb} '$argv[2]' it-cfg/cell-termi""#
+        );
+        let program = Path::new(env!("CARGO_BIN_EXE_gaugefs")).parent().expect("a folder");
+        fish.args(["--no-config", "-c", &ask, &script, &gauge.path()]).arg(program);
+        match fish.output() {
+            Ok(answer) => {
+                let answer = String::from_utf8_lossy(&answer.stdout).into_owned();
+                assert_eq!(answer.trim_end(), format!("it-cfg/cell-terminate-voltage{end}"));
+            }
+            Err(_) => eprintln!("SKIPPED: fish is not installed; its completion of names was not tried"),
         }
-        Err(_) => eprintln!("SKIPPED: fish is not installed; its completion of names was not tried"),
     }
     for (shell, word) in [("zsh", "_gaugefs_names"), ("fish", "__gaugefs_names")] {
         let script = gaugefs(&["completions", shell]).done();
