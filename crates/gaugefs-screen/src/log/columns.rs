@@ -62,7 +62,8 @@ const KNOWN: [Known; 15] = [
         Some(words.join(" ").trim().to_string())
     }),
     ("part", "", true, |sample| Some(sample.attribute("model_name")?.to_string())),
-    ("serial number", "", true, |sample| Some(sample.attribute("serial_number")?.to_string())),
+    // As every command writes it, and takes it.
+    ("serial number", "", true, |sample| Some(format!("0x{}", sample.attribute("serial_number")?))),
     ("seal", "", false, |sample| sample.seal.clone()),
 ];
 
