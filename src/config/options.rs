@@ -409,6 +409,7 @@ pub(crate) struct MountOptions {
     pub(crate) log: Option<PathBuf>,
     pub(crate) state_dir: Option<PathBuf>,
     pub(crate) no_backup: bool,
+    pub(crate) fast: bool,
 }
 
 impl Options for MountOptions {
@@ -482,6 +483,13 @@ impl Options for MountOptions {
             effect: Effect::Switch(|to, on| to.no_backup = on),
             doc: "Do not save a gauge's configuration before the first write to it",
             heading: RUNNING,
+            ..Opt::NEW
+        },
+        Opt {
+            name: "fast",
+            effect: Effect::Switch(|to, on| to.fast = on),
+            doc: "Let whatever waits for a gauge go on at once; every gauge has to be simulated",
+            heading: GAUGE,
             ..Opt::NEW
         },
     ];

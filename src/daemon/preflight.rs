@@ -13,7 +13,7 @@ use nix::errno::Errno;
 use nix::unistd::{Gid, Group, User, getegid, geteuid, getgroups};
 
 use super::{log, mountpoint, node};
-use crate::config::{MountOptions, Setup};
+use crate::config::{GaugeOptions, MountOptions, Setup};
 use crate::error::{Cause, Error, Result};
 use crate::fs::Covered;
 use gauge_bus::clock::{Clock, RealClock};
@@ -43,6 +43,7 @@ pub(super) fn mount(
     found.extend(mount.state_dir.as_deref().filter(|_| !mount.read_only).map(journal_dir::check));
     found.push(super::mains_name(mount, names, &taken).map(drop));
     found.push(distinct(setup));
+    found.push(fast(setup, names));
     let batteries = names.iter().zip(gauges).filter(|(_, gauge)| gauge.kernel_node);
     found.extend(batteries.map(|(name, gauge)| {
         let chip = gauge.source().chip();
@@ -71,6 +72,18 @@ pub(crate) fn check(setup: &Setup) -> (Vec<String>, Vec<Error>) {
         found.extend(needs_of(name, &gauge.setup(), &mountpoint).into_iter().map(|error| error.within(name)));
     }
     (names, found)
+}
+
+/// Whether no gauge needs the time that a mount is not to wait for.
+fn fast(setup: &Setup, names: &[String]) -> Result<()> {
+    let real = |gauge: &&GaugeOptions| !matches!(gauge.source(), Source::Sim { .. });
+    match names.iter().zip(&setup.gauges).find(|(_, gauge)| real(gauge)) {
+        Some((name, gauge)) if setup.mount.fast => {
+            let why = format!("fast is for simulated gauges, and it is {}", gauge.source());
+            Err(Error::new(name, Cause::Invalid, why))
+        }
+        _ => Ok(()),
+    }
 }
 
 /// Whether every file that is written has a name of its own.

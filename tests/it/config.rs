@@ -574,6 +574,18 @@ fn relative_paths_are_those_of_the_callers_folder() {
 
 /// Those of a configuration are relative to the folder of its file.
 #[test]
+fn only_a_simulated_gauge_can_be_hurried() {
+    let folder = Folder::new();
+    let file = folder.file("gauges.toml");
+    let text = format!(
+        "[mount]\nfast = true\n[[gauge]]\nsim = '{CHIP}'\n[[gauge]]\nname = 'PACK'\nbus = '/dev/i2c-999'\n"
+    );
+    std::fs::write(&file, text).expect("a file");
+    let ran = gaugefs(&["mount", "--config", &file, "--check", &folder.file("m")]);
+    assert!(ran.code == Some(1) && ran.err.contains("PACK: fast is for simulated gauges"), "{}", ran.err);
+}
+
+#[test]
 fn relative_paths_of_a_configuration_are_those_of_its_folder() {
     if !can_mount() {
         return;

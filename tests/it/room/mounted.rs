@@ -8,11 +8,11 @@ use std::io::Write;
 use std::os::fd::OwnedFd;
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::time::{Duration, Instant};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
 
 use gauge_bus::Bus;
-use gauge_bus::clock::{Clock, RealClock};
+use gauge_bus::clock::{Clock, HurriedClock, RealClock};
 use gauge_owner::{self as owner, Handle, Settings, Signal};
 use gauge_sim::{Options, Sim};
 use gaugefs::error::Result;
@@ -24,32 +24,6 @@ use ti_gauge::dataflash::Change;
 use ti_gauge::keys::Keys;
 
 use super::{Folder, within};
-
-/// Real time, except that a sleep ends at once: a write takes seconds of the gauge and microseconds of the test.
-pub(crate) struct Hurried {
-    start: Instant,
-    skipped: AtomicU64,
-}
-
-impl Default for Hurried {
-    fn default() -> Self {
-        Self { start: Instant::now(), skipped: AtomicU64::new(0) }
-    }
-}
-
-impl Clock for Hurried {
-    fn now(&self) -> Duration {
-        self.start.elapsed() + Duration::from_nanos(self.skipped.load(Ordering::SeqCst))
-    }
-
-    fn sleep(&self, time: Duration) {
-        self.spend(time);
-    }
-
-    fn spend(&self, time: Duration) {
-        self.skipped.fetch_add(time.as_nanos() as u64, Ordering::SeqCst);
-    }
-}
 
 /// The knobs of a simulated gauge. With `defect`, looking at one of them panics.
 struct SimKnobs {
@@ -179,7 +153,7 @@ impl Mount {
 pub(crate) struct Swift {
     /// The gauge's folder.
     pub(crate) root: PathBuf,
-    pub(crate) clock: Arc<Hurried>,
+    pub(crate) clock: Arc<HurriedClock>,
     pub(crate) sim: Sim,
     pub(crate) handle: Handle,
     _mounted: Mounted,
@@ -197,7 +171,7 @@ impl Swift {
     ) -> Self {
         let at = PathBuf::from(folder.file("m"));
         fs::create_dir(&at).expect("a folder");
-        let clock = Arc::new(Hurried::default());
+        let clock = Arc::new(HurriedClock::default());
         let sim = Sim::new(chip.name, &Options::default(), clock.clone()).expect("a simulated chip");
         prepare(&sim);
         clock.sleep(Duration::from_secs(2));
