@@ -294,6 +294,8 @@ mod tests {
                 assert!(shown.contains(word), "{count} on {width} x {height}: {shown}");
             }
             assert_eq!(shown.matches("[WAIT]").count(), count - 4, "{shown}");
+            // Narrow fields have room for their text where wide ones have none.
+            assert!(width < 80 || shown.contains("programming,"), "{count} on {width} x {height}: {shown}");
         }
     }
 
