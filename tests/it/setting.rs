@@ -26,7 +26,7 @@ impl Gauge {
         }
         let folder = Folder::new();
         let at = folder.file("m");
-        gaugefs(&[&["mount", "--sim", CHIP, &at], more].concat()).done();
+        gaugefs(&[&["mount", "--sim", CHIP, "--fast", &at], more].concat()).done();
         Some(Self { folder, at })
     }
 
