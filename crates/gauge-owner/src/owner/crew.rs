@@ -8,6 +8,7 @@
 
 use std::collections::VecDeque;
 use std::io;
+use std::ops::DerefMut;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::thread::{self, Thread};
@@ -16,18 +17,91 @@ use std::time::{Duration, Instant};
 use super::Owner;
 use super::operation::Request;
 
+#[cfg(test)]
+mod races;
+
 /// How many threads wait at most. More are started when they are needed, and end when they are not.
 const SPARE: usize = 4;
 
-static CREW: Mutex<Crew> =
-    Mutex::new(Crew { desks: Vec::new(), due: Vec::new(), waiting: Vec::new(), coming: 0, is_short: false });
+/// What a crew needs of the machine that it runs on, and whom it works for: a test has schedules and a clock of its own.
+pub(super) trait Stage: Clone + Send + 'static {
+    type Worker: Worker;
+    type Thread: Send;
+    type Locked<'a>: DerefMut<Target = Crew<Self>>;
 
-struct Crew {
+    fn lock(&self) -> Self::Locked<'_>;
+    fn now(&self) -> Instant;
+    /// Starts a thread.
+    fn start(&self, work: impl FnOnce() + Send + 'static) -> io::Result<()>;
+    fn current(&self) -> Self::Thread;
+    fn is_current(&self, thread: &Self::Thread) -> bool;
+    /// Waits, until then at most. If this thread was woken before, returns at once.
+    fn wait(&self, until: Instant);
+    fn wake(&self, thread: &Self::Thread);
+}
+
+/// Who works in turns.
+pub(super) trait Worker: Send + 'static {
+    type Request: Send;
+
+    /// Does what is due, or what it is asked for. Returns how long it has nothing to do then; `None` if it has ended.
+    fn take_turn(&mut self, request: Option<(Duration, Self::Request)>) -> Option<Duration>;
+}
+
+impl Worker for Owner {
+    type Request = Request;
+
+    fn take_turn(&mut self, request: Option<(Duration, Request)>) -> Option<Duration> {
+        Self::take_turn(self, request)
+    }
+}
+
+/// The owners of this process.
+#[derive(Clone)]
+pub(super) struct Here;
+
+static CREW: Mutex<Crew<Here>> = Mutex::new(Crew::new());
+
+impl Stage for Here {
+    type Worker = Owner;
+    type Thread = Thread;
+    type Locked<'a> = MutexGuard<'a, Crew<Self>>;
+
+    fn lock(&self) -> Self::Locked<'_> {
+        CREW.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn now(&self) -> Instant {
+        Instant::now()
+    }
+
+    fn start(&self, work: impl FnOnce() + Send + 'static) -> io::Result<()> {
+        thread::Builder::new().name("gauges".into()).stack_size(256 * 1024).spawn(work).map(drop)
+    }
+
+    fn current(&self) -> Thread {
+        thread::current()
+    }
+
+    fn is_current(&self, thread: &Thread) -> bool {
+        thread.id() == thread::current().id()
+    }
+
+    fn wait(&self, until: Instant) {
+        thread::park_timeout(until.saturating_duration_since(self.now()));
+    }
+
+    fn wake(&self, thread: &Thread) {
+        thread.unpark();
+    }
+}
+
+pub(super) struct Crew<S: Stage> {
     /// The owners by their numbers; `None` where one has ended.
-    desks: Vec<Option<Desk>>,
+    desks: Vec<Option<Desk<S::Worker>>>,
     /// When each owner that no thread works for has something to do, and its number; the earliest last.
     due: Vec<(Instant, usize)>,
-    waiting: Vec<Waiting>,
+    waiting: Vec<Waiting<S::Thread>>,
     /// How many threads were started or woken, and have not looked yet what there is to do.
     coming: usize,
     /// The last attempt to start a thread has failed.
@@ -35,44 +109,44 @@ struct Crew {
 }
 
 /// An owner, and what it is asked for.
-struct Desk {
+struct Desk<W: Worker> {
     /// `None` while a thread works for it, and after a panic.
-    owner: Option<Box<Owner>>,
+    owner: Option<Box<W>>,
     /// When it has something to do; `None` while a thread works for it, and once it does nothing any more.
     due: Option<Instant>,
     /// Each with the time at which it was submitted; `None` if they are dropped.
-    requests: Option<VecDeque<(Duration, Request)>>,
+    requests: Option<VecDeque<(Duration, W::Request)>>,
     /// Nobody can ask for anything any more.
     is_left: bool,
 }
 
 /// What a thread has to do next.
-struct Turn {
+struct Turn<W: Worker> {
     number: usize,
-    owner: Box<Owner>,
-    request: Option<(Duration, Request)>,
+    owner: Box<W>,
+    request: Option<(Duration, W::Request)>,
     /// The owner has to end.
     is_over: bool,
 }
 
 /// A thread without work.
-struct Waiting {
-    thread: Thread,
+struct Waiting<T> {
+    thread: T,
     until: Instant,
 }
 
-fn lock() -> MutexGuard<'static, Crew> {
-    CREW.lock().unwrap_or_else(PoisonError::into_inner)
-}
+impl<S: Stage> Crew<S> {
+    const fn new() -> Self {
+        Self { desks: Vec::new(), due: Vec::new(), waiting: Vec::new(), coming: 0, is_short: false }
+    }
 
-impl Crew {
     /// When there is next something to do that no thread waits for.
     fn next(&self) -> Option<Instant> {
         let mut times = self.due.iter().rev().map(|(time, _)| *time);
         times.find(|time| self.waiting.iter().all(|waiting| waiting.until != *time))
     }
 
-    fn desk(&mut self, number: usize) -> Option<&mut Desk> {
+    fn desk(&mut self, number: usize) -> Option<&mut Desk<S::Worker>> {
         self.desks.get_mut(number)?.as_mut()
     }
 
@@ -89,14 +163,14 @@ impl Crew {
     }
 
     /// An owner that waits has something to do now.
-    fn hurry(&mut self, number: usize) {
+    fn hurry(&mut self, number: usize, now: Instant) {
         if self.desk(number).is_some_and(|desk| desk.due.is_some()) {
-            self.put(number, Instant::now());
+            self.put(number, now);
         }
     }
 
     /// Takes the owner that has waited for the longest time to do something, and a request if there is one.
-    fn take(&mut self, now: Instant) -> Option<Turn> {
+    fn take(&mut self, now: Instant) -> Option<Turn<S::Worker>> {
         let (_, number) = self.due.pop_if(|(time, _)| *time <= now)?;
         let desk = self.desk(number)?;
         desk.due = None;
@@ -106,7 +180,7 @@ impl Crew {
     }
 
     /// Makes sure that a thread waits for what there is to do next.
-    fn attend(&mut self) -> io::Result<()> {
+    fn attend(&mut self, stage: &S) -> io::Result<()> {
         let watched = self.waiting.iter().map(|waiting| waiting.until).min();
         let is_watched = |time| watched.is_some_and(|watched| watched <= time);
         if self.coming > 0 || self.next().is_none_or(is_watched) {
@@ -115,8 +189,11 @@ impl Crew {
         // The one that would wait for the longest time.
         let last = (0..self.waiting.len()).max_by_key(|&at| self.waiting[at].until);
         match last.map(|last| self.waiting.swap_remove(last)) {
-            Some(waiting) => waiting.thread.unpark(),
-            None => drop(thread::Builder::new().name("gauges".into()).stack_size(256 * 1024).spawn(work)?),
+            Some(waiting) => stage.wake(&waiting.thread),
+            None => {
+                let its = stage.clone();
+                stage.start(move || work(&its))?;
+            }
         }
         self.coming += 1;
         Ok(())
@@ -125,53 +202,67 @@ impl Crew {
 
 /// An owner of the crew: whoever has this can ask it for something. When it is dropped, the owner finishes what it was
 /// asked for, and ends.
-pub(super) struct Member(usize);
+pub(super) struct Member<S: Stage = Here>(usize, S);
 
 impl Member {
     /// Gives an owner to the threads; it works from now on.
     pub(super) fn new(owner: Box<Owner>) -> io::Result<Self> {
-        let mut crew = lock();
+        Self::on(Here, owner)
+    }
+}
+
+impl<S: Stage> Member<S> {
+    fn on(stage: S, owner: Box<S::Worker>) -> io::Result<Self> {
+        let mut crew = stage.lock();
         let number = crew.desks.iter().position(Option::is_none).unwrap_or(crew.desks.len());
         if number == crew.desks.len() {
             crew.desks.push(None);
         }
         let requests = Some(VecDeque::new());
         crew.desks[number] = Some(Desk { owner: Some(owner), due: None, requests, is_left: false });
-        crew.put(number, Instant::now());
-        let started = crew.attend();
+        crew.put(number, stage.now());
+        let started = crew.attend(&stage);
         drop(crew);
         // If it fails, this is dropped.
-        let member = Self(number);
+        let member = Self(number, stage);
         started.map(|()| member)
     }
 
     /// Asks the owner for something. If it has ended, the request is dropped.
-    pub(super) fn submit(&self, now: Duration, request: Request) {
-        let mut crew = lock();
-        match crew.desk(self.0).and_then(|desk| desk.requests.as_mut()) {
+    pub(super) fn submit(&self, now: Duration, request: <S::Worker as Worker>::Request) {
+        let Self(number, stage) = self;
+        let mut crew = stage.lock();
+        match crew.desk(*number).and_then(|desk| desk.requests.as_mut()) {
             Some(requests) => requests.push_back((now, request)),
             // Whoever is answered may ask for something else.
             None => return drop((crew, request)),
         }
-        crew.hurry(self.0);
-        attend(&mut crew);
+        crew.hurry(*number, stage.now());
+        attend(stage, &mut crew);
     }
 }
 
-impl Drop for Member {
+impl<S: Stage> Drop for Member<S> {
     fn drop(&mut self) {
-        let mut crew = lock();
-        if let Some(desk) = crew.desk(self.0) {
-            desk.is_left = true;
+        let Self(number, stage) = self;
+        let mut crew = stage.lock();
+        let Some(desk) = crew.desk(*number) else { return };
+        // It was told to end, or has panicked: no thread will look at it again.
+        let has_ended = desk.due.is_none() && (desk.owner.is_some() || desk.requests.is_none());
+        if has_ended {
+            let desk = crew.desks[*number].take();
+            // Whoever is answered may ask for something else.
+            return drop((crew, desk));
         }
-        crew.hurry(self.0);
-        attend(&mut crew);
+        desk.is_left = true;
+        crew.hurry(*number, stage.now());
+        attend(stage, &mut crew);
     }
 }
 
 /// If no thread can be started, the next one that has nothing else to do sees to it.
-fn attend(crew: &mut Crew) {
-    let attended = crew.attend();
+fn attend<S: Stage>(stage: &S, crew: &mut Crew<S>) {
+    let attended = crew.attend(stage);
     let was_short = std::mem::replace(&mut crew.is_short, attended.is_err());
     if let (Err(error), false) = (attended, was_short) {
         log::error!("gauges wait for each other: cannot start a thread: {error}");
@@ -179,39 +270,38 @@ fn attend(crew: &mut Crew) {
 }
 
 /// What a thread does.
-fn work() {
-    let mut crew = lock();
+fn work<S: Stage>(stage: &S) {
+    let mut crew = stage.lock();
     crew.coming -= 1;
     loop {
-        let now = Instant::now();
+        let now = stage.now();
         if let Some(turn) = crew.take(now) {
-            attend(&mut crew);
+            attend(stage, &mut crew);
             drop(crew);
-            take_turn(turn);
-            crew = lock();
+            take_turn(stage, turn);
+            crew = stage.lock();
             continue;
         }
         let Some(until) = crew.next().filter(|_| crew.waiting.len() < SPARE) else {
             // One of those that wait may have to wait for another time now.
-            return attend(&mut crew);
+            return attend(stage, &mut crew);
         };
-        crew.waiting.push(Waiting { thread: thread::current(), until });
+        crew.waiting.push(Waiting { thread: stage.current(), until });
         drop(crew);
-        thread::park_timeout(until.saturating_duration_since(now));
-        crew = lock();
-        let own = thread::current().id();
-        match crew.waiting.iter().position(|waiting| waiting.thread.id() == own) {
+        stage.wait(until);
+        crew = stage.lock();
+        match crew.waiting.iter().position(|waiting| stage.is_current(&waiting.thread)) {
             Some(at) => drop(crew.waiting.swap_remove(at)),
             None => crew.coming -= 1,
         }
     }
 }
 
-fn take_turn(Turn { number, mut owner, request, is_over }: Turn) {
+fn take_turn<S: Stage>(stage: &S, Turn { number, mut owner, request, is_over }: Turn<S::Worker>) {
     // Whatever may panic is answered for, but for the owner itself.
     let turn = || (!is_over).then(|| owner.take_turn(request));
     let outcome = catch_unwind(AssertUnwindSafe(turn));
-    let mut crew = lock();
+    let mut crew = stage.lock();
     let Some(desk) = crew.desk(number) else { return };
     let Ok(Some(rest)) = outcome else {
         let requests = desk.requests.take();
@@ -226,7 +316,7 @@ fn take_turn(Turn { number, mut owner, request, is_over }: Turn) {
     let is_asked = desk.is_left || desk.requests.as_ref().is_some_and(|requests| !requests.is_empty());
     if let Some(rest) = rest {
         let rest = if is_asked { Duration::ZERO } else { rest };
-        crew.put(number, Instant::now() + rest);
+        crew.put(number, stage.now() + rest);
     }
 }
 
