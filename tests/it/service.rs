@@ -3,6 +3,7 @@
 //! The steps of systemd's units: a daemon that mounts nothing, and `gaugefs attach`, which mounts for it.
 //! `gaugefs detach` is tested in tests/boot, because it removes every dead mount, also those of other tests.
 
+use std::collections::BTreeSet;
 use std::fs;
 use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::os::unix::net::UnixDatagram;
@@ -14,7 +15,7 @@ use std::time::{Duration, Instant};
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::{Pid, geteuid};
 
-use super::room::{CHIP, command, gaugefs};
+use super::room::{CHIP, Folder, as_nobody, command, gaugefs, root};
 use crate::room;
 
 const PATIENCE: Duration = Duration::from_secs(30);
@@ -203,4 +204,126 @@ fn messages_about_keys_name_the_file_of_the_service() {
     written.expect_err("the key is wrong");
     assert!(said.contains("put the right one into /etc/gaugefs/i2c-1.keys"), "{said}");
     assert!(!said.contains("--key-file"), "{said}");
+}
+
+/// Sets of system calls, in each of systemd's the ones that it consists of; `None` without systemd's lists.
+type Sets = Vec<(String, BTreeSet<String>)>;
+
+fn sets(word: &str) -> Option<Sets> {
+    if !word.starts_with('@') {
+        return Some(vec![(word.into(), [word.into()].into())]);
+    }
+    let lists = Command::new("systemd-analyze").args(["--no-pager", "syscall-filter", word]).output();
+    let lists = lists.ok().filter(|output| output.status.success())?.stdout;
+    let lists = String::from_utf8(lists).expect("text");
+    let names =
+        lists.lines().skip(1).map(str::trim).filter(|line| !line.is_empty() && !line.starts_with('#'));
+    let (others, calls): (Vec<_>, Vec<_>) = names.partition(|name| name.starts_with('@'));
+    let mut all = vec![(word.to_string(), calls.into_iter().map(str::to_string).collect())];
+    for other in others {
+        all.append(&mut sets(other)?);
+    }
+    Some(all)
+}
+
+/// What the filter of a unit allows, line by line as systemd reads it.
+fn allowed(unit: &str) -> Option<Sets> {
+    let mut allowed = Sets::new();
+    for line in unit.lines().filter_map(|line| line.strip_prefix("SystemCallFilter=")) {
+        let (words, is_refused) = line.strip_prefix('~').map_or((line, false), |words| (words, true));
+        for word in words.split(' ') {
+            let mut named = sets(word)?;
+            match is_refused {
+                false => allowed.append(&mut named),
+                true => allowed.iter_mut().for_each(|(_, calls)| {
+                    calls.retain(|call| named.iter().all(|(_, refused)| !refused.contains(call)));
+                }),
+            }
+        }
+    }
+    Some(allowed)
+}
+
+/// A service under strace is used as a mount is. Each of its system calls is allowed by the filter of its unit, and of each
+/// set of calls that the filter allows some are used: what nobody needs is refused.
+#[test]
+fn the_system_call_filter_allows_what_a_service_needs_and_no_other_set() {
+    let unit = include_str!("../../udev/service.conf");
+    let is_there = Command::new("strace").arg("-V").output().is_ok() && geteuid().is_root();
+    let fuse = fs::File::options().read(true).write(true).open("/dev/fuse");
+    let Some(allowed) = allowed(unit).filter(|_| is_there && fuse.is_ok()) else {
+        eprintln!("SKIPPED: it needs root, /dev/fuse, strace and systemd-analyze");
+        return;
+    };
+    let folder = Folder::new();
+    let [config, log, pid, state] = ["config", "log", "pid", "state"].map(|name| folder.file(name));
+    let tree = folder.file("m");
+    fs::create_dir(&state).expect("a folder");
+    std::os::unix::fs::chown(&state, Some(65534), Some(65534)).expect("given away");
+    let image = root().join("tests/it/images/pack.toml");
+    let profile = folder.file("profile.toml");
+    let named = format!("mountpoint = '{tree}'\nstate-dir = '{state}'");
+    let choose = format!(
+        "[[gauge.choose]]\ncommand = ['/usr/bin/timeout', '4', 'sh', '-c', 'echo atl | cat']\npack-by-text = true\nprofile = '{profile}'"
+    );
+    let text =
+        format!("[mount]\n{named}\n[[gauge]]\nsim = '{CHIP}'\n[[gauge]]\nsim = 'bq27441-g1'\n{choose}\n");
+    fs::write(&config, text).expect("a configuration");
+    fs::copy(&image, &profile).expect("a profile");
+    let systemd = UnixDatagram::bind(folder.file("notify")).expect("a socket");
+    fs::set_permissions(folder.file("notify"), fs::Permissions::from_mode(0o666)).expect("its mode");
+    systemd.set_read_timeout(Some(PATIENCE)).expect("a limit");
+
+    let daemon = as_nobody(&folder, &[]);
+    fs::set_permissions(folder.file(""), fs::Permissions::from_mode(0o777)).expect("its mode");
+    let mut traced = Command::new("strace");
+    traced.args(["-f", "-qq", "-o", &log, "sh", "-c", "echo $$ >\"$0\"; exec \"$@\"", &pid]);
+    traced.arg(daemon.get_program()).args(["mount", "-f", "--service", "--config", &config]);
+    traced.env("NOTIFY_SOCKET", folder.file("notify"));
+    {
+        use std::os::unix::process::CommandExt;
+        traced.uid(65534).gid(65534).stderr(fs::File::create(folder.file("messages")).expect("a file"));
+    }
+    let mut traced = traced.spawn().expect("strace runs");
+    let ready = systemd.recv(&mut [0; 16]);
+    let messages = || fs::read_to_string(folder.file("messages")).unwrap_or_default();
+    ready.unwrap_or_else(|error| panic!("it is not ready: {error}: {}", messages()));
+    let pid = fs::read_to_string(&pid).expect("its number").trim().to_string();
+    gaugefs(&["attach", "--pid", &pid, "--config", &config]).done();
+    let gauge = format!("{tree}/BAT0");
+    let used = || -> std::io::Result<()> {
+        fs::read_to_string(format!("{gauge}/df/index"))?;
+        fs::write(format!("{gauge}/df/80/53"), "3100\n")?;
+        fs::read_dir(format!("{gauge}/df/by-name"))?.count();
+        Ok(())
+    };
+    let outcome = used();
+    let image = gaugefs(&["import", "--exclude", "serial", &format!("{tree}/BAT1"), path(&image)]);
+    let report = gaugefs(&["report", &gauge, "-o", &folder.file("report")]);
+    let number: i32 = pid.parse().expect("a number");
+    kill(Pid::from_raw(number), Signal::SIGTERM).expect("it runs");
+    let ended = traced.wait();
+    gaugefs(&["umount", &tree]);
+    outcome.unwrap_or_else(|error| panic!("{error}: {}", messages()));
+    assert!(ended.is_ok_and(|status| status.success()), "{}", messages());
+    assert!(matches!(image.code, Some(0 | 3)), "{}", image.err);
+    report.done();
+
+    let log = fs::read_to_string(log).expect("the calls");
+    // Those before are the shell's.
+    let own = log.rsplit_once("\"mount\", \"-f\", \"--service\"").expect("the program was started").1;
+    let called = own.lines().filter_map(|line| line.split_once(' ')?.1.trim().split_once('('));
+    let used: BTreeSet<&str> = called
+        .map(|(name, _)| name)
+        .filter(|name| name.chars().all(|one| one.is_ascii_alphanumeric() || one == '_'))
+        .collect();
+    assert!(used.len() > 40, "{used:?}");
+    let is_allowed = |call: &&&str| allowed.iter().any(|(_, calls)| calls.contains(**call));
+    let refused: Vec<_> = used.iter().filter(|call| !is_allowed(call)).collect();
+    assert!(refused.is_empty(), "the filter refuses {refused:?}");
+    // Single calls are also for other processors, and for programs that the daemon starts.
+    let sets = allowed.iter().filter(|(set, calls)| set.starts_with('@') && !calls.is_empty());
+    let is_used = |calls: &BTreeSet<String>| calls.iter().any(|call| used.contains(call.as_str()));
+    let needless: Vec<_> = sets.filter(|(_, calls)| !is_used(calls)).map(|(set, _)| set).collect();
+    assert!(needless.is_empty(), "nothing of {needless:?} is used by {used:?}");
 }
