@@ -18,7 +18,7 @@ need_that() {
             { "$tests/apt" update && "$tests/apt" install -y --no-install-recommends "$@" >/dev/null; } || :
         $trial >/dev/null 2>&1 && return
     fi
-    echo "SKIPPED in part: $what is missing; to run all tests: sudo apt-get install $*"
+    echo "SKIPPED in part: $what is missing; to have it: sudo apt-get install $*"
     return 1
 }
 

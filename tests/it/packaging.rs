@@ -224,3 +224,35 @@ fn a_crate_whose_license_is_not_on_the_list_is_named() {
     assert!(text.contains(": none of its licenses is on the list: MIT\n"), "{text}");
     assert!(!text.contains(" libc 0."), "it may be had under Apache-2.0: {text}");
 }
+
+/// Nobody waits for builds to learn that a standard library or a linker is missing.
+#[test]
+fn what_cannot_be_built_is_named_before_anything_is_built() {
+    let folder = Folder::new();
+    for (name, script) in [
+        ("rustc", "case $* in *print*target-libdir*arm-*) echo /none ;; *) exec \"$REAL\" \"$@\" ;; esac"),
+        ("rustup", "echo info: downloading; echo error: the download has failed >&2; exit 1"),
+        ("id", "echo 1000"),
+    ] {
+        let path = folder.file(name);
+        fs::write(&path, format!("#!/bin/sh\n{script}\n")).expect("a script");
+        fs::set_permissions(&path, Permissions::from_mode(0o755)).expect("its mode");
+    }
+    let real = Command::new("sh").args(["-c", "command -v rustc"]).output().expect("a shell").stdout;
+    let mut release = Command::new(root().join("udev/release"));
+    release
+        .args(["arm", "arm64"])
+        .env("PATH", format!("{}:{}", folder.file("."), std::env::var("PATH").unwrap_or_default()))
+        .env("REAL", String::from_utf8_lossy(&real).trim())
+        .env("CARGO_TARGET_DIR", folder.file("target"))
+        .env("CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_LINKER", "/none/gcc");
+    let output = release.output().expect("bash");
+    assert_eq!(output.status.code(), Some(1), "{output:?}");
+    let text = String::from_utf8_lossy(&output.stderr);
+    let named: Vec<_> = text.lines().filter(|line| line.starts_with("MISSING ")).collect();
+    let arm = "no standard library of Rust for arm-unknown-linux-musleabihf: error: the download has failed";
+    assert_eq!(named[0], format!("MISSING arm: {arm}"), "{text}");
+    // Where Rust has no standard library for this one either, that is named.
+    assert!(named.len() == 2 && named[1].starts_with("MISSING arm64: "), "{text}");
+    assert_eq!(fs::read_dir(folder.file("target")).expect("a folder").count(), 1, "{text}");
+}
