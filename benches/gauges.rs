@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: MIT
 
-//! What the daemon costs the machine: one gauge whose whole tree has been read; 1, 64 and 512 gauges in one mount before
-//! and after everything in their trees is read; then many gauges compared with one: memory, processor time and wake-ups.
+//! What the daemon costs the machine: the time until the first value can be read; one gauge whose whole tree has been
+//! read; 1, 8, 64 and 512 gauges in one mount before and after everything in their trees is read; then many gauges
+//! compared with one: memory, processor time and wake-ups.
 //!
 //!     cargo bench --bench gauges
 //!
@@ -24,6 +25,8 @@ use report::Report;
 const NUMBERS: &[usize] = &[1, 64];
 /// How many readers read the trees of many gauges.
 const READERS: usize = 48;
+/// How often a mount is begun; the one in the middle counts.
+const STARTS: usize = 9;
 const SETTLE: Duration = Duration::from_secs(4);
 const WINDOW: Duration = Duration::from_secs(12);
 /// Resident memory of a daemon with one gauge, at most: all of it, most of which is the program, and its own.
@@ -79,8 +82,7 @@ struct Daemon(Child, PathBuf);
 
 impl Daemon {
     fn new(gauges: usize, poll: &str) -> Self {
-        let folder = std::env::temp_dir().join(format!("gaugefs-bench-{}", std::process::id()));
-        fs::create_dir_all(&folder).expect("a folder");
+        let folder = folder();
         let config = folder.join("gauges.toml");
         let text = format!("[mount]\nmountpoint = 'm'\n[defaults]\npoll = {poll}\n")
             + &"[[gauge]]\nsim = 'bq34z100-g1'\n".repeat(gauges);
@@ -147,16 +149,54 @@ fn read_gauges(mount: &Path, gauges: usize) -> usize {
     })
 }
 
+/// A folder of this run.
+fn folder() -> PathBuf {
+    let folder = std::env::temp_dir().join(format!("gaugefs-bench-{}", std::process::id()));
+    fs::create_dir_all(&folder).expect("a folder");
+    folder
+}
+
 fn main() -> ExitCode {
     if fs::File::options().read(true).write(true).open("/dev/fuse").is_err() {
         println!("SKIPPED: /dev/fuse cannot be opened");
         return ExitCode::SUCCESS;
     }
     let mut report = Report::default();
+    start(&mut report);
     one(&mut report);
     whole(&mut report);
     many();
     report.finish()
+}
+
+/// From the start of a mount, as it is typed, to the first value that somebody has read.
+fn start(report: &mut Report) {
+    let folder = folder();
+    let gaugefs = |arguments: &[&str]| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_gaugefs"));
+        let done = command.args(arguments).current_dir(&folder).stdout(Stdio::null()).status();
+        assert!(done.expect("gaugefs runs").success(), "{arguments:?}");
+    };
+    let mut times: Vec<Duration> = (0..STARTS)
+        .map(|_| {
+            let begun = Instant::now();
+            gaugefs(&["mount", "--sim", "bq34z100-g1", "m"]);
+            let capacity = fs::read_to_string(folder.join("m/BAT0/capacity")).expect("a first value");
+            let took = begun.elapsed();
+            assert_eq!(capacity, "60\n");
+            gaugefs(&["umount", "m"]);
+            took
+        })
+        .collect();
+    let _ = fs::remove_dir_all(&folder);
+    times.sort();
+    let [least, middle, most] = [0, STARTS / 2, STARTS - 1].map(|at| times[at].as_secs_f64() * 1e3);
+    println!("start to first value: {least:.0}, {middle:.0}, {most:.0} ms\n");
+    report.row(
+        "from `gaugefs mount` to the first value that has been read",
+        &format!("{middle:.0} ms"),
+        &format!("the slowest of {STARTS}: {most:.0} ms"),
+    );
 }
 
 fn one(report: &mut Report) {
@@ -195,28 +235,28 @@ fn one(report: &mut Report) {
     report.promise(wakeups == 0, || format!("{wakeups} wake-ups between polls, not 0"));
 }
 
-/// Resident memory in KiB, and percent of a processor.
-fn cost(pid: u32) -> (f64, f64) {
+/// Resident memory in KiB, percent of a processor, and wake-ups a second.
+fn cost(pid: u32) -> [f64; 3] {
     std::thread::sleep(SETTLE);
     let (before, start) = (Used::now(pid), Instant::now());
     std::thread::sleep(WINDOW);
     let after = Used::now(pid);
-    let busy = after.since(&before).0 / 10.0 / start.elapsed().as_secs_f64();
-    (after.rss_kib as f64, busy)
+    let ((ms, switches), seconds) = (after.since(&before), start.elapsed().as_secs_f64());
+    [after.rss_kib as f64, ms / 10.0 / seconds, switches as f64 / seconds]
 }
 
 /// Many gauges polled every 3 s, before and after everything in their trees is read.
 fn whole(report: &mut Report) {
-    println!("\ngauges  files read  RSS MB   after  processor %   after");
+    println!("\ngauges  files read  RSS MB   after  processor %   after  wake-ups/s   after");
     let mb = |kib: f64| kib * 1024.0 / 1e6;
     let mut one = None;
-    for gauges in [1, 64, 512] {
+    for gauges in [1, 8, 64, 512] {
         let daemon = Daemon::new(gauges, "3.0");
-        let (rss, busy) = cost(daemon.0.id());
+        let [rss, busy, woken] = cost(daemon.0.id());
         let files = read_gauges(&daemon.1.join("m"), gauges);
-        let (read_rss, read_busy) = cost(daemon.0.id());
+        let [read_rss, read_busy, read_woken] = cost(daemon.0.id());
         println!(
-            "{gauges:6}  {files:10}  {:6.1}  {:6.1}  {busy:11.2}  {read_busy:6.2}",
+            "{gauges:6}  {files:10}  {:6.1}  {:6.1}  {busy:11.2}  {read_busy:6.2}  {woken:10.1}  {read_woken:6.1}",
             mb(rss),
             mb(read_rss)
         );
@@ -244,7 +284,7 @@ fn whole(report: &mut Report) {
         if gauges > 1 {
             report.row(
                 &format!("simulated gauges in one mount, {gauges} of them polled every 3 s"),
-                &format!("{:.1} MB, {busy:.1} % of a processor", mb(rss)),
+                &format!("{:.1} MB, {busy:.1} % of a processor, {woken:.0} wake-ups a second", mb(rss)),
                 &format!("everything in their trees read: {:.1} MB, {read_busy:.1} %", mb(read_rss)),
             );
         }
