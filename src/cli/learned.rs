@@ -6,6 +6,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::Args;
+use clap::builder::NonEmptyStringValueParser;
 
 use crate::error::Result;
 use crate::output::print;
@@ -20,6 +21,7 @@ cannot be right are not written, and this command says which.
 Examples:
   gaugefs learned /run/gauges/BAT0             what is kept, and from when
   gaugefs learned /run/gauges/BAT0 --restore   write it now: this is the pack
+  gaugefs learned BAT0 --restore=20261125T093000Z     an older version
   gaugefs learned /run/gauges/BAT0 --forget    another pack is there";
 
 /// Show, restore or forget what a gauge without flash has learned
@@ -28,9 +30,11 @@ Examples:
 pub(super) struct Learned {
     /// Folder of a mounted gauge, such as /run/gauges/BAT0
     gauge: PathBuf,
-    /// Write the newest version to the gauge, with its profile
-    #[arg(long, conflicts_with = "forget")]
-    restore: bool,
+    /// Write the newest version to the gauge, with its profile, or the one of that time
+    #[arg(long, value_name = "VERSION", num_args = 0..=1, require_equals = true, conflicts_with = "forget")]
+    #[arg(value_parser = NonEmptyStringValueParser::new())]
+    #[expect(clippy::option_option, reason = "without the option, without a value, with one")]
+    restore: Option<Option<String>>,
     /// Remove what is kept of this pack
     #[arg(long)]
     forget: bool,
@@ -40,11 +44,11 @@ impl Learned {
     pub(super) fn run(self) -> Result<ExitCode> {
         let gauge = Gauge::open(&self.gauge)?;
         let wish = match (self.restore, self.forget) {
-            (true, _) => "restore",
-            (_, true) => "forget",
-            _ => "show",
+            (Some(version), _) => format!("restore {}", version.unwrap_or_default()),
+            (None, true) => "forget".into(),
+            (None, false) => "show".into(),
         };
-        let told = gauge.learned(wish)?;
+        let told = gauge.learned(&wish)?;
         // What was asked for is done, whether it can be printed or not.
         print(&told).map_err(|error| error.within(told.trim_end()))?;
         Ok(ExitCode::SUCCESS)

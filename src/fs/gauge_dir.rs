@@ -354,7 +354,7 @@ fn settling(gauge: &Supply) -> Option<String> {
 fn learned(gauge: &Supply) -> Option<String> {
     let published = gauge.published();
     let told = match published.learned.is_empty() {
-        true => "write show, restore or forget\n".to_string(),
+        true => "write show, restore, restore VERSION or forget\n".to_string(),
         false => published.learned.to_string(),
     };
     Some(told).filter(|_| gauge.has_own_table() && gauge.chip().volatile.is_some())

@@ -42,9 +42,34 @@ fn a_profile_is_there_again_after_a_loss_of_power() {
         refused.out,
         refused.err
     );
+    // Versions as `gaugefs` saves them. The backup before a first write has the name of the gauge there.
+    within(Duration::from_secs(20), "a write", || {
+        gaugefs(&["set", &gauge, "qmax-cell-0=15003"]).code == Some(0)
+    });
+    let names = fs::read_dir(&state).expect("a folder").map(|entry| entry.expect("a file").file_name());
+    let mut names = names.map(|name| name.into_string().expect("text"));
+    let backup = names.find(|name| name.ends_with(".backup.toml")).expect("a backup");
+    let (key, _) = backup.split_once("-bq27441-g1-").expect("the part");
+    for (time, qmax) in [("20261125T093000Z", 15_001), ("20261125T101500Z", 15_002)] {
+        let text = format!("chip = \"bq27441-g1\"\n[state]\nqmax-cell-0 = {qmax}\ndesign-capacity = 2100\n");
+        let name = format!("{key}-bq27441-g1-A-{time}.learned.toml");
+        fs::write(Path::new(&state).join(name), text).expect("a file");
+    }
+    let shown = gaugefs(&["learned", &gauge]).done();
+    assert!(shown.contains("  20261125T093000Z  state/qmax-cell-0 = 15001\n"), "{shown}");
+    for (version, why) in [
+        ("20261125T093001Z", "there are 20261125T093000Z, 20261125T101500Z"),
+        ("yesterday", "not a version"),
+        ("20261125T093000Z 20261125T101500Z", "write show, restore"),
+    ] {
+        gaugefs(&["learned", &gauge, &format!("--restore={version}")]).failed(&[why]);
+    }
+    let restored = gaugefs(&["learned", &gauge, "--restore=20261125T093000Z"]).done();
+    assert!(restored.contains("until 20261125T093000Z"), "{restored}");
+    assert_eq!(gaugefs(&["get", &gauge, "qmax-cell-0"]).done().trim_end(), "state/qmax-cell-0: 15001");
     let forgotten = gaugefs(&["learned", "--forget", &gauge]);
     assert!(
-        forgotten.code == Some(0) && forgotten.out.contains("0 versions removed"),
+        forgotten.code == Some(0) && forgotten.out.contains("4 versions removed"),
         "{} {}",
         forgotten.out,
         forgotten.err

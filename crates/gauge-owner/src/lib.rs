@@ -66,8 +66,8 @@ pub use opening::{Opening, Ready};
 pub use owner::rig;
 pub use owner::{
     Answers, Attempt, Backup, Context, Direct, Done, Effect, Failure, Handle, Learned, Operation, Origin,
-    Presence, Published, Report, Seal, Settings, Signal, Snapshot, Spoken, Startup, Times, Wish, operations,
-    readable, spawn, start,
+    Presence, Published, Report, Seal, Settings, Signal, Snapshot, Spoken, Startup, Times, Version, Wish,
+    operations, readable, spawn, start,
 };
 pub use setup::GaugeSetup;
 pub use source::{Opened, Script, Source, of_sim, recorded};

@@ -173,7 +173,7 @@ impl Gauge {
         Ok(with_path(&told, &self.folder))
     }
 
-    /// What is kept of what the gauge has learned, after `show`, `restore` or `forget`.
+    /// What is kept of what the gauge has learned, after `show`, `restore`, `restore VERSION` or `forget`.
     pub fn learned(&self, wish: &str) -> Result<String> {
         const FILE: &str = "gauge/learned";
         self.check_has(FILE, "data memory in RAM")?;

@@ -5,6 +5,7 @@
 //! It belongs to the pack. No gauge with RAM can tell its pack from another one after a loss of power, so that only what
 //! was named is believed (`--pack`); otherwise it waits for a person.
 
+use std::fmt;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -14,11 +15,10 @@ use jiff::{SignedDuration, Timestamp};
 use super::operation::Asked;
 use super::{Attempt, Owner};
 use crate::error::{Cause, Error, Result};
-use gauge_bus::regular;
 use ti_gauge::chip::{Chip, Parameter, Stays, Subclass};
-use ti_gauge::dataflash::Change;
+use ti_gauge::dataflash::{Change, Place};
 use ti_gauge::gauge::Seal;
-use ti_gauge::image::{self, Image, toml};
+use ti_gauge::image::{Image, toml};
 use ti_gauge::journal;
 use ti_gauge::value::Value;
 
@@ -42,14 +42,42 @@ pub struct Learned {
 }
 
 /// What somebody wants of it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Wish {
     /// To see what is kept.
     Show,
-    /// To have it written to the gauge now.
-    Restore,
+    /// To have a version written to the gauge now; the newest one that can be, if none is named.
+    Restore(Option<Version>),
     /// To have it removed.
     Forget,
+}
+
+/// A version's name: until when that was learned, such as 20261125T093000Z.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Version(String);
+
+impl Version {
+    /// A version's name as text, in upper or lower case; `None` if it is none.
+    pub fn parse(text: &str) -> Option<Self> {
+        let time: Timestamp = text.to_ascii_uppercase().parse().ok()?;
+        Some(Self::at(time)).filter(|version| version.0.eq_ignore_ascii_case(text))
+    }
+
+    fn at(time: Timestamp) -> Self {
+        Self(time.strftime("%Y%m%dT%H%M%SZ").to_string())
+    }
+
+    /// A second later.
+    fn next(&self) -> Option<Self> {
+        let time: Timestamp = self.0.parse().ok()?;
+        time.checked_add(SignedDuration::from_secs(1)).ok().map(Self::at)
+    }
+}
+
+impl fmt::Display for Version {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.0)
+    }
 }
 
 impl Learned {
@@ -74,31 +102,53 @@ impl Learned {
         self.pack.as_deref().unwrap_or_default()
     }
 
-    /// The versions of this pack, oldest first, with the time in their names.
-    fn files(&self, chip: &Chip) -> Vec<(String, PathBuf)> {
+    /// The names of files of this place and part: the pack, the version, and where it is.
+    fn all(&self, chip: &Chip) -> impl Iterator<Item = (String, Version, PathBuf)> {
         let entries = fs::read_dir(&self.folder).into_iter().flatten().flatten();
-        let prefix = format!("{}-{}-{}-", self.key, chip.name, self.pack());
-        let mut files: Vec<_> = entries
-            .filter_map(|entry| {
-                let name = entry.file_name().into_string().ok()?;
-                let time = name.strip_suffix(SUFFIX)?.strip_prefix(&prefix)?.to_string();
-                (time.len() == 16 && !time.contains('-')).then(|| (time, entry.path()))
-            })
-            .collect();
+        let prefix = format!("{}-{}-", self.key, chip.name);
+        entries.filter_map(move |entry| {
+            let name = entry.file_name().into_string().ok()?;
+            let (pack, time) = name.strip_suffix(SUFFIX)?.strip_prefix(&prefix)?.rsplit_once('-')?;
+            Some((pack.to_string(), Version::parse(time)?, entry.path()))
+        })
+    }
+
+    /// The versions of this pack, oldest first.
+    fn files(&self, chip: &Chip) -> Vec<(Version, PathBuf)> {
+        let of_pack = self.all(chip).filter(|(pack, ..)| pack == self.pack());
+        let mut files: Vec<_> = of_pack.map(|(_, version, path)| (version, path)).collect();
         files.sort();
         files
     }
 
-    /// The newest version that can be read and is plausible, its time, and why newer ones do not count.
-    fn newest(&self, chip: &'static Chip, design: Option<i64>) -> (Option<(String, Image)>, Vec<String>) {
+    /// The newest version that can be read and is plausible, and why newer ones do not count.
+    fn newest(&self, chip: &'static Chip, design: Option<i64>) -> (Option<(Version, Image)>, Vec<String>) {
         let mut dropped = Vec::new();
-        for (time, path) in self.files(chip).into_iter().rev() {
+        for (version, path) in self.files(chip).into_iter().rev() {
             match self.read(&path, chip, design) {
-                Ok(image) => return (Some((time, image)), dropped),
+                Ok(image) => return (Some((version, image)), dropped),
                 Err(why) => dropped.push(why),
             }
         }
         (None, dropped)
+    }
+
+    /// The version that somebody has named, or why it does not count. Whose those without a name are, somebody knows.
+    fn named(&self, version: &Version, chip: &'static Chip, design: Option<i64>) -> Result<Image, String> {
+        let files = self.files(chip);
+        let nameless = self.clone().of_pack(None).files(chip);
+        if let Some((_, path)) = files.iter().chain(&nameless).find(|(other, _)| other == version) {
+            return self.read(path, chip, design);
+        }
+        if let Some((pack, ..)) = self.all(chip).find(|(_, other, _)| other == version) {
+            let [of, here] = [&*pack, self.pack()].map(named_pack);
+            return Err(format!("{version} was learned with {of}, and this is {here}"));
+        }
+        let there: Vec<_> = files.iter().chain(&nameless).map(|(version, _)| version.0.as_str()).collect();
+        Err(match there[..] {
+            [] => "nothing is kept of it".into(),
+            _ => format!("there is no version {version}; there are {}", there.join(", ")),
+        })
     }
 
     /// A version, or why it does not count.
@@ -117,25 +167,22 @@ impl Learned {
         why.map_or(Ok(image), |why| Err(format!("{}: {why}", path.display())))
     }
 
-    /// Saves a version, unless the newest one is the same. On return it is on disk.
+    /// Saves a version, unless the newest one would restore the same. On return it is on disk.
     fn save(&self, image: &Image, now: Timestamp) -> Result<bool> {
         let text = toml::write(image);
         let files = self.files(image.chip);
-        let is_same = |(_, path): &(String, PathBuf)| {
-            regular::read_text(path, image::LONGEST).is_ok_and(|found| found == text)
+        let is_same = |(_, path): &(Version, PathBuf)| {
+            Image::open(path, Some(image.chip)).is_ok_and(|newest| content(&newest) == content(image))
         };
         if files.last().is_some_and(is_same) {
             return Ok(false);
         }
         // A version is newer than those before it, also by a clock that was put back.
-        let named =
-            |second: i64| (now + SignedDuration::from_secs(second)).strftime("%Y%m%dT%H%M%SZ").to_string();
-        let is_free = |time: &String| files.iter().all(|(there, _)| there < time);
-        let time = (0..60).map(named).find(is_free).unwrap_or_else(|| {
-            let last = files.last().map_or("", |(time, _)| time);
-            later(last).unwrap_or_else(|| named(0))
-        });
-        let name = format!("{}-{}-{}-{time}{SUFFIX}", self.key, image.chip.name, self.pack());
+        let version = match files.last() {
+            Some((last, _)) if *last >= Version::at(now) => last.next().unwrap_or_else(|| last.clone()),
+            _ => Version::at(now),
+        };
+        let name = format!("{}-{}-{}-{version}{SUFFIX}", self.key, image.chip.name, self.pack());
         let (path, temporary) =
             (self.folder.join(name), self.folder.join(format!("{}.learned.new", self.key)));
         journal::save(&path, &temporary, &text).map_err(|error| {
@@ -159,10 +206,9 @@ impl Learned {
     }
 }
 
-/// A second after the time in the name of a file.
-fn later(time: &str) -> Option<String> {
-    let time = time.parse::<Timestamp>().ok()?.checked_add(SignedDuration::from_secs(1)).ok()?;
-    Some(time.strftime("%Y%m%dT%H%M%SZ").to_string())
+/// A pack, as a message has it.
+fn named_pack(name: &str) -> String {
+    if name.is_empty() { "a pack without a name".into() } else { format!("the pack {name}") }
 }
 
 /// The subclasses, by their indices in the table, that hold what a gauge learns.
@@ -172,6 +218,11 @@ fn learning(chip: &'static Chip) -> Vec<usize> {
         subclass.parameters.iter().any(|row| !row.unproven && chip.stays((subclass, row)) == Stays::Pack)
     };
     rows.filter(|(_, row)| learns(row)).map(|(index, _)| index).collect()
+}
+
+/// Whether the charge of the pack when it is full follows from this parameter.
+fn is_capacity(parameter: &Parameter) -> bool {
+    matches!(parameter.name, "Qmax Cell 0" | "Full Charge Capacity")
 }
 
 /// Whether Qmax is in parts of this parameter.
@@ -186,6 +237,13 @@ fn restored(image: &Image) -> ti_gauge::error::Result<Vec<Change>> {
     Ok(changes)
 }
 
+/// What a version restores, and what it is compared by. Some bits are never restored.
+fn content(image: &Image) -> Option<Vec<(Place, Vec<u8>)>> {
+    let zeros = |change: &Change| vec![0; change.bytes().len()];
+    let stored = |change: &Change| (change.place(), change.stored_over(&zeros(change)));
+    Some(image.to_restore().ok()?.iter().map(stored).collect())
+}
+
 /// Why values cannot be what a gauge has learned. It limits Qmax itself to 120 % of its default (Max % Default Qmax). Design Capacity is needed for those in mAh.
 fn implausible(image: &Image, design: Option<i64>) -> Option<String> {
     image.entries.iter().find_map(|entry| {
@@ -198,9 +256,10 @@ fn implausible(image: &Image, design: Option<i64>) -> Option<String> {
             _ => None,
         };
         let is_ra = name.starts_with("R_a") || name.starts_with("Ra ");
-        let is_capacity = name == "Qmax Cell 0" || name == "Full Charge Capacity";
         match full {
-            _ if is_capacity && value <= 0 => Some(format!("{name} is {value}, which is no capacity")),
+            _ if is_capacity(entry.parameter) && value <= 0 => {
+                Some(format!("{name} is {value}, which is no capacity"))
+            }
             Some(full) if value * 3 < full || value * 2 > full * 3 => Some(format!(
                 "{name} is {value}, which is not between a third and one and a half times {full}"
             )),
@@ -219,7 +278,7 @@ impl Owner {
     }
 
     /// The profile with what the pack has learned in the place of the profile's own, and from when that is.
-    pub(super) fn profile_with_learned(&mut self) -> (Vec<Change>, Option<String>) {
+    pub(super) fn profile_with_learned(&mut self) -> (Vec<Change>, Option<Version>) {
         let profile = self.memory.profile().to_vec();
         let Some(store) = self.learned.clone() else { return (profile, None) };
         if store.pack.is_none() {
@@ -271,10 +330,10 @@ impl Owner {
     fn look_at_learned(&mut self) -> Result<Option<Image>> {
         let chip = self.gauge.chip;
         let indices = learning(chip);
-        let rows: Vec<&Subclass> = indices.iter().map(|&index| &chip.subclasses[index]).collect();
-        if rows.is_empty() {
+        if indices.is_empty() {
             return Ok(None);
         }
+        let rows: Vec<&Subclass> = indices.iter().map(|&index| &chip.subclasses[index]).collect();
         let read = self.dataflash.read(&mut self.gauge, &rows, Duration::ZERO);
         let read = self.noted(read)?;
         let firmware = self.shared.published().answers.firmware_version;
@@ -321,35 +380,55 @@ impl Owner {
         let told = match wish {
             Wish::Show => self.kept_text(&store),
             Wish::Forget => format!("{} versions removed\n", store.forget(chip)?),
-            Wish::Restore => {
-                let (newest, dropped) = store.newest(chip, self.design_capacity());
-                let Some((time, image)) = newest else {
-                    let why = dropped.into_iter().next().unwrap_or_else(|| "nothing is kept of it".into());
-                    return Err(Error::new("learned", Cause::NotNow, why));
-                };
-                let learned = over(self.memory.profile().to_vec(), restored(&image)?);
-                let outcome = self.dataflash.restore(&mut self.gauge, &learned, true, asked.waited);
-                let outcome = self.noted(outcome);
-                self.forget_values();
-                self.schedule.hurry();
-                self.log_written(&learned, &outcome?);
-                format!("restored what it had learned until {time}\n")
-            }
+            Wish::Restore(version) => self.restore_learned(&store, version, asked)?,
         };
         self.shared.publish(|published| published.learned = told.into());
         Ok(())
     }
 
+    /// Writes a version to the gauge, which is the newest one from then on. What the gauge has learned since the last look is a
+    /// version before it.
+    fn restore_learned(&mut self, store: &Learned, named: Option<Version>, asked: Asked) -> Result<String> {
+        let (chip, design) = (self.gauge.chip, self.design_capacity());
+        let not_now = |why| Error::new("learned", Cause::NotNow, why);
+        let (version, image) = match &named {
+            Some(version) => (version.clone(), store.named(version, chip, design).map_err(not_now)?),
+            None => {
+                let (newest, dropped) = store.newest(chip, design);
+                let why = dropped.into_iter().next().unwrap_or_else(|| "nothing is kept of it".into());
+                newest.ok_or_else(|| not_now(why))?
+            }
+        };
+        let begun = self.gauge.clock.now();
+        if self.memory.is_kept()
+            && let Some(present) = self.look_at_learned()?
+        {
+            store.save(&present, Timestamp::now())?;
+        }
+        let waited = asked.waited + (self.gauge.clock.now() - begun);
+        let learned = over(self.memory.profile().to_vec(), restored(&image)?);
+        let outcome = self.dataflash.restore(&mut self.gauge, &learned, true, waited);
+        let outcome = self.noted(outcome);
+        self.forget_values();
+        self.schedule.hurry();
+        let outcome = outcome?;
+        self.log_written(&learned, &outcome);
+        self.has_written_memory();
+        store.save(&image, Timestamp::now()).map_err(|error| {
+            error.within(&format!("{version} is restored, but is not the newest version from now on"))
+        })?;
+        Ok(format!("restored what it had learned until {version}\n"))
+    }
+
     fn kept_text(&self, store: &Learned) -> String {
-        let chip = self.gauge.chip;
-        let (newest, dropped) = store.newest(chip, self.design_capacity());
+        let (chip, design) = (self.gauge.chip, self.design_capacity());
+        let (newest, dropped) = store.newest(chip, design);
         let mut text = self.memory.why().to_string();
         if !text.is_empty() {
             text.push('\n');
         }
-        if let Some((time, image)) = &newest {
-            let pack = store.pack.as_ref().map_or("without a name".into(), |name| format!("pack {name}"));
-            text += &format!("{pack}: learned until {time}\n");
+        if let Some((version, image)) = &newest {
+            text += &format!("{}: learned until {version}\n", named_pack(store.pack()));
             for entry in &image.entries {
                 text += &format!("  {} = {}\n", image.name(entry), entry.shown());
             }
@@ -357,9 +436,27 @@ impl Owner {
         for why in &dropped {
             text += &format!("not restored: {why}\n");
         }
-        let older = store.files(chip).len().saturating_sub(dropped.len() + usize::from(newest.is_some()));
-        if older > 0 {
-            text += &format!("{older} older versions in {}\n", store.folder.display());
+        let mut older = store.files(chip);
+        older.retain(|(version, _)| newest.as_ref().is_some_and(|(newest, _)| version < newest));
+        let told = |older: &[(Version, PathBuf)]| -> String {
+            let line = |(version, path): &(Version, PathBuf)| match store.read(path, chip, design) {
+                Ok(image) => {
+                    let capacities = image.entries.iter().filter(|entry| is_capacity(entry.parameter));
+                    let shown = |entry| format!("{} = {}", image.name(entry), entry.shown());
+                    format!("  {version}  {}\n", capacities.map(shown).collect::<Vec<_>>().join(", "))
+                }
+                Err(why) => format!("  {version}  not restored: {why}\n"),
+            };
+            older.iter().rev().map(line).collect()
+        };
+        if !older.is_empty() {
+            text += &format!("older versions in {}; --restore=VERSION writes one:\n", store.folder.display());
+            text += &told(&older);
+        }
+        let nameless = store.clone().of_pack(None).files(chip);
+        if store.pack.is_some() && !nameless.is_empty() {
+            text += "learned before the pack had a name; --restore=VERSION writes one, if it is this pack:\n";
+            text += &told(&nameless);
         }
         text += match (&newest, &store.pack) {
             (None, _) => "nothing is kept that could be restored\n",
@@ -466,6 +563,140 @@ mod tests {
         fs::remove_dir_all(folder).expect("it is there");
     }
 
+    /// A version of each Qmax, the last one newest.
+    fn versions(rig: &mut Rig, qmaxes: &[u16]) -> Vec<Version> {
+        for &qmax in qmaxes {
+            learn(rig, qmax);
+        }
+        let store = rig.owner.learned.clone().expect("it was given");
+        store.files(chip()).into_iter().map(|(version, _)| version).collect()
+    }
+
+    #[test]
+    fn somebody_may_go_back_to_an_older_version() {
+        for pack in [Some("A"), None] {
+            let folder = folder(&format!("older-{}", pack.is_some()));
+            let mut rig = rig(&folder, pack);
+            let there = versions(&mut rig, &[15_001, 15_002, 15_003]);
+            let shown = told(&mut rig);
+            for (version, qmax) in there.iter().zip([15_001, 15_002]) {
+                assert!(shown.contains(&format!("  {version}  state/qmax-cell-0 = {qmax}\n")), "{shown}");
+            }
+            // What it has learned since is not lost.
+            learn_now(&mut rig, 15_004);
+            rig.ask(&op::LEARNED, Wish::Restore(Some(there[0].clone()))).expect("a person knows");
+            assert_eq!(words(&mut rig), (15_001, 77));
+            assert!(told(&mut rig).contains("state/qmax-cell-0 = 15004\n"));
+            // It stays after a loss of power, by itself or by the next word.
+            lose_power(&mut rig);
+            let is_named = pack.is_some();
+            assert_eq!(words(&mut rig), if is_named { (15_001, 77) } else { (16_000, 102) });
+            let before = versions(&mut rig, &[]);
+            rig.ask(&op::LEARNED, Wish::Restore(None)).expect("a person knows");
+            assert_eq!(words(&mut rig), (15_001, 77));
+            assert_eq!(versions(&mut rig, &[]), before, "a version twice");
+            fs::remove_dir_all(folder).expect("it is there");
+        }
+    }
+
+    #[test]
+    fn a_version_that_cannot_be_right_is_refused_with_the_reason() {
+        let folder = folder("named-wrong");
+        let mut rig = rig(&folder, Some("A"));
+        let there = versions(&mut rig, &[15_001, 15_002]);
+        let refused = |rig: &mut Rig, version: &Version| {
+            let flash = rig.sim.flash();
+            let asked = rig.ask(&op::LEARNED, Wish::Restore(Some(version.clone())));
+            assert!(rig.sim.flash() == flash);
+            asked.expect_err("a reason").to_string()
+        };
+        let other = Version::parse("19700101T000000Z").expect("a version");
+        let error = refused(&mut rig, &other);
+        assert!(error.contains(&format!("there are {}, {}", there[0], there[1])), "{error}");
+
+        let store = rig.owner.learned.clone().expect("it was given");
+        let path = store.files(chip())[0].1.clone();
+        let text = fs::read_to_string(&path).expect("text");
+        for (from, to, why) in [
+            ("qmax-cell-0 = 15001", "qmax-cell-0 = 0", "which is no capacity"),
+            ("design-capacity = 1234", "design-capacity = 4321", "a Design Capacity of 4321 mAh"),
+            ("r-a0-5 = 59", "r-a0-5 = 0", "which is no resistance"),
+            ("bq27441-g1", "bq27427", "it is for a BQ27427"),
+            ("[r-a-ram]", "[r-a", "line "),
+        ] {
+            fs::write(&path, text.replace(from, to)).expect("it is written");
+            let error = refused(&mut rig, &there[0]);
+            assert!(error.contains(why), "{to}: {error}");
+            assert!(told(&mut rig).contains(&format!("  {}  not restored: ", there[0])), "{to}");
+        }
+
+        let mut other = self::rig(&folder, Some("B"));
+        let error = refused(&mut other, &there[0]);
+        assert!(error.contains("was learned with the pack A, and this is the pack B"), "{error}");
+        let mut other = self::rig(&folder, None);
+        let error = refused(&mut other, &there[0]);
+        assert!(error.contains("and this is a pack without a name"), "{error}");
+        fs::remove_dir_all(folder).expect("it is there");
+    }
+
+    /// It was saved before somebody named the pack.
+    #[test]
+    fn what_a_pack_without_a_name_has_learned_can_be_given_to_one_with_a_name() {
+        let folder = folder("adopted");
+        let mut nameless = rig(&folder, None);
+        let there = versions(&mut nameless, &[15_001]);
+        let mut rig = rig(&folder, Some("A"));
+        lose_power(&mut rig);
+        assert_eq!(words(&mut rig), (16_000, 102), "nothing is guessed");
+        let shown = told(&mut rig);
+        assert!(
+            shown.contains("before the pack had a name") && shown.contains("qmax-cell-0 = 15001"),
+            "{shown}"
+        );
+        rig.ask(&op::LEARNED, Wish::Restore(Some(there[0].clone()))).expect("a person knows");
+        lose_power(&mut rig);
+        assert_eq!(words(&mut rig), (15_001, 77));
+        fs::remove_dir_all(folder).expect("it is there");
+    }
+
+    /// The profile that is still to be written has a Qmax as well.
+    #[test]
+    fn regression_what_somebody_had_restored_was_replaced_by_the_profile() {
+        let folder = folder("owed");
+        let mut rig = rig(&folder, None);
+        let there = versions(&mut rig, &[15_001]);
+        rig.sim.set("power", "off").expect("a knob");
+        rig.sim.set("power", "on").expect("a knob");
+        rig.clock.sleep(Duration::from_secs(3));
+        // The adapter fails once the profile is being written.
+        let faults: Vec<_> = (20..120).map(|number| format!("eio {number}")).collect();
+        rig.sim.set("fault", &faults.join("; ")).expect("faults");
+        rig.poll_after(Duration::ZERO);
+        assert!(!rig.handle.published().last_error.is_empty());
+        rig.sim.set("fault", "none").expect("a knob");
+        rig.ask(&op::LEARNED, Wish::Restore(Some(there[0].clone()))).expect("a person knows");
+        for _ in 0..3 {
+            rig.poll_after(INTERVAL);
+        }
+        assert_eq!(words(&mut rig), (15_001, 77));
+        fs::remove_dir_all(folder).expect("it is there");
+    }
+
+    #[test]
+    fn a_version_is_named_by_a_time() {
+        for text in ["20261125T093000Z", "20261125t093000z", "00010101T000000Z", "99991230T000000Z"] {
+            assert_eq!(Version::parse(text).map(|version| version.0), Some(text.to_uppercase()), "{text}");
+        }
+        for text in
+            ["", "20261125", "20261325T093000Z", "2026-11-25T09:30:00Z", "20261125T093000+01", "../../x", "x"]
+        {
+            assert_eq!(Version::parse(text), None, "{text}");
+        }
+        let next = |text| Version::parse(text).and_then(|version| version.next()).map(|version| version.0);
+        assert_eq!(next("20261231T235959Z").as_deref(), Some("20270101T000000Z"));
+        assert_eq!(next("99991230T220000Z"), None);
+    }
+
     #[test]
     fn of_a_pack_without_a_name_nothing_is_guessed() {
         let folder = folder("unnamed");
@@ -474,10 +705,10 @@ mod tests {
         lose_power(&mut rig);
         assert_eq!(words(&mut rig), (16_000, 102));
         assert!(told(&mut rig).contains("--pack"));
-        rig.ask(&op::LEARNED, Wish::Restore).expect("a person knows");
+        rig.ask(&op::LEARNED, Wish::Restore(None)).expect("a person knows");
         assert_eq!(words(&mut rig), (15_432, 77));
         rig.ask(&op::LEARNED, Wish::Forget).expect("it can be removed");
-        rig.ask(&op::LEARNED, Wish::Restore).expect_err("nothing is kept");
+        rig.ask(&op::LEARNED, Wish::Restore(None)).expect_err("nothing is kept");
         fs::remove_dir_all(folder).expect("it is there");
     }
 
@@ -585,7 +816,7 @@ mod tests {
         lose_power(&mut rig);
         assert_eq!(words(&mut rig), (16_000, 102));
         rig.poll_after(EVERY_SEALED);
-        rig.ask(&op::LEARNED, Wish::Restore).expect("a person knows");
+        rig.ask(&op::LEARNED, Wish::Restore(None)).expect("a person knows");
         assert_eq!(words(&mut rig), (15_432, 77));
         fs::remove_dir_all(folder).expect("it is there");
     }

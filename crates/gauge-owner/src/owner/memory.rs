@@ -256,7 +256,6 @@ impl Owner {
                     self.show_configured();
                     return;
                 }
-                self.memory.design = None;
                 self.log_written(&profile, &outcome);
                 let learned = learned.map(|time| format!(", with what it had learned until {time}"));
                 let learned = learned.unwrap_or_default();
@@ -267,9 +266,7 @@ impl Owner {
                 if self.gauge.chip.volatile == Some(0) && matches!(self.memory.loss, Loss::Written) {
                     self.memory.lost_again += 1;
                 }
-                self.memory.loss = Loss::Written;
-                self.memory.inserted = Fact::default();
-                (self.memory.first, self.memory.next_look) = (None, None);
+                self.has_written_memory();
                 self.schedule.hurry();
             }
             Err(error) => {
@@ -287,6 +284,15 @@ impl Owner {
                 }
             }
         }
+    }
+
+    /// All that was to be there was written.
+    pub(super) fn has_written_memory(&mut self) {
+        self.memory.compared.learn(self.shared.published().presence, ());
+        self.memory.loss = Loss::Written;
+        self.memory.design = None;
+        self.memory.inserted = Fact::default();
+        (self.memory.first, self.memory.next_look) = (None, None);
     }
 
     /// Tells a gauge that waits for it that it has a battery: by the profile no pin detects one (`[BIE]` is 0), and before

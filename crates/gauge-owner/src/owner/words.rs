@@ -5,7 +5,7 @@
 use std::time::Duration;
 
 use super::operation::Context;
-use super::{Seal, Wish};
+use super::{Seal, Version, Wish};
 use crate::error::{Cause, Error, Result};
 use ti_gauge::calibration::Job;
 use ti_gauge::chip::Effect;
@@ -51,13 +51,19 @@ pub(super) fn decision(_: &Context, data: &[u8]) -> Result<Option<Decision>> {
     }
 }
 
-/// `show`, `restore` or `forget`: what somebody wants of what was learned.
+/// `show`, `restore`, also with the name of a version, or `forget`: what somebody wants of what was learned.
 pub(super) fn wish(_: &Context, data: &[u8]) -> Result<Wish> {
-    match trimmed(data).to_ascii_lowercase().as_str() {
-        "show" => Ok(Wish::Show),
-        "restore" => Ok(Wish::Restore),
-        "forget" => Ok(Wish::Forget),
-        _ => Err(Error::new("learned", Cause::Invalid, "write show, restore or forget")),
+    let bad = |why| Error::new("learned", Cause::Invalid, why);
+    let words = trimmed(data).to_ascii_lowercase();
+    let mut words = words.split_ascii_whitespace();
+    match (words.next().unwrap_or_default(), words.next(), words.next()) {
+        ("show", None, _) => Ok(Wish::Show),
+        ("restore", None, _) => Ok(Wish::Restore(None)),
+        ("restore", Some(version), None) => Version::parse(version)
+            .map(|version| Wish::Restore(Some(version)))
+            .ok_or_else(|| bad("not a version; each is named by its time, such as 20261125T093000Z")),
+        ("forget", None, _) => Ok(Wish::Forget),
+        _ => Err(bad("write show, restore, restore VERSION or forget")),
     }
 }
 
