@@ -16,7 +16,7 @@ use super::operation::Asked;
 use super::{Attempt, Owner};
 use crate::error::{Cause, Error, Result};
 use ti_gauge::chip::{Chip, Parameter, Stays, Subclass};
-use ti_gauge::dataflash::{Change, Place};
+use ti_gauge::dataflash::{self, Change, Place};
 use ti_gauge::gauge::Seal;
 use ti_gauge::image::{Image, toml};
 use ti_gauge::journal;
@@ -206,6 +206,12 @@ impl Learned {
     }
 }
 
+/// The index of the subclass that a change is of.
+fn index_of(chip: &'static Chip, change: &Change) -> Option<usize> {
+    let (subclass, _) = change.row()?;
+    chip.subclasses.iter().position(|other| std::ptr::eq(other, subclass))
+}
+
 /// A pack, as a message has it.
 fn named_pack(name: &str) -> String {
     if name.is_empty() { "a pack without a name".into() } else { format!("the pack {name}") }
@@ -329,13 +335,37 @@ impl Owner {
     /// What the gauge has learned; `None` if that is nothing, or no plausible value.
     fn look_at_learned(&mut self) -> Result<Option<Image>> {
         let chip = self.gauge.chip;
-        let indices = learning(chip);
+        let mut indices = learning(chip);
         if indices.is_empty() {
             return Ok(None);
+        }
+        let profile = self.memory.profile().to_vec();
+        // Where no flag shows a loss of memory, what the profile has set does.
+        if chip.volatile == Some(0) {
+            indices.extend(profile.iter().filter_map(|change| index_of(chip, change)));
+            indices.sort_unstable();
+            indices.dedup();
         }
         let rows: Vec<&Subclass> = indices.iter().map(|&index| &chip.subclasses[index]).collect();
         let read = self.dataflash.read(&mut self.gauge, &rows, Duration::ZERO);
         let read = self.noted(read)?;
+        let holds = |change: &Change| {
+            let Some((subclass, row)) = change.row().filter(|(_, row)| !row.learned) else { return true };
+            let index = index_of(chip, change).and_then(|index| indices.iter().position(|at| *at == index));
+            let begin = usize::from(row.offset - subclass.start());
+            let bytes = index.and_then(|index| read[index].get(begin..begin + row.kind.size()));
+            bytes.is_some_and(|bytes| change.stored_over(bytes) == bytes)
+        };
+        let is_lost = match chip.volatile {
+            Some(0) => !profile.iter().all(holds),
+            _ => dataflash::has_lost_memory(&mut self.gauge)?,
+        };
+        // Unnoticed, since the poll: these are the part's defaults, or some of them.
+        if is_lost {
+            self.memory.is_doubtful();
+            self.schedule.hurry();
+            return Ok(None);
+        }
         let firmware = self.shared.published().answers.firmware_version;
         let read = indices.iter().zip(&read).map(|(&index, bytes)| (index, &**bytes));
         let mut image = Image::of_flash(chip, Some(firmware), read);
@@ -350,8 +380,7 @@ impl Owner {
             log::warn!("{}: what it has learned is not saved: {why}", self.shared.name());
             return Ok(None);
         }
-        // A memory that was lost unnoticed must not become the newest version, nor the profile what was learned.
-        let profile = self.memory.profile().to_vec();
+        // What the profile has is nothing that was learned.
         let is_written = |change: &Change| {
             let mut written = profile.iter().filter(|wrote| wrote.place() == change.place());
             written.any(|wrote| wrote.stored_over(change.bytes()) == change.bytes())
@@ -803,6 +832,82 @@ mod tests {
             number += 1;
         }
         assert!(number > 10, "{number}");
+    }
+
+    /// A part with a profile and a pack of that name, and two rows in different blocks of what it learns.
+    fn any(chip: &'static Chip, folder: &Path) -> (Rig, [(&'static Subclass, &'static Parameter, u16); 2]) {
+        let rows =
+            || chip.subclasses.iter().flat_map(|class| class.parameters.iter().map(move |row| (class, row)));
+        let design = rows().find(|(_, row)| row.name == "Design Capacity").expect("each has one");
+        let profile = Change::of_value(design, &Value::Int(1200), false).expect("it fits").saved();
+        let mut learned =
+            rows().filter(|row| !row.1.unproven && chip.stays(*row) == Stays::Pack && row.1.kind.size() == 2);
+        let (class, row) = learned.clone().find(|(_, row)| is_capacity(row)).expect("each has one");
+        let block = |class: &Subclass, row: &Parameter| (class.id, row.offset / 32);
+        let is_apart =
+            |(other, at): &(&'static Subclass, &'static Parameter)| block(other, at) != block(class, row);
+        let other = learned.find(is_apart).unwrap_or((class, row));
+        let capacity = if row.unit == "mAh" { 1111 } else { 15_555 };
+        let learned = Learned::new(folder.into(), "i2c-1-55".into(), Some("A".into()));
+        let settings = Settings { profile: vec![profile], learned: Some(learned), ..Settings::default() };
+        let mut rig = Rig::of(chip.name, settings, Startup::default());
+        rig.start().expect("it answers");
+        for pause in [INTERVAL, INTERVAL, FIRST, INTERVAL] {
+            rig.poll_after(pause);
+        }
+        let second = if std::ptr::eq(other.1, row) { capacity } else { 77 };
+        (rig, [(class, row, capacity), (other.0, other.1, second)])
+    }
+
+    /// The power of the gauge is lost before each transfer of a look at what it has learned, or, unnoticed, after it.
+    #[test]
+    fn regression_what_a_gauge_had_after_an_unnoticed_loss_was_saved_as_learned() {
+        for chip in CHIPS.iter().copied().filter(|chip| chip.volatile.is_some()) {
+            for fault in ["power-cut", "power-cut-after"] {
+                let folder = folder(&format!("half-{}-{fault}", chip.name));
+                for number in 1.. {
+                    let (mut rig, rows) = any(chip, &folder);
+                    for (class, row, value) in rows {
+                        let (area, at) = match class.id {
+                            FLAT => (0, usize::from(row.offset) - 0x9180),
+                            id => (u16::from(id), usize::from(row.offset)),
+                        };
+                        rig.sim.set_flash(area, at, &value.to_be_bytes());
+                    }
+                    rig.clock.sleep(EVERY_SEALED);
+                    let before = rig.transfers();
+                    rig.sim.set("fault", &format!("{fault} {number} 1")).expect("a fault");
+                    rig.poll_after(Duration::ZERO);
+                    let is_done = rig.transfers() - before < number;
+                    rig.sim.set("fault", "none").expect("a knob");
+                    for _ in 0..4 {
+                        rig.poll_after(Duration::from_secs(4));
+                    }
+                    rig.poll_after(EVERY_SEALED);
+                    let files = rig.owner.learned.clone().expect("it was given").files(chip);
+                    for (_, path) in &files {
+                        let image = Image::open(path, Some(chip)).expect("an image");
+                        for (_, row, value) in rows {
+                            let entry = image.entries.iter().find(|entry| std::ptr::eq(entry.parameter, row));
+                            let saved = entry.map(|entry| entry.value.clone());
+                            assert_eq!(
+                                saved,
+                                Some(Value::Int(value.into())),
+                                "{} {fault} {number}: {} {:?}",
+                                chip.name,
+                                row.name,
+                                files.len()
+                            );
+                        }
+                    }
+                    let _ = fs::remove_dir_all(&folder);
+                    if is_done {
+                        assert_eq!(files.len(), 1, "{}: nothing was saved", chip.name);
+                        break;
+                    }
+                }
+            }
+        }
     }
 
     /// It would be the newest version, and hide what was learned before.
