@@ -25,7 +25,7 @@ use crate::codec::{Bytes, WINDOW};
 use crate::epoch::Fact;
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::{Gauge, Moment, Seal};
-use crate::journal::{Identity, Journal, OpenJournal};
+use crate::journal::{Entry, Identity, Journal, OpenJournal};
 
 mod anonymous;
 mod blocks;
@@ -347,11 +347,32 @@ impl DataFlash {
             return Err(Error::new(gauge.chip.model, Cause::NotPermitted, why).at(Step::Check));
         }
         // Whichever gauge it was begun on: nothing of it outlives the memory, and all of it is written now.
-        if self.find_pending().is_some_and(|pending| pending.is_written_again(changes)) {
-            let told = self.decide(gauge, Decision::Discard, waited)?;
-            log::warn!("{}: {told}", gauge.chip.name);
+        if let Some(pending) = self.find_pending().filter(|pending| pending.is_written_again(changes)) {
+            if pending.plan().is_some_and(|plan| plan.is_part_of(changes)) {
+                self.withdraw(gauge, pending, waited)?;
+            } else {
+                let told = self.decide(gauge, Decision::Discard, waited)?;
+                log::warn!("{}: {told}", gauge.chip.name);
+            }
         }
-        self.write_with(gauge, changes, Extras { soon: true, lost, ..Extras::default() }, waited)
+        let outcome =
+            self.write_with(gauge, changes, Extras { soon: true, lost, ..Extras::default() }, waited)?;
+        self.drop_restorations(changes);
+        Ok(outcome)
+    }
+
+    /// Removes the journals of restorations that were interrupted at this place: one is begun anew whenever the memory is lost,
+    /// and there would be more and more of them.
+    fn drop_restorations(&mut self, changes: &[Change]) {
+        let Some(journal) = &self.journal else { return };
+        let is_over = |entry: &Entry| entry.plan.as_ref().is_some_and(|plan| plan.is_part_of(changes));
+        let dropped = journal.waiting().and_then(|waiting| {
+            let mut over = waiting.into_iter().filter(|(_, entry)| is_over(entry));
+            over.try_for_each(|(path, _)| journal.withdraw(&path))
+        });
+        if let Err(error) = dropped {
+            log::warn!("{error}");
+        }
     }
 
     /// Makes all changes, or none, with what a calibration needs besides.

@@ -506,6 +506,22 @@ impl Journal {
         self.set_aside(path, DISMISSED)
     }
 
+    /// Removes an entry that is of no use to anybody any more.
+    pub(crate) fn withdraw(&self, path: &Path) -> Result<()> {
+        let removed = self.disk.remove(path).and_then(|()| self.disk.sync(&self.folder));
+        removed.map_err(|error| Error::io(path.display().to_string(), "cannot remove the journal", &error))
+    }
+
+    /// The entries of this place and this host that wait for their packs.
+    pub(crate) fn waiting(&self) -> Result<Vec<(PathBuf, Entry)>> {
+        let found = self.search(true, &[])?.into_iter().filter(|found| self.is_key_of(&found.path));
+        let entry = |found: Found| match found.content {
+            Content::Entry(entry) if self.is_ours(&entry) => Some((found.path, entry)),
+            _ => None,
+        };
+        Ok(found.filter_map(entry).collect())
+    }
+
     /// Renames an entry. The new name is a free one: no journal replaces another.
     fn set_aside(&self, path: &Path, end: &str) -> Result<PathBuf> {
         let failed = |error| Error::io(path.display().to_string(), "cannot move the journal", &error);

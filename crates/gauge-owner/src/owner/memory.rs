@@ -663,6 +663,50 @@ mod tests {
         let _ = std::fs::remove_dir_all(folder);
     }
 
+    /// A device whose host is switched off again and again while its gauge is being configured.
+    #[test]
+    fn regression_each_restoration_that_the_host_had_left_kept_its_journal_for_ever() {
+        let folder = std::env::temp_dir().join(format!("gaugefs-memory-left-{}", std::process::id()));
+        for chip in parts() {
+            let journal = Journal::new(folder.clone(), "i2c-1-55".into(), "i2c-1 address 0x55".into());
+            let settings = || Settings {
+                profile: profile(chip, ""),
+                journal: Some(journal.clone()),
+                ..Settings::default()
+            };
+            let left = Arc::new(AtomicU64::new(u64::MAX));
+            let mut rig = Rig::on(chip.name, settings(), Startup::default(), |bus| {
+                Box::new(Ends { bus, left: left.clone() })
+            });
+            rig.start().expect("it answers");
+            rig.poll_after(INTERVAL);
+            let mut interrupted = 0;
+            for number in (20..120).step_by(9) {
+                lose_power(&rig.sim);
+                rig.clock.sleep(Duration::from_secs(3));
+                left.store(number, Ordering::Relaxed);
+                rig.poll_after(Duration::ZERO);
+                interrupted += u64::from(journal.path().exists());
+                left.store(u64::MAX, Ordering::Relaxed);
+                let bus = Box::new(Ends { bus: rig.sim.bus(), left: left.clone() });
+                let clock = rig.clock.clone();
+                rig.direct = super::super::Direct::new(chip, bus, clock, settings(), Startup::default());
+                rig.clock.sleep(Duration::from_secs(3));
+                let _ = rig.start();
+                for _ in 0..6 {
+                    rig.poll_after(INTERVAL);
+                }
+                let expected = chip.register(Role::ChargeFullDesign).map(|_| CAPACITY);
+                assert_eq!(shown(&rig), expected, "{} {number}", chip.name);
+                let files = std::fs::read_dir(&folder).expect("a folder");
+                let files: Vec<_> = files.map(|file| file.expect("a file").file_name()).collect();
+                assert!(files.is_empty(), "{} {number}: {files:?}", chip.name);
+            }
+            assert!(interrupted > 3, "{}: {interrupted}", chip.name);
+        }
+        let _ = std::fs::remove_dir_all(folder);
+    }
+
     /// The time of a machine that may be put to sleep.
     struct Sleeps {
         clock: RealClock,

@@ -74,6 +74,24 @@ impl Plan {
         };
         self.key.is_none() && !self.blocks.is_empty() && self.blocks.iter().all(covers)
     }
+
+    /// Whether it would write what these changes write, but for what the gauge rewrites itself.
+    pub(super) fn is_part_of(&self, changes: &[Change]) -> bool {
+        let is_written = |change: &Change, number: usize, byte: u8| {
+            let offset = usize::from(change.place.offset) + number;
+            let mut blocks = self.blocks.iter().filter(|block| block.subclass == change.place.subclass);
+            blocks.all(|block| {
+                let at = offset.checked_sub(block.base.into()).filter(|&at| at < WINDOW);
+                let differs = |at: usize| (block.new[at] ^ byte) & !change.kept_bits(number) != 0;
+                at.is_none_or(|at| !block.written.has(at) || !differs(at))
+            })
+        };
+        let is_alike = |change: &Change| {
+            let mut bytes = change.bytes.iter().enumerate();
+            change.is_learned() || bytes.all(|(number, &byte)| is_written(change, number, byte))
+        };
+        self.is_covered(changes) && changes.iter().all(is_alike)
+    }
 }
 
 impl Entry {

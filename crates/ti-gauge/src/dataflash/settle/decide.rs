@@ -5,6 +5,7 @@
 use std::time::Duration;
 
 use super::Decision;
+use super::pending::Pending;
 use super::task::{Shown, compare_seen, number_of};
 use crate::chip::{Chip, Kind};
 use crate::codec::{self, WINDOW};
@@ -99,13 +100,30 @@ impl DataFlash {
             Some((journal, file)) if journal.look(file).is_some() => Some(journal.dismiss(file)?),
             _ => None,
         };
-        (self.pending, self.held, self.unfinished) = (None, None, None);
-        let left = match pending.entry {
-            Some(entry) => self.leave_as_it_is(gauge, entry, waited),
-            None => Ok(()),
-        };
         let kept = aside.map_or(String::new(), |path| format!("; the journal is kept as {}", path.display()));
-        left.map(|()| format!("an interrupted write was dismissed and data flash left as it is{kept}"))
+        self.give_up(gauge, pending.entry, waited)
+            .map(|()| format!("an interrupted write was dismissed and data flash left as it is{kept}"))
+    }
+
+    /// Gives up an interrupted write whose values are all written anew: its journal is of no use to anybody.
+    pub(in crate::dataflash) fn withdraw(
+        &mut self,
+        gauge: &mut Gauge,
+        pending: Pending,
+        waited: Duration,
+    ) -> Result<()> {
+        if let Some((journal, file)) = self.journal.as_ref().zip(pending.file.as_ref())
+            && journal.look(file).is_some()
+        {
+            journal.withdraw(file)?;
+        }
+        self.give_up(gauge, pending.entry, waited)
+    }
+
+    /// Gives up what is pending; its journal is not there any more.
+    fn give_up(&mut self, gauge: &mut Gauge, entry: Option<Entry>, waited: Duration) -> Result<()> {
+        (self.pending, self.held, self.unfinished) = (None, None, None);
+        entry.map_or(Ok(()), |entry| self.leave_as_it_is(gauge, entry, waited))
     }
 
     /// Ends the modes that an interrupted write may have left on and seals a gauge that was found sealed, whatever it
