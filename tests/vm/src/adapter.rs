@@ -40,6 +40,19 @@ type Chain = DescriptorChain<GuestMemoryLoadGuard<GuestMemoryMmap>>;
 pub(crate) struct Bench {
     pub(crate) gauge: Gauge,
     pub(crate) wire: Wire,
+    /// Another one on the same bus.
+    pub(crate) beside: Option<Box<Bench>>,
+}
+
+impl Bench {
+    /// A request goes to one of the gauges as a whole.
+    fn request(&mut self, messages: &mut [Message]) {
+        let is_for = |bench: &Self| messages.first().is_some_and(|first| first.address == bench.wire.address);
+        match &mut self.beside {
+            Some(beside) if is_for(beside) => beside.request(messages),
+            _ => self.wire.request(&mut self.gauge.bus, messages),
+        }
+    }
 }
 
 /// One adapter, for the life of one connection.
@@ -91,8 +104,7 @@ impl Adapter {
         let mut messages: Vec<Message> = requests.iter().map(|request| request.message.clone()).collect();
         {
             let mut bench = self.bench.lock().unwrap_or_else(PoisonError::into_inner);
-            let Bench { gauge, wire } = &mut *bench;
-            wire.request(&mut gauge.bus, &mut messages);
+            bench.request(&mut messages);
         }
         for (request, message) in requests.into_iter().zip(&messages) {
             let head = request.chain.head_index();

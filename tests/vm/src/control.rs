@@ -13,19 +13,24 @@
 //! pace on|off                              the bus takes its time at 100 kHz, or none
 //! strange on|off                           what answers is the gauge no more, but something else
 //! unplug   plug                            the adapter itself (needs --qmp)
+//! key                                      one of the machine's keyboard is pressed (needs --qmp)
+//! beside CHIP ADDRESS                      another gauge at another address of the same bus, as new
+//! beside COMMAND                           a command to that one
+//! after SECONDS COMMAND                    the command is carried out later; nobody hears whether it went through
 //! ```
 
 use std::io::{self, BufRead, BufReader, Write as _};
 use std::os::unix::net::{UnixListener, UnixStream};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
+use std::time::Duration;
 
 use gauge_sim::Knob;
 
 use crate::adapter::Bench;
 use crate::gauge::Gauge;
 use crate::qmp::Slot;
-use crate::wire::Counters;
+use crate::wire::{Counters, Wire};
 
 /// What a command works on.
 #[derive(Clone, Debug)]
@@ -65,11 +70,39 @@ impl Control {
         match words[..] {
             ["unplug"] => return slot()?.unplug().map(|()| String::new()),
             ["plug"] => return slot()?.plug().map(|()| String::new()),
+            ["key"] => return slot()?.press().map(|()| String::new()),
+            ["after", seconds, ref command @ ..] if !command.is_empty() => {
+                let pause =
+                    Duration::from_secs(seconds.parse().map_err(|_| format!("{seconds}: not a time"))?);
+                let (control, command) = (self.clone(), command.join(" "));
+                thread::spawn(move || {
+                    thread::sleep(pause);
+                    if let Err(why) = control.command(&command) {
+                        eprintln!("gaugefs-vm-bus: {command}: {why}");
+                    }
+                });
+                return Ok(String::new());
+            }
             _ => {}
         }
         let mut bench = self.bench.lock().unwrap_or_else(PoisonError::into_inner);
-        let Bench { gauge, wire } = &mut *bench;
-        match words[..] {
+        bench.command(&words)
+    }
+}
+
+impl Bench {
+    fn command(&mut self, words: &[&str]) -> Result<String, String> {
+        let Self { gauge, wire, beside } = self;
+        match *words {
+            ["beside", chip, address] if address.starts_with("0x") => {
+                let address = u16::from_str_radix(&address[2..], 16);
+                let address = address.map_err(|_| "not an address".to_owned())?;
+                let wire = Wire { address, ..Wire::default() };
+                *beside = Some(Box::new(Self { gauge: Gauge::new(chip)?, wire, beside: None }));
+            }
+            ["beside", ref command @ ..] => {
+                return beside.as_mut().ok_or("there is no gauge beside it")?.command(command);
+            }
             ["set", knob, ref value @ ..] if !value.is_empty() => {
                 gauge.sim.set(knob, &value.join(" ")).map_err(|error| error.to_string())?;
             }
@@ -96,7 +129,7 @@ impl Control {
             ["counters", "reset"] => wire.counters = Counters::default(),
             ["log"] => return Ok(gauge.sim.log().iter().map(|record| format!("{record}\n")).collect()),
             ["log", "clear"] => gauge.sim.clear_log(),
-            _ => return Err(format!("{line}: no such command")),
+            _ => return Err(format!("{}: no such command", words.join(" "))),
         }
         Ok(String::new())
     }

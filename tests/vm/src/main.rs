@@ -58,7 +58,8 @@ fn run() -> Result<(), String> {
     }
     let (Some(chip), Some(bus), Some(control)) = (chip, bus, control) else { return Err(USAGE.to_owned()) };
 
-    let bench = Arc::new(Mutex::new(Bench { gauge: Gauge::new(&chip)?, wire: Wire::default() }));
+    let bench =
+        Arc::new(Mutex::new(Bench { gauge: Gauge::new(&chip)?, wire: Wire::default(), beside: None }));
     let mut listener = Listener::new(&bus, true).map_err(|error| format!("{}: {error}", bus.display()))?;
     let slot = monitor.map(|monitor| Slot { monitor, bus: bus.clone() });
     let commands = Control { bench: Arc::clone(&bench), slot };

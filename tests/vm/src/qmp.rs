@@ -25,6 +25,12 @@ impl Slot {
         monitor.execute(r#"{"execute":"chardev-remove","arguments":{"id":"bus"}}"#, None)
     }
 
+    /// Presses a key of the machine's keyboard, which wakes one that is asleep.
+    pub(crate) fn press(&self) -> Result<(), String> {
+        let key = r#"{"execute":"send-key","arguments":{"keys":[{"type":"qcode","data":"shift"}]}}"#;
+        Monitor::open(self)?.execute(key, None)
+    }
+
     /// Returns when the device is in its slot; the guest finds it a little later.
     pub(crate) fn plug(&self) -> Result<(), String> {
         let mut monitor = Monitor::open(self)?;

@@ -31,12 +31,20 @@ pub(crate) struct Counters {
     pub(crate) refused: u64,
 }
 
-/// The wire and what it counts.
-#[derive(Debug, Default)]
+/// The wire to a gauge, and what it counts.
+#[derive(Debug)]
 pub(crate) struct Wire {
+    /// 7-bit address of the gauge.
+    pub(crate) address: u16,
     pub(crate) counters: Counters,
     /// Whatever is read reads 0xff, as from something that is no gauge.
     pub(crate) strange: bool,
+}
+
+impl Default for Wire {
+    fn default() -> Self {
+        Self { address: GAUGE_ADDRESS.into(), counters: Counters::default(), strange: false }
+    }
 }
 
 impl Wire {
@@ -74,7 +82,7 @@ impl Wire {
         write: &[u8],
         read: &mut [u8],
     ) -> Result<(), BusError> {
-        if address != u16::from(GAUGE_ADDRESS) {
+        if address != self.address {
             return Err(BusError::NoAck);
         }
         let result = bus.transfer(write, read);
