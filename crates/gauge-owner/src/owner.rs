@@ -60,6 +60,7 @@ use debt::Debt;
 pub use direct::Direct;
 pub use handle::{Failure, Handle, Published, Signal, Snapshot};
 use handle::{Queue, Shared};
+pub(crate) use learned::implausible_profile;
 pub use learned::{Learned, Version, Wish};
 use memory::Memory;
 use now::Content;

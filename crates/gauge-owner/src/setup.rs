@@ -10,10 +10,10 @@ use std::time::Duration;
 use nix::errno::Errno;
 
 use crate::choose::{Choice, Rule};
-use crate::error::{Error, Result};
+use crate::error::{Cause, Error, Result};
 use crate::folders;
 use crate::key_file;
-use crate::owner::{Backup, Learned, Settings};
+use crate::owner::{Backup, Learned, Settings, implausible_profile};
 use crate::source::Source;
 use gauge_bus::trace;
 use ti_gauge::authentication::Order;
@@ -144,6 +144,42 @@ impl GaugeSetup {
 }
 
 fn profile(path: &Path, chip: &'static Chip) -> Result<Vec<Change>> {
+    let refuse = |why| Err(Error::new(path.display().to_string(), Cause::Invalid, why));
+    if chip.volatile.is_none() {
+        let why = "is flash, which keeps its configuration: write the file once, with gaugefs import";
+        return refuse(format!("the data memory of a {} {why}", chip.model));
+    }
     let image = Image::open(path, Some(chip))?;
+    if let Some(why) = implausible_profile(&image) {
+        return refuse(format!("{why}; leave that out, and the gauge begins with its own"));
+    }
     Ok(image.to_restore().map_err(|error| error.within(&path.display().to_string()))?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn regression_a_profile_could_have_what_no_gauge_learns_or_be_for_flash() {
+        let path = std::env::temp_dir().join(format!("gaugefs-profile-{}", std::process::id()));
+        for (chip, text, expected) in [
+            ("bq27441-g1", "[state]\ndesign-capacity = 2100\nqmax-cell-0 = 16000\n", ""),
+            ("bq27441-g1", "[state]\nqmax-cell-0 = 5000\n", "Qmax Cell 0 is 5000"),
+            ("bq27441-g1", "[r-a-ram]\nr-a0-3 = 0\n", "R_a0 3 is 0"),
+            ("bq27220", "[cedv-profile-1]\nfull-charge-capacity = 3000\n", ""),
+            (
+                "bq27220",
+                "[cedv-profile-1]\ndesign-capacity = 1000\nfull-charge-capacity = 3000\n",
+                "one and a half times 1000",
+            ),
+            ("bq34z100-g1", "[configuration-data]\ndesign-capacity = 1000\n", "is flash"),
+        ] {
+            std::fs::write(&path, format!("chip = \"{chip}\"\n{text}")).expect("a file");
+            let chip = Chip::by_name(chip).expect("it has a table");
+            let why = profile(&path, chip).map_or_else(|error| error.to_string(), |_| String::new());
+            assert!(why.contains(expected) && why.is_empty() == expected.is_empty(), "{text}: {why}");
+        }
+        std::fs::remove_file(path).expect("it is there");
+    }
 }

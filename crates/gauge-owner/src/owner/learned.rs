@@ -157,9 +157,8 @@ impl Learned {
             [&self.folder, path].into_iter().try_for_each(|path| journal::check(path, self.trusted));
         trusted.map_err(|error| error.to_string())?;
         let image = Image::open(path, Some(chip)).map_err(|error| error.to_string())?;
-        let was = image.entries.iter().find(|entry| is_design(entry.parameter));
-        let why = match (was.map(|entry| &entry.value), design) {
-            (Some(&Value::Int(was)), Some(now)) if was != now => {
+        let why = match (design_of(&image), design) {
+            (Some(was), Some(now)) if was != now => {
                 Some(format!("it was learned with a Design Capacity of {was} mAh, and the profile has {now}"))
             }
             _ => implausible(&image, design),
@@ -241,6 +240,19 @@ fn restored(image: &Image) -> ti_gauge::error::Result<Vec<Change>> {
     let mut changes = image.to_restore()?;
     changes.retain(|change| change.row().is_some_and(|row| image.chip.stays(row) == Stays::Pack));
     Ok(changes)
+}
+
+/// Design Capacity in an image, in mAh.
+fn design_of(image: &Image) -> Option<i64> {
+    match image.entries.iter().find(|entry| is_design(entry.parameter))?.value {
+        Value::Int(design) => Some(design),
+        _ => None,
+    }
+}
+
+/// Why a profile has values that no gauge has learned.
+pub(crate) fn implausible_profile(image: &Image) -> Option<String> {
+    implausible(image, design_of(image))
 }
 
 /// What a version restores, and what it is compared by. Some bits are never restored.
