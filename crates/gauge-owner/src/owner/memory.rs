@@ -914,27 +914,38 @@ mod tests {
     /// `[BIE]` is bit 13 of OpConfig, and `[BAT_DET]` bit 3 of Flags().
     #[test]
     fn a_gauge_that_waits_for_a_battery_is_told_of_it() {
-        let chip = Chip::by_name("bq27441-g1").expect("it has a table");
-        let flags = |rig: &Rig| {
-            let published = rig.handle.published();
-            published.snapshot.as_ref().and_then(|snapshot| snapshot.value(chip.register(Role::Flags)?))
-        };
-        for (config, is_sent) in [("0x05f8", true), ("0x25f8", false)] {
-            let mut rig = rig(chip, &format!("[registers]\nopconfig = {config}\n"));
+        let with_pin =
+            |chip: &&Chip| chip.subcommands.iter().any(|one| one.name == "BAT_INSERT" && one.sealed);
+        assert_eq!(parts().filter(with_pin).count(), 5);
+        for (chip, is_sent) in parts().filter(with_pin).flat_map(|chip| [(chip, true), (chip, false)]) {
+            let rows =
+                chip.subclasses.iter().flat_map(|class| class.parameters.iter().map(move |row| (class, row)));
+            let row = rows.into_iter().find(|(_, row)| row.name == "OpConfig").expect("each has one");
+            let config = ti_gauge::value::Value::Int(if is_sent { 0x05F8 } else { 0x25F8 });
+            let config = Change::of_value(row, &config, false).expect("it fits");
+            let profile = [profile(chip, ""), vec![config.saved()]].concat();
+            let mut rig = Rig::of(chip.name, Settings { profile, ..Settings::default() }, Startup::default());
+            rig.start().expect("it answers");
+            rig.poll_after(INTERVAL);
+            let flags = |rig: &Rig| {
+                let published = rig.handle.published();
+                published.snapshot.as_ref().and_then(|snapshot| snapshot.value(chip.register(Role::Flags)?))
+            };
             rig.sim.keep_log(true);
             lose_power(&rig.sim);
             for _ in 0..4 {
                 rig.poll_after(Duration::from_secs(3));
             }
             let sent = rig.sim.log().iter().filter(|record| record.write == [0x00, 0x0C, 0x00]).count();
-            assert_eq!(sent, usize::from(is_sent), "{config}");
-            assert!(flags(&rig).is_some_and(|flags| flags & 8 != 0), "{config}");
+            assert_eq!(sent, usize::from(is_sent), "{} {is_sent}", chip.name);
+            assert!(flags(&rig).is_some_and(|flags| flags & 8 != 0), "{} {is_sent}", chip.name);
             // What somebody else says afterwards counts.
             rig.sim.bus().transfer(&[0x00, 0x0D, 0x00], &mut []).expect("BAT_REMOVE");
             for _ in 0..4 {
                 rig.poll_after(INTERVAL);
             }
-            assert_eq!(flags(&rig).is_some_and(|flags| flags & 8 == 0), is_sent, "{config}");
+            let is_gone = flags(&rig).is_some_and(|flags| flags & 8 == 0);
+            assert_eq!(is_gone, is_sent, "{} {is_sent}", chip.name);
         }
     }
 }
