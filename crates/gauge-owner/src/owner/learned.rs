@@ -724,6 +724,30 @@ mod tests {
     }
 
     #[test]
+    fn a_clock_that_jumps_by_years_makes_no_older_version_the_newest() {
+        let folder = folder("jumps");
+        let rig = rig(&folder, Some("A"));
+        let store = rig.owner.learned.clone().expect("it was given");
+        // Another daemon, as after a restart.
+        let stores = [store.clone(), rig.owner.learned.clone().expect("it was given")];
+        let times =
+            ["2026-11-25T09:30:00Z", "1970-01-01T00:00:00Z", "2099-01-01T00:00:00Z", "2026-11-25T09:30:00Z"];
+        for (number, time) in (0..).zip(times) {
+            let text = format!("chip = \"bq27441-g1\"\n[state]\nqmax-cell-0 = {}\n", 15_000 + number);
+            let image = Image::parse(&text, Some(chip())).expect("an image");
+            let now = time.parse().expect("a time");
+            assert_eq!(stores[number % 2].save(&image, now), Ok(true), "{time}");
+            let (newest, dropped) = store.newest(chip(), None);
+            let newest = newest.map(|(_, image)| image.entries[0].value.clone());
+            assert_eq!((newest, dropped.len()), (Some(Value::Int(15_000 + number as i64)), 0), "{time}");
+        }
+        let versions: Vec<_> = store.files(chip()).into_iter().map(|(version, _)| version.0).collect();
+        let expected = ["20261125T093000Z", "20261125T093001Z", "20990101T000000Z", "20990101T000001Z"];
+        assert_eq!(versions, expected);
+        fs::remove_dir_all(folder).expect("it is there");
+    }
+
+    #[test]
     fn a_version_is_named_by_a_time() {
         for text in ["20261125T093000Z", "20261125t093000z", "00010101T000000Z", "99991230T000000Z"] {
             assert_eq!(Version::parse(text).map(|version| version.0), Some(text.to_uppercase()), "{text}");
