@@ -147,6 +147,16 @@ impl Owner {
         self.save_learned();
     }
 
+    /// Called after a poll that somebody has asked for: whoever asks again and again leaves no time for a scheduled one.
+    pub(super) fn repair_if_overdue(&mut self) {
+        let published = self.shared.published();
+        let is_shown = published.snapshot.as_ref().is_none_or(|snapshot| snapshot.is_configured);
+        // What has failed is tried again after its pause.
+        if !is_shown && matches!(self.memory.loss, Loss::None | Loss::Written) {
+            self.repair_memory();
+        }
+    }
+
     fn repair_memory(&mut self) {
         let chip = self.gauge.chip;
         let Some(flag) = chip.volatile else { return };
@@ -661,6 +671,23 @@ mod tests {
             }
         }
         let _ = std::fs::remove_dir_all(folder);
+    }
+
+    /// As by a script that calls `gaugefs get` every second.
+    #[test]
+    fn regression_whoever_refreshed_more_often_than_it_was_polled_kept_a_gauge_from_its_profile() {
+        for chip in parts() {
+            let mut rig = rig(chip, "");
+            lose_power(&rig.sim);
+            rig.clock.sleep(Duration::from_secs(3));
+            for _ in 0..5 {
+                rig.clock.sleep(Duration::from_secs(1));
+                rig.ask(&op::REFRESH, ()).expect("it answers");
+                let shown = shown(&rig);
+                assert!(shown.is_none() || shown == Some(CAPACITY), "{}: {shown:?}", chip.name);
+            }
+            assert_eq!(shown(&rig), chip.register(Role::ChargeFullDesign).map(|_| CAPACITY), "{}", chip.name);
+        }
     }
 
     /// A device whose host is switched off again and again while its gauge is being configured.

@@ -356,7 +356,9 @@ impl Owner {
         }
         self.gauge.wait(self.schedule.wait(self.gauge.clock.now()));
         self.schedule.read_slow_tier();
-        self.recognise().and_then(|()| self.update()).inspect_err(|error| self.poll_failed(error))
+        self.recognise().and_then(|()| self.update()).inspect_err(|error| self.poll_failed(error))?;
+        self.repair_if_overdue();
+        Ok(())
     }
 
     /// Reads the seal state and CONTROL_STATUS, which a request may have changed. If that fails, so does the
