@@ -22,6 +22,8 @@ use crate::value::Value;
 /// after more than two standard commands a second.
 const READINGS: usize = 8;
 const INTERVAL: Duration = Duration::from_millis(600);
+/// How often a gauge that does not answer for a moment is compared, because it does not answer for another one meanwhile.
+const RECOGNITIONS: usize = 3;
 /// Readings before and after the measurement of an offset, which itself takes up to 16 s.
 const FEW_READINGS: usize = 4;
 /// From a reset until the first reading.
@@ -203,7 +205,7 @@ impl Task<'_> {
         let (name, unit) = naming(self.gauge.chip, target.role);
         (self.tell)(&format!("reading {name} {count} times"));
         self.gauge.limit(Some(READ_LIMIT.saturating_sub(self.waited())));
-        let readings = readings(self.gauge, target.role, count);
+        let readings = self.undisturbed(target.role, count);
         self.gauge.limit(None);
         let readings = readings?;
         if readings.spread() > target.spread {
@@ -217,6 +219,17 @@ impl Task<'_> {
             return Err(Error::of(name, noisy).at(Step::Check));
         }
         Ok(readings)
+    }
+
+    /// Reads a register, once more if the gauge did not answer for a moment. From then on it has to be the same one.
+    fn undisturbed(&mut self, role: Role, count: usize) -> Result<Readings> {
+        self.since = self.gauge.moment();
+        let first = readings(self.gauge, role, count);
+        if first.is_ok() && self.gauge.is_unbroken_since(self.since) {
+            return first;
+        }
+        self.since = self.gauge.moment();
+        readings(self.gauge, role, count)
     }
 
     /// A parameter of the table and its value.
@@ -421,6 +434,7 @@ impl Task<'_> {
     }
 
     fn measure_offset(&mut self, offset: &Offset) -> Result<()> {
+        self.recognise()?;
         let gauge = &mut *self.gauge;
         gauge.limit_until(Some(self.asked + ENDS));
         gauge.command_since(offset.start, self.since)?;
@@ -442,8 +456,27 @@ impl Task<'_> {
         self.save()
     }
 
+    /// Makes sure that it is still the same pack. A gauge may not answer while it stores something, so one that did not for a
+    /// moment is compared with what distinguishes its pack.
+    fn recognise(&mut self) -> Result<()> {
+        for _ in 0..RECOGNITIONS {
+            if self.gauge.is_unbroken_since(self.since) {
+                return Ok(());
+            }
+            self.dataflash.suspect(self.gauge.chip);
+            self.since = self.gauge.moment();
+            self.value_now(self.calibration.cc_offset.row)?;
+            if self.dataflash.doubts() {
+                let why = "another pack answers, which was not told to measure anything";
+                return Err(Error::new(self.gauge.chip.model, Cause::Gone, why).at(Step::Identify));
+            }
+        }
+        is_same(self.gauge, self.since)
+    }
+
     /// Has the gauge store what it has measured.
     fn save(&mut self) -> Result<()> {
+        self.recognise()?;
         self.gauge.command_since(self.calibration.save, self.since)?;
         self.gauge.wait(AFTER_RESET);
         Ok(())
@@ -456,7 +489,7 @@ impl Task<'_> {
         for ((subclass, parameter), _) in olds {
             news.push(self.value_now((subclass.id, parameter.offset))?.1);
         }
-        is_same(self.gauge, self.since)?;
+        self.recognise()?;
         // An offset that was right leaves no current to be taken away.
         let has_stored = olds.iter().zip(&news).any(|((_, old), new)| old != new);
         if !has_stored && before.mean.abs() > 1.0 {

@@ -183,17 +183,23 @@ impl DataFlash {
     /// The pack may have been exchanged unnoticed. Forgets what was read of it, but for what distinguishes it: that is
     /// compared when data flash is open for the next time.
     pub fn suspect(&mut self, chip: &'static Chip) {
-        let mut fingerprint = self.fingerprint.get(self.now.pack).cloned().unwrap_or_default();
-        for place in pack::mark_windows(chip) {
-            if let Some(content) = self.known().get(place) {
-                fingerprint.note(chip, place, content);
-            }
-        }
+        let fingerprint = self.fingerprint_now(chip);
         self.now.may_be_another();
         // An exchange of a gauge with RAM is a loss of power, which it reports.
         if chip.volatile.is_none() {
             self.fingerprint.learn(self.now.pack, fingerprint);
         }
+    }
+
+    /// What distinguishes the pack, as far as it is known.
+    fn fingerprint_now(&self, chip: &'static Chip) -> Known {
+        let mut fingerprint = self.fingerprint().clone();
+        for place in pack::mark_windows(chip) {
+            if let Some(content) = self.known().get(place) {
+                fingerprint.note(chip, place, content);
+            }
+        }
+        fingerprint
     }
 
     /// Compares the pack with the suspected one, if the gauge is open. See [`Self::doubts`].

@@ -66,7 +66,10 @@ impl DataFlash {
         let reset = as_they_are.iter().any(|change| change.kind(gauge.chip) == Kind::Reset);
         let plan = planned::plan(gauge, reset, &blocks, &neighbours, self.marks(gauge.chip));
         self.note(session, Plan { by_gauge: true, ..plan })?;
+        // The rows stand in a block with marks.
+        let fingerprint = self.fingerprint_now(gauge.chip);
         blocks.iter().for_each(|block| self.known.in_epoch(self.now.pack).forget(block.place));
+        self.fingerprint.learn(self.now.pack, fingerprint);
         Ok(olds)
     }
 
