@@ -201,7 +201,7 @@ impl Session {
         if line.starts_with("gaugefs mount ") && line.contains("--sim ") && !line.contains("--poll ") {
             line += " --poll 0.5";
         }
-        ["/run/gauges", "/tmp/gauges"]
+        ["/run/gaugefs/i2c-1", "/run/gauges", "/tmp/gauges"]
             .iter()
             .fold(line, |line, place| line.replace(place, "\"$GAUGES\""))
             .replace("/tmp/", "\"$FOLDER\"/")
