@@ -754,6 +754,10 @@ impl Model {
         if (is_moved || too_long) && !is_read_only {
             expected = Expected::failure(&[Errno::EINVAL]);
         }
+        if class == Class::Report && flags.contains(OFlags::APPEND) {
+            // What is appended may end where a page does, behind which a longer text would go on.
+            expected.may.push(Errno::EINVAL);
+        }
         if !flags.intersects(OFlags::WRONLY | OFlags::RDWR) {
             expected = Expected::failure(&[Errno::EBADF]);
         }

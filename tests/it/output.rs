@@ -646,10 +646,11 @@ fn a_dash_is_standard_input_or_standard_output_of_every_command() {
         return;
     }
     let folder = Folder::new();
-    let [at, other, toml, keys, station, csv, config, trace, empty] =
-        ["m", "n", "pack.toml", "keys", "station.toml", "log.csv", "mount.toml", "trace", "empty"]
+    let [at, other, toml, keys, station, csv, config, trace, empty, profile] =
+        ["m", "n", "pack.toml", "keys", "station.toml", "log.csv", "mount.toml", "trace", "empty", "profile"]
             .map(|name| folder.file(name));
     fs::write(&empty, "").expect("a file");
+    fs::write(&profile, "chip = \"bq27441-g1\"\n[state]\ndesign-capacity = 1200\n").expect("a profile");
     let gauge = format!("{at}/BAT0");
     fs::write(&keys, "unseal = 0414 3672\nauthentication = 0123456789abcdeffedcba9876543210\n")
         .expect("keys");
@@ -675,8 +676,8 @@ fn a_dash_is_standard_input_or_standard_output_of_every_command() {
             ("sim", "replay") => vec!["sim", "--replay", "-", "./bus", "--", "true"],
             ("sim", "state") => vec!["sim", CHIP, "--state", "-", "./bus", "--", "true"],
             ("mount", "replay") => vec!["mount", "--replay", "-", &other],
-            ("mount", "profile") => vec!["mount", "--sim", CHIP, "--profile", "-", &other],
-            ("mount", "restore") => vec!["mount", "--sim", CHIP, "--restore", "-", &other],
+            ("mount", "profile") => vec!["mount", "--sim", "bq27441-g1", "--profile", "-", &other],
+            ("mount", "restore") => vec!["mount", "--sim", "bq27441-g1", "--restore", "-", &other],
             ("mount", "key_file") => vec!["mount", "--sim", CHIP, "--key-file", "-", &other],
             ("mount", "log") => vec!["mount", "--sim", CHIP, "--log", "-", &other],
             ("mount", "trace") => vec!["mount", "--sim", CHIP, "--trace", "-", &other],
@@ -711,6 +712,7 @@ fn a_dash_is_standard_input_or_standard_output_of_every_command() {
         };
         let file = match (command, id) {
             ("mount", "config") => &config,
+            ("mount", "profile" | "restore") => &profile,
             ("mount" | "sim", "replay") => &trace,
             ("plot", _) => &csv,
             ("records", _) => &empty,
