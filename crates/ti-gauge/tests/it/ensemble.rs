@@ -566,8 +566,9 @@ fn run(
             outcome = model.act(&mut host);
         }
     }
-    if outcome.is_err() && matches!(access, Calibrate(_)) {
-        // A row of the gauge's own has kept it from being measured. What is right is known without that.
+    let is_away = outcome.as_ref().is_err_and(|error| matches!(error.cause(), Cause::NotNow));
+    if is_away || outcome.is_err() && matches!(access, Calibrate(_)) {
+        // Rows of the gauge's own keep it from being measured, or written. What is right is known without them.
         model.keep_still();
         host.transfers.store(0, Ordering::Relaxed);
         outcome = model.act(&mut host);
