@@ -9,7 +9,7 @@
 
 use std::time::Duration;
 
-use crate::chip::{Calibration, Chip, Offset, Role, Word};
+use crate::chip::{Calibration, Chip, Offset, Parameter, Role, Subclass, Word};
 use crate::codec;
 use crate::dataflash::{BEGINS, Change, DataFlash, Extras, Outcome, Place, Row, is_same};
 use crate::error::{Cause, Error, Reason, Result, Step};
@@ -235,10 +235,18 @@ impl Task<'_> {
     /// A parameter of the table and its value.
     fn value(&mut self, place: (u8, u16)) -> Result<(Row, Value)> {
         let row = row(self.gauge.chip, place)?;
+        Ok((row, self.values(row.0, &[row.1])?.remove(0)))
+    }
+
+    /// The values of parameters of a subclass, which is read once.
+    fn values(&mut self, subclass: &'static Subclass, parameters: &[&Parameter]) -> Result<Vec<Value>> {
         let waited = self.waited();
-        let bytes = self.dataflash.read(self.gauge, &[row.0], waited)?.remove(0);
-        let at = usize::from(row.1.offset - row.0.start());
-        Ok((row, codec::decode(row.1.kind, &bytes[at..at + row.1.kind.size()])))
+        let bytes = self.dataflash.read(self.gauge, &[subclass], waited)?.remove(0);
+        let value = |parameter: &&Parameter| {
+            let at = usize::from(parameter.offset - subclass.start());
+            codec::decode(parameter.kind, &bytes[at..at + parameter.kind.size()])
+        };
+        Ok(parameters.iter().map(value).collect())
     }
 
     fn number(&mut self, place: (u8, u16)) -> Result<f64> {
@@ -485,10 +493,14 @@ impl Task<'_> {
     /// What the gauge shows after a measurement, and the first of the values that it has stored.
     fn judge(&mut self, olds: &[(Row, Value)], before: Readings) -> Result<(Readings, Value)> {
         let after = readings(self.gauge, Role::CurrentNow, FEW_READINGS)?;
-        let mut news = Vec::with_capacity(olds.len());
-        for ((subclass, parameter), _) in olds {
-            news.push(self.value_now((subclass.id, parameter.offset))?.1);
-        }
+        let ((subclass, _), _) = olds[0];
+        debug_assert!(
+            olds.iter().all(|((other, _), _)| std::ptr::eq(*other, subclass)),
+            "the tables have both in one"
+        );
+        let parameters: Vec<&Parameter> = olds.iter().map(|((_, parameter), _)| *parameter).collect();
+        self.asked = self.gauge.clock.now();
+        let mut news = self.values(subclass, &parameters)?;
         self.recognise()?;
         // An offset that was right leaves no current to be taken away.
         let has_stored = olds.iter().zip(&news).any(|((_, old), new)| old != new);
