@@ -187,42 +187,48 @@ pub trait Bus: Send {
     /// After an error, it may be unknown whether the transfer had its effect on the target.
     fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), BusError>;
 
+    /// The bus that this one hands its transfers to, if it is a layer around another. Whatever else a bus is told goes
+    /// there by itself: a layer that forgot to pass on `set_secret` would leave keys in a recording below it.
+    fn inner(&mut self) -> Option<&mut dyn Bus> {
+        None
+    }
+
     /// Checks that no kernel driver is bound to the address, without a transfer.
     fn claim(&mut self) -> Result<(), BusError> {
-        Ok(())
+        self.inner().map_or(Ok(()), |bus| bus.claim())
     }
 
     /// Announces the time of the clock after which no further transfer is started. A transfer that is under way then
     /// is not waited for much longer. `None` ends the limit.
-    fn limit(&mut self, _latest: Option<Duration>) {}
+    fn limit(&mut self, latest: Option<Duration>) {
+        if let Some(bus) = self.inner() {
+            bus.limit(latest);
+        }
+    }
 
     /// Closes an adapter that was unplugged, because the kernel keeps it until its last user has closed it.
-    fn release_if_gone(&mut self) {}
+    fn release_if_gone(&mut self) {
+        if let Some(bus) = self.inner() {
+            bus.release_if_gone();
+        }
+    }
 
     /// Announces that the transfers from now on carry keys or security data (`true`), or no longer do (`false`).
     /// A bus that records transfers must hide those in between.
-    fn set_secret(&mut self, _secret: bool) {}
+    fn set_secret(&mut self, secret: bool) {
+        if let Some(bus) = self.inner() {
+            bus.set_secret(secret);
+        }
+    }
 }
 
-impl<B: Bus + ?Sized> Bus for Box<B> {
+impl Bus for Box<dyn Bus> {
     fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
         (**self).transfer(write, read)
     }
 
-    fn claim(&mut self) -> Result<(), BusError> {
-        (**self).claim()
-    }
-
-    fn limit(&mut self, latest: Option<Duration>) {
-        (**self).limit(latest);
-    }
-
-    fn release_if_gone(&mut self) {
-        (**self).release_if_gone();
-    }
-
-    fn set_secret(&mut self, secret: bool) {
-        (**self).set_secret(secret);
+    fn inner(&mut self) -> Option<&mut dyn Bus> {
+        Some(&mut **self)
     }
 }
 
@@ -264,6 +270,65 @@ mod tests {
         }
         assert!(BusError::NoAck.may_be_no_ack() && other(Errno::IO).may_be_no_ack());
         assert!(!other(Errno::PROTO).may_be_no_ack() && !BusError::Timeout.may_be_no_ack());
+    }
+
+    /// A bus that keeps what it is told.
+    #[derive(Default)]
+    struct Told(std::sync::Arc<std::sync::Mutex<Vec<String>>>);
+
+    impl Told {
+        fn keep(&self, what: String) {
+            self.0.lock().expect("nobody panics").push(what);
+        }
+    }
+
+    impl Bus for Told {
+        fn transfer(&mut self, _: &[u8], _: &mut [u8]) -> Result<(), BusError> {
+            Ok(())
+        }
+
+        fn claim(&mut self) -> Result<(), BusError> {
+            self.keep("claim".into());
+            Err(BusError::Busy)
+        }
+
+        fn limit(&mut self, latest: Option<Duration>) {
+            self.keep(format!("limit {latest:?}"));
+        }
+
+        fn release_if_gone(&mut self) {
+            self.keep("release".into());
+        }
+
+        fn set_secret(&mut self, secret: bool) {
+            self.keep(format!("secret {secret}"));
+        }
+    }
+
+    /// A layer that has nothing to say to any of it.
+    struct Layer(Box<dyn Bus>);
+
+    impl Bus for Layer {
+        fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
+            self.0.transfer(write, read)
+        }
+
+        fn inner(&mut self) -> Option<&mut dyn Bus> {
+            Some(&mut self.0)
+        }
+    }
+
+    #[test]
+    fn what_a_layer_is_told_reaches_the_bus_below_it() {
+        let told = Told::default();
+        let said = told.0.clone();
+        let mut bus: Box<dyn Bus> = Box::new(Layer(Box::new(Layer(Box::new(told)))));
+        assert_eq!(bus.claim(), Err(BusError::Busy));
+        bus.limit(Some(Duration::from_secs(1)));
+        bus.release_if_gone();
+        bus.set_secret(true);
+        let said = said.lock().expect("nobody panics");
+        assert_eq!(said[..], ["claim", "limit Some(1s)", "release", "secret true"]);
     }
 
     #[test]

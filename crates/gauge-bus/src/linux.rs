@@ -242,16 +242,8 @@ impl Bus for LinuxBus {
         self.target.transfer(write, read)
     }
 
-    fn claim(&mut self) -> Result<(), BusError> {
-        self.target.claim()
-    }
-
-    fn limit(&mut self, latest: Option<Duration>) {
-        self.target.limit(latest);
-    }
-
-    fn release_if_gone(&mut self) {
-        self.target.release_if_gone();
+    fn inner(&mut self) -> Option<&mut dyn Bus> {
+        Some(&mut self.target)
     }
 }
 

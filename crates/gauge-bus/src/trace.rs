@@ -127,16 +127,8 @@ impl Bus for Trace {
         result
     }
 
-    fn claim(&mut self) -> Result<(), BusError> {
-        self.bus.claim()
-    }
-
-    fn limit(&mut self, latest: Option<Duration>) {
-        self.bus.limit(latest);
-    }
-
-    fn release_if_gone(&mut self) {
-        self.bus.release_if_gone();
+    fn inner(&mut self) -> Option<&mut dyn Bus> {
+        Some(&mut self.bus)
     }
 
     fn set_secret(&mut self, secret: bool) {

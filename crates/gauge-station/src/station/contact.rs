@@ -79,19 +79,7 @@ impl Bus for Watched {
         outcome
     }
 
-    fn claim(&mut self) -> Result<(), BusError> {
-        self.bus.claim()
-    }
-
-    fn limit(&mut self, latest: Option<Duration>) {
-        self.bus.limit(latest);
-    }
-
-    fn release_if_gone(&mut self) {
-        self.bus.release_if_gone();
-    }
-
-    fn set_secret(&mut self, secret: bool) {
-        self.bus.set_secret(secret);
+    fn inner(&mut self) -> Option<&mut dyn Bus> {
+        Some(&mut self.bus)
     }
 }

@@ -151,8 +151,8 @@ impl Bus for Powered {
         if self.1.is_on() { self.0.transfer(write, read) } else { Err(BusError::NoAck) }
     }
 
-    fn set_secret(&mut self, secret: bool) {
-        self.0.set_secret(secret);
+    fn inner(&mut self) -> Option<&mut dyn Bus> {
+        Some(&mut self.0)
     }
 }
 

@@ -199,8 +199,8 @@ impl<B: Bus> Bus for Host<B> {
         self.bus.transfer(write, read)
     }
 
-    fn set_secret(&mut self, secret: bool) {
-        self.bus.set_secret(secret);
+    fn inner(&mut self) -> Option<&mut dyn Bus> {
+        Some(&mut self.bus)
     }
 }
 

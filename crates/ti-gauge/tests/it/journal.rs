@@ -166,6 +166,10 @@ impl<B: Bus> Bus for Sinks<B> {
         }
         self.bus.transfer(write, read)
     }
+
+    fn inner(&mut self) -> Option<&mut dyn Bus> {
+        Some(&mut self.bus)
+    }
 }
 
 /// From a given transfer on, the gauge acknowledges everything and stores nothing, not even the old values put back.

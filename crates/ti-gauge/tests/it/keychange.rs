@@ -285,6 +285,10 @@ impl<B: Bus> Bus for Dying<B> {
         self.1 = self.1.checked_sub(1).ok_or(BusError::Gone)?;
         self.0.transfer(write, read)
     }
+
+    fn inner(&mut self) -> Option<&mut dyn Bus> {
+        Some(&mut self.0)
+    }
 }
 
 /// The host loses power at any transfer, but the gauge does not; repeating the same change completes it.
@@ -651,6 +655,10 @@ impl<B: Bus> Bus for Turned<B> {
             read[2..10].chunks_exact_mut(4).for_each(<[u8]>::reverse);
         }
         Ok(())
+    }
+
+    fn inner(&mut self) -> Option<&mut dyn Bus> {
+        Some(&mut self.0)
     }
 }
 

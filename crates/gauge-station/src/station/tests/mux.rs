@@ -117,8 +117,8 @@ impl Bus for Channel {
         outcome
     }
 
-    fn set_secret(&mut self, secret: bool) {
-        self.0.set_secret(secret);
+    fn inner(&mut self) -> Option<&mut dyn Bus> {
+        Some(&mut self.0)
     }
 }
 

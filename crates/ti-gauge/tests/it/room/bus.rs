@@ -35,8 +35,8 @@ where
         self.claimed
     }
 
-    fn set_secret(&mut self, secret: bool) {
-        self.bus.set_secret(secret);
+    fn inner(&mut self) -> Option<&mut dyn Bus> {
+        Some(&mut self.bus)
     }
 }
 

@@ -62,6 +62,10 @@ impl<B: Bus> Bus for Powered<B> {
     fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> std::result::Result<(), BusError> {
         self.power.run(|| self.bus.transfer(write, read))
     }
+
+    fn inner(&mut self) -> Option<&mut dyn Bus> {
+        Some(&mut self.bus)
+    }
 }
 
 /// The content of a file: what is certainly on disk, and what a reader sees.

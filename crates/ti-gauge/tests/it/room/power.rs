@@ -118,6 +118,10 @@ impl<B: Bus> Bus for Host<B> {
             _ => self.bus.transfer(write, read),
         }
     }
+
+    fn inner(&mut self) -> Option<&mut dyn Bus> {
+        Some(&mut self.bus)
+    }
 }
 
 impl Case {
