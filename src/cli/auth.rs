@@ -14,6 +14,7 @@ use crate::output::{print, say};
 use gauge_owner::key_file;
 use gaugefs_client::Gauge;
 use ti_gauge::authentication::{LENGTH, Order, fits, from_hex, to_hex};
+use ti_gauge::keys::Name;
 
 const AUTH: &str = "\
 The key file needs a line `authentication = 32 hexadecimal digits`. The key never leaves this
@@ -56,7 +57,8 @@ impl Auth {
     /// The text for a genuine pack, or why it is not genuine.
     fn ask(&self, gauge: &Gauge) -> Result<Result<String, &'static str>> {
         let keys = key_file::from_file(&self.key_file, &gauge.name())?;
-        let key = keys.authentication.as_ref().and_then(|key| key.bytes().try_into().ok());
+        let secret = keys.secret(Name::Authentication);
+        let key = secret.as_ref().and_then(|key| key.bytes().try_into().ok());
         let Some(key) = key else {
             let why = "has no line `authentication = 32 hexadecimal digits`";
             return Err(Error::new(self.key_file.display().to_string(), Cause::Invalid, why));

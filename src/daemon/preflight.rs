@@ -163,7 +163,7 @@ fn needs_of(name: &str, gauge: &GaugeSetup, mountpoint: &Path) -> Vec<Error> {
     match gauge.keys(name) {
         Err(error) => found.push(error),
         Ok(keys) => {
-            let none = keys.unseal.is_none() && keys.full_access.is_none() && keys.authentication.is_none();
+            let none = keys.is_empty();
             if let Some(path) = gauge.key_file.as_ref().filter(|_| none) {
                 let why =
                     format!("it has no key for {name}: neither above its sections nor in a section [{name}]");

@@ -219,7 +219,7 @@ fn writes_below_the_flash_voltage_are_refused() {
 
 #[test]
 fn without_keys_a_sealed_gauge_shows_everything_but_data_flash() {
-    let keys = Keys { no_default: true, ..Keys::default() };
+    let keys = Keys::none();
     let Some(mount) = Mount::new("bq34z100-g1", Duration::from_secs(3600), keys) else { return };
     let before = mount.sim.flash();
     assert_eq!(fs::read(mount.path("df/80/53")).map_err(errno), Err(Errno::EPERM));

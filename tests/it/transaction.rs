@@ -264,7 +264,7 @@ fn a_failed_commit_changes_nothing() {
 /// Without a key the old values are unknown, but the staged values are shown.
 #[test]
 fn a_sealed_gauge_refuses_the_commit() {
-    let tree = Tree::new("bq34z100-g1", Keys { no_default: true, ..Keys::default() });
+    let tree = Tree::new("bq34z100-g1", Keys::none());
     assert_eq!(tree.stage("begin\n80/53 3100\n"), Ok(()));
     assert_eq!(tree.read("df/transaction").as_deref(), Ok("Cell Terminate Voltage: - -> 3100\n"));
     assert_eq!(tree.stage("commit"), Err(Errno::EPERM));
@@ -285,7 +285,7 @@ fn reserved_bits_are_refused_when_they_are_staged() {
     assert_eq!(tree.stage("begin\n64/0 0x0121\ncommit"), Ok(()));
     assert_eq!(tree.read("df/64/0").as_deref(), Ok("0x0121\n"));
     // What cannot be read is compared by the commit.
-    let sealed = Tree::new("bq34z100-g1", Keys { no_default: true, ..Keys::default() });
+    let sealed = Tree::new("bq34z100-g1", Keys::none());
     assert_eq!(sealed.stage("begin\n64/0 0x1161\n"), Ok(()));
     assert_eq!(sealed.stage("commit"), Err(Errno::EPERM));
 }

@@ -190,7 +190,7 @@ mod tests {
     fn key(text: &str) -> [u8; 16] {
         let line = format!("authentication = {text}");
         let keys = crate::keys::Keys::parse("keys", line.as_bytes(), "BAT0").expect("a key file");
-        keys.authentication.expect("a key").bytes().try_into().expect("16 bytes")
+        keys.secret(crate::keys::Name::Authentication).expect("a key").bytes().try_into().expect("16 bytes")
     }
 
     const DEFAULT: &str = "0123456789ABCDEFFEDCBA9876543210";

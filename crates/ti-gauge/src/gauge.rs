@@ -993,12 +993,16 @@ impl Gauge {
 
     /// The manual's default key, if that is allowed.
     pub fn default_key(&self, name: Name) -> Option<Secret> {
-        let default = match name {
+        self.manual_key(name).filter(|_| !self.keys.no_default).map(Secret::from)
+    }
+
+    /// The two words that the manual gives for the key of that name.
+    pub(crate) fn manual_key(&self, name: Name) -> Option<[u16; 2]> {
+        match name {
             Name::Unseal => Some(self.chip.security.default_unseal),
             Name::FullAccess => Some(DEFAULT_FULL_ACCESS),
             Name::Authentication => None,
-        };
-        default.filter(|_| !self.keys.no_default).map(Secret::from)
+        }
     }
 
     /// Sets the key that the gauge has now.

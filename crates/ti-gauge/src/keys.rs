@@ -27,31 +27,40 @@ impl Name {
     /// All of them.
     pub const ALL: [Name; 3] = [Name::Unseal, Name::FullAccess, Name::Authentication];
 
+    /// Its name in a command, what its line of a key file begins with, and its form.
+    fn row(self) -> (&'static str, &'static str, Form) {
+        match self {
+            Name::Unseal => ("unseal", "unseal", Form::Words),
+            Name::FullAccess => ("full-access", "full_access", Form::Words),
+            Name::Authentication => ("authentication", "authentication", Form::Digits),
+        }
+    }
+
     /// Its name in a command.
     pub fn as_str(self) -> &'static str {
-        match self {
-            Name::Unseal => "unseal",
-            Name::FullAccess => "full-access",
-            Name::Authentication => "authentication",
-        }
+        self.row().0
     }
 
     /// What its line of a key file begins with.
     pub fn line(self) -> &'static str {
-        match self {
-            Name::Unseal => "unseal",
-            Name::FullAccess => "full_access",
-            Name::Authentication => "authentication",
-        }
+        self.row().1
     }
 
     /// What a key of this name looks like.
     pub fn form(self) -> &'static str {
-        match self {
-            Name::Unseal | Name::FullAccess => WORDS,
-            Name::Authentication => DIGITS,
+        match self.row().2 {
+            Form::Words => "expected two words of four hexadecimal digits, such as 0414 3672",
+            Form::Digits => "expected 32 hexadecimal digits",
         }
     }
+}
+
+/// How a key is typed.
+enum Form {
+    /// Two words, in the order in which they are sent.
+    Words,
+    /// 16 bytes, spaces anywhere between two of them.
+    Digits,
 }
 
 /// One key as it is typed: two words in the order in which they are sent, each with its most significant
@@ -71,15 +80,15 @@ impl Secret {
     /// Reads what was typed.
     pub fn parse(name: Name, text: &str) -> Option<Self> {
         let words = text.split_ascii_whitespace();
-        match name {
-            Name::Unseal | Name::FullAccess => {
+        match name.row().2 {
+            Form::Words => {
                 let mut words = words.map(|word| word.strip_prefix("0x").unwrap_or(word));
                 let is_key = words.clone().count() == 2 && words.all(|word| word.len() == 4);
                 let digits = text.split_ascii_whitespace();
                 let digits = digits.flat_map(|word| word.strip_prefix("0x").unwrap_or(word).bytes());
                 if is_key { Self::of_digits(digits, 4) } else { None }
             }
-            Name::Authentication => Self::of_digits(words.flat_map(str::bytes), 16),
+            Form::Digits => Self::of_digits(words.flat_map(str::bytes), 16),
         }
     }
 
@@ -189,12 +198,8 @@ impl KeyChange {
 /// The keys of one gauge.
 #[derive(Clone, Default)]
 pub struct Keys {
-    /// The two words that unseal, in the order they are sent.
-    pub unseal: Option<Secret>,
-    /// The two words that lead from UNSEALED to FULL ACCESS.
-    pub full_access: Option<Secret>,
-    /// The key with which the gauge computes the answer to a challenge.
-    pub authentication: Option<Secret>,
+    /// By [`Name`].
+    secrets: [Option<Secret>; Name::ALL.len()],
     /// Whether the manual's default keys must not be tried where none is given.
     pub no_default: bool,
 }
@@ -225,6 +230,18 @@ pub(crate) fn wipe_words() {
 }
 
 impl Keys {
+    /// No key, not even the manual's.
+    pub fn none() -> Self {
+        Self { no_default: true, ..Self::default() }
+    }
+
+    /// One key; of the others the manual's.
+    pub fn of(name: Name, secret: &Secret) -> Self {
+        let mut keys = Self::default();
+        keys.set(name, secret);
+        keys
+    }
+
     /// Reads lines such as `unseal = 0414 3672`; `#` starts a comment. Lines before the first section apply to
     /// all gauges; those below `[NAME]` apply to the gauge of that name and take precedence.
     pub fn parse(name: &str, text: &[u8], gauge: &str) -> Result<Self> {
@@ -284,21 +301,17 @@ impl Keys {
 
     /// The key of that name.
     pub fn secret(&self, name: Name) -> Option<Secret> {
-        match name {
-            Name::Unseal => self.unseal.clone(),
-            Name::FullAccess => self.full_access.clone(),
-            Name::Authentication => self.authentication.clone(),
-        }
+        self.secrets[name as usize].clone()
+    }
+
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.secrets.iter().all(Option::is_none)
     }
 
     /// Replaces the key of that name.
     pub fn set(&mut self, name: Name, secret: &Secret) {
-        let key = match name {
-            Name::Unseal => &mut self.unseal,
-            Name::FullAccess => &mut self.full_access,
-            Name::Authentication => &mut self.authentication,
-        };
-        *key = Some(secret.clone());
+        self.secrets[name as usize] = Some(secret.clone());
     }
 }
 
@@ -307,9 +320,6 @@ pub fn is_name(text: &str) -> bool {
     let allowed = |byte: u8| byte.is_ascii_alphanumeric() || b"._+-".contains(&byte);
     !text.is_empty() && text.len() <= 64 && text.bytes().all(allowed) && !text.starts_with(['.', '-'])
 }
-
-const WORDS: &str = "expected two words of four hexadecimal digits, such as 0414 3672";
-const DIGITS: &str = "expected 32 hexadecimal digits";
 
 #[cfg(test)]
 mod tests {
@@ -324,10 +334,13 @@ mod tests {
         let text = "# pack 7\nunseal = 0414 3672\n\nfull_access=FFFF ffff # as it came\r\n\
                     authentication = 0123456789abcdef FEDCBA9876543210";
         let keys = Keys::parse("keys", text.as_bytes(), "BAT0").expect("a good key file");
-        assert_eq!(keys.unseal, Some([0x0414, 0x3672].into()));
-        assert_eq!(keys.full_access, Some([0xffff, 0xffff].into()));
-        assert_eq!(keys.authentication.map(|key| (key.bytes()[0], key.bytes()[8])), Some((0x01, 0xfe)));
-        assert!(Keys::parse("keys", b"", "BAT0").expect("an empty one").unseal.is_none());
+        assert_eq!(keys.secret(Name::Unseal), Some([0x0414, 0x3672].into()));
+        assert_eq!(keys.secret(Name::FullAccess), Some([0xffff, 0xffff].into()));
+        assert_eq!(
+            keys.secret(Name::Authentication).map(|key| (key.bytes()[0], key.bytes()[8])),
+            Some((0x01, 0xfe))
+        );
+        assert!(Keys::parse("keys", b"", "BAT0").expect("an empty one").is_empty());
     }
 
     #[test]
@@ -354,12 +367,12 @@ mod tests {
         let text = b"unseal = 1111 2222\nfull_access = 3333 4444\n[BAT0]\nunseal = 5555 6666 # its own\n\n\
                      [ PACK-7 ]\nauthentication = 000102030405060708090a0b0c0d0e0f\n";
         let keys = |gauge| Keys::parse("keys", text, gauge).expect("a good key file");
-        assert_eq!(keys("BAT0").unseal, Some([0x5555, 0x6666].into()));
-        assert_eq!(keys("BAT0").full_access, Some([0x3333, 0x4444].into()));
-        assert!(keys("BAT0").authentication.is_none());
-        assert_eq!(keys("PACK-7").unseal, Some([0x1111, 0x2222].into()));
-        assert_eq!(keys("PACK-7").authentication.map(|key| key.bytes()[15]), Some(15));
-        assert_eq!(keys("BAT").unseal, Some([0x1111, 0x2222].into()));
+        assert_eq!(keys("BAT0").secret(Name::Unseal), Some([0x5555, 0x6666].into()));
+        assert_eq!(keys("BAT0").secret(Name::FullAccess), Some([0x3333, 0x4444].into()));
+        assert!(keys("BAT0").secret(Name::Authentication).is_none());
+        assert_eq!(keys("PACK-7").secret(Name::Unseal), Some([0x1111, 0x2222].into()));
+        assert_eq!(keys("PACK-7").secret(Name::Authentication).map(|key| key.bytes()[15]), Some(15));
+        assert_eq!(keys("BAT").secret(Name::Unseal), Some([0x1111, 0x2222].into()));
     }
 
     #[test]
@@ -419,7 +432,7 @@ mod tests {
 
     #[test]
     fn keys_do_not_show_themselves() {
-        let keys = Keys { unseal: Some([0xbeef, 0xcafe].into()), ..Keys::default() };
+        let keys = Keys::of(Name::Unseal, &[0xbeef, 0xcafe].into());
         assert_eq!(format!("{keys:?}"), "Keys { hidden }");
         let change = KeyChange::parse(b"unseal 0414 3672 beef cafe").expect("a change");
         assert_eq!(format!("{change:?}"), "KeyChange { name: Unseal, old: hidden, new: hidden }");

@@ -270,7 +270,7 @@ mod tests {
 
     #[test]
     fn a_sealed_gauge_without_a_key_is_reported_without_data_flash() {
-        let keys = Keys { no_default: true, ..Keys::default() };
+        let keys = Keys::none();
         let key_file = Some("/home/somebody/pack.keys".to_string());
         let mut rig =
             Rig::of("bq34z100-g1", Settings { keys, key_file, ..Settings::default() }, Startup::default());

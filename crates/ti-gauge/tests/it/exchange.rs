@@ -18,7 +18,7 @@ use ti_gauge::chip::Chip;
 use ti_gauge::dataflash::{DataFlash, Decision, Limits};
 use ti_gauge::error::Result;
 use ti_gauge::gauge::{Gauge, Seal};
-use ti_gauge::keys::Keys;
+use ti_gauge::keys::{Keys, Name};
 
 use crate::rig::{Random, Rig, cause};
 use crate::room::{CASES, Case, Folder, drawn, programs};
@@ -141,7 +141,7 @@ struct Scene {
 }
 
 fn open_second(sim: &Sim, rig: &Rig, key: Option<[u16; 2]>, found: Seal) {
-    let keys = Keys { unseal: key.map(Into::into), ..Keys::default() };
+    let keys = key.map_or_else(Keys::default, |key| Keys::of(Name::Unseal, &key.into()));
     let mut gauge = Gauge::new(rig.gauge.chip, Box::new(sim.bus()), rig.clock.clone(), keys, false);
     DataFlash::default().go_to(&mut gauge, found, Duration::ZERO).expect("its own key");
 }
@@ -188,7 +188,7 @@ impl Scene {
         let table = self.first.gauge.chip;
         let mut other = Rig::on(table, self.second.clone(), self.first.clock.clone());
         if self.draw.is_new {
-            let keys = Keys { unseal: key.map(Into::into), ..Keys::default() };
+            let keys = key.map_or_else(Keys::default, |key| Keys::of(Name::Unseal, &key.into()));
             other.gauge =
                 Gauge::new(table, Box::new(self.second.bus()), self.first.clock.clone(), keys, false);
             let changes = self.case.changes(&other);

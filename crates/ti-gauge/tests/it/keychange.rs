@@ -228,7 +228,7 @@ fn an_ambiguous_byte_order_is_not_guessed() {
     let options = gauge_sim::Options { unseal_key: Some([0x1212, 0x1212]), ..Default::default() };
     let clock = std::sync::Arc::new(gauge_bus::clock::SimClock::new());
     let sim = gauge_sim::Sim::new("bq34z100-g1", &options, clock.clone()).expect("a chip");
-    let keys = Keys { unseal: Some([0x1212, 0x1212].into()), ..Keys::default() };
+    let keys = Keys::of(Name::Unseal, &[0x1212, 0x1212].into());
     let table = ti_gauge::chip::Chip::by_name("bq34z100-g1").expect("a chip");
     let gauge = Gauge::new(table, Box::new(sim.bus()), clock.clone(), keys, false);
     clock.sleep(Duration::from_secs(1));

@@ -18,7 +18,7 @@ use ti_gauge::codec::WINDOW;
 use ti_gauge::dataflash::{Change, DataFlash, Decision, Outcome};
 use ti_gauge::error::Result;
 use ti_gauge::gauge::{Gauge, Seal};
-use ti_gauge::keys::{KeyChange, Keys};
+use ti_gauge::keys::{KeyChange, Keys, Name};
 
 use crate::rig::{Rig, another, cause};
 use crate::room::{CASES, Case, Folder, RESET, half_way, host, programs};
@@ -39,7 +39,7 @@ fn the_journal_stays_until_the_outcome_is_proven() {
     let (torn, journal) = (rig.sim.flash(), folder.text());
     assert!(torn != old && journal.is_some());
     for fault in ["no key", "bad checksum", "NACK", "timeout", "silence"] {
-        let keys = Keys { no_default: fault == "no key", ..Keys::default() };
+        let keys = if fault == "no key" { Keys::none() } else { Keys::default() };
         rig.start_with(&folder, keys, move |bus, _, write, read| {
             let done = match fault {
                 "NACK" if matches!(write, [0x3E, ..]) => return Err(BusError::NoAck),
@@ -475,7 +475,7 @@ fn a_wrong_key_is_sent_twice_and_then_never_again() {
     let folder = Folder::new("wrong");
     for (chip, (id, offset)) in PARTS {
         let mut rig = Rig::new(chip);
-        let keys = Keys { unseal: Some([0x1234, 0x5678].into()), ..Keys::default() };
+        let keys = Keys::of(Name::Unseal, &[0x1234, 0x5678].into());
         rig.start_with(&folder, keys, |bus, _, write, read| bus.transfer(write, read));
         rig.sim.clear_log();
         rig.arrive().expect("nothing to settle");
@@ -496,7 +496,7 @@ fn a_wrong_key_is_sent_twice_and_then_never_again() {
 #[test]
 fn a_write_whose_reset_would_lock_out_the_host_is_refused() {
     let folder = Folder::new("lockout");
-    let wrong = Keys { unseal: Some([0x1234, 0x5678].into()), ..Keys::default() };
+    let wrong = Keys::of(Name::Unseal, &[0x1234, 0x5678].into());
     for found in [Seal::Unsealed, Seal::FullAccess] {
         let mut rig = Rig::found("bq34z100-g1", found);
         let flash = rig.sim.flash();

@@ -9,7 +9,7 @@ use ti_gauge::chip::{FLAT, Kind};
 use ti_gauge::dataflash::Outcome;
 use ti_gauge::error::Cause;
 use ti_gauge::gauge::Seal;
-use ti_gauge::keys::Keys;
+use ti_gauge::keys::{Keys, Name};
 
 use crate::rig::{Rig, another, cause};
 
@@ -183,8 +183,8 @@ fn refusals_change_nothing() {
 
 #[test]
 fn without_a_key_a_sealed_gauge_stays_sealed() {
-    let none = Keys { no_default: true, ..Keys::default() };
-    let wrong = Keys { unseal: Some([0x1234, 0x5678].into()), ..Keys::default() };
+    let none = Keys::none();
+    let wrong = Keys::of(Name::Unseal, &[0x1234, 0x5678].into());
     for keys in [none, wrong] {
         let mut rig = Rig::with("bq34z100-g1", keys, false);
         let before = rig.sim.flash();
@@ -255,7 +255,7 @@ fn on_a_flat_part_the_bytes_match_slua790() {
     assert_eq!(rig.read(FLAT, 0x41B1), Ok(vec![0x82]));
 }
 
-/// The same, byte by byte: the checksum is still written before the length.
+/// Byte by byte, too, the checksum is written before the length.
 #[test]
 fn a_flat_part_can_be_written_byte_by_byte() {
     let mut rig = Rig::with("bq34110", Keys::default(), true);
@@ -373,12 +373,7 @@ fn data_memory_behind_manufacturer_access_is_written_in_config_update() {
 /// A gauge that does not accept the full-access key is left as it was found.
 #[test]
 fn data_memory_needs_the_full_access_key() {
-    let keys = Keys {
-        unseal: None,
-        full_access: Some([0x1234, 0x5678].into()),
-        authentication: None,
-        no_default: false,
-    };
+    let keys = Keys::of(Name::FullAccess, &[0x1234, 0x5678].into());
     let mut rig = Rig::with("bq27220", keys, false);
     let before = rig.sim.flash();
     let error = rig.write(FLAT, 0x929F, "1200").expect_err("a wrong key");

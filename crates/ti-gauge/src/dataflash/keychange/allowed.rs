@@ -2,10 +2,10 @@
 
 //! Which keys may be changed, and to what.
 
-use super::ring::{ADDRESSES, ERASED, SUBCOMMANDS};
+use super::ring::{ADDRESSES, ERASED, SEALS, SUBCOMMANDS};
 use crate::chip::{Chip, KeyBlock, KeyStorage};
 use crate::error::{Cause, Error, Result, Step};
-use crate::gauge::{DEFAULT_FULL_ACCESS, Gauge};
+use crate::gauge::Gauge;
 use crate::keys::{KeyChange, Name};
 
 /// The block of keys with one of that name, or why it cannot be changed.
@@ -38,20 +38,15 @@ pub(super) fn check_new(gauge: &Gauge, change: &KeyChange) -> Result<()> {
         let why = "the new key is the old one";
         return Err(Error::new("", Cause::Invalid, why).at(Step::Check));
     }
-    let (default, other) = match change.name {
-        Name::Unseal => (gauge.chip.security.default_unseal, gauge.key(Name::FullAccess)),
-        Name::FullAccess => (DEFAULT_FULL_ACCESS, gauge.key(Name::Unseal)),
-        Name::Authentication => {
-            let bytes = change.new.bytes();
-            return if bytes.iter().all(|byte| *byte == bytes[0]) {
-                refuse("is one byte sixteen times, which is the first that anybody tries")
-            } else {
-                Ok(())
-            };
-        }
+    let Some(default) = gauge.manual_key(change.name) else {
+        let bytes = change.new.bytes();
+        return match bytes.iter().all(|byte| *byte == bytes[0]) {
+            true => refuse("is one byte sixteen times, which is the first that anybody tries"),
+            false => Ok(()),
+        };
     };
     let words = change.new.words();
-    if other.is_some_and(|other| other == change.new) {
+    if SEALS.iter().any(|other| *other != change.name && gauge.key(*other).as_ref() == Some(&change.new)) {
         return refuse("is the other key as well: sent twice it would open the gauge wide");
     }
     if words == default {
