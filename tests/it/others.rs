@@ -47,7 +47,7 @@ impl Daemon {
         Self::with(at, &[])
     }
 
-    /// The same with more options.
+    /// Starts it with more options; `None` without FUSE.
     fn with(at: String, more: &[&str]) -> Option<Self> {
         if fs::File::options().read(true).write(true).open("/dev/fuse").is_err() {
             eprintln!("SKIPPED: /dev/fuse cannot be opened; no daemon was stopped");

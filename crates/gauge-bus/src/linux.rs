@@ -44,7 +44,7 @@ mod ioctl {
 
 /// What distinguishes the number of a FUSE file from those of the kernel's adapters, which are minor numbers.
 const FILE: u64 = 1 << 32;
-/// The same for a device of CUSE.
+/// What distinguishes the number of a device of CUSE from those of adapters and of FUSE files.
 const CUSE: u64 = 1 << 33;
 
 /// An adapter: its device node, and the adapter's number.

@@ -74,7 +74,7 @@ pub use report::{Effect, Origin, Report, Times};
 /// Longest time without a look at the clock. The gauge's clock counts the time in which the host is asleep, and a wait does not: what
 /// fell due then is done at most this long after the host is awake.
 const NAP: Duration = Duration::from_secs(30);
-/// The same for a gauge that may have lost its memory while the host was asleep.
+/// Longest time without a look at the clock for a gauge that may have lost its memory while the host was asleep.
 const NAP_OF_RAM: Duration = Duration::from_secs(1);
 /// Time by which the gauge's clock may be ahead of one that stops with the host, although the host was awake.
 const AWAKE: Duration = Duration::from_millis(500);

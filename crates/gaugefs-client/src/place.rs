@@ -24,7 +24,7 @@ pub fn died(mount: impl fmt::Display) -> String {
     format!("its daemon has died; remove the mount with: gaugefs umount {mount}")
 }
 
-/// The same of a path in a mount, which may not be there any more.
+/// What to do about the mount of a path, whose daemon is gone; the mount may be gone as well.
 pub(crate) fn dead(path: &Path) -> String {
     died(shown(mounts::of(path).as_deref().unwrap_or(path)))
 }

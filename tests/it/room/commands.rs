@@ -90,7 +90,7 @@ impl Ran {
         self.failed_with(1, words);
     }
 
-    /// The same for exit code 2: the question could not be answered.
+    /// Checks for exit code 2, which says that the question could not be answered, and one such line.
     #[track_caller]
     pub(crate) fn troubled(self, words: &[&str]) {
         self.failed_with(2, words);

@@ -813,9 +813,9 @@ const SHUT: &str = "stores nothing below";
 const LOST_KEY: &str = "the authentication key may have been lost with it";
 /// What only a person can decide.
 const UNDECIDED: &[&str] = &["does not explain"];
-/// The same, where what tells the pack from others was to be written.
+/// What only a person can decide where the values that tell the pack from others were to be written.
 const AS_NEW: &str = "may be another pack";
-/// The same, for a gauge with RAM that has lost its power and no longer says so.
+/// What only a person can decide of a gauge with RAM that has lost its power and no longer says so.
 const UNDECIDED_RAM: &str = "is not what it was then";
 
 /// A gauge that was found open, whose key this host has not tried, is not reset.

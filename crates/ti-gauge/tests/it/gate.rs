@@ -79,7 +79,7 @@ fn new_pack() -> Rig {
     rig
 }
 
-/// The same pack after its calibration: it measures 17000 mV.
+/// The pack of [`new_pack`] after its calibration: it measures 17000 mV.
 fn finished_pack() -> Rig {
     let mut rig = new_pack();
     written(&mut rig, &[(PACK_CONFIG, EXTERNAL), (DIVIDER, "20000"), (CELLS, "4")]);

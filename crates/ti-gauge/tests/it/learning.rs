@@ -156,7 +156,7 @@ fn a_whole_cycle_takes_update_status_to_06() {
     }
 }
 
-/// The same at 1000 times the speed, polled every 3 s.
+/// A learning cycle at 1000 times the speed, polled every 3 s.
 #[test]
 fn a_cycle_at_speed() {
     let mut rig = Rig::found("bq34z100-g1", ti_gauge::gauge::Seal::Unsealed);

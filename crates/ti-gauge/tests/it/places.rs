@@ -47,7 +47,7 @@ fn torn(folder: &Folder) -> Rig {
     rig
 }
 
-/// The same after the end of the program.
+/// A torn write, after the end of the program that made it.
 fn left_torn(folder: &Folder) -> Rig {
     Rig { dataflash: DataFlash::default(), ..torn(folder) }
 }

@@ -24,7 +24,7 @@ impl Rig {
         self.start_with(folder, Keys::default(), |bus, _, write, read| bus.transfer(write, read));
     }
 
-    /// The same with keys, on a bus that hands each transfer to a function.
+    /// A program starts there with keys, on a bus that hands each transfer to a function.
     pub(crate) fn start_with(
         &mut self,
         folder: &Folder,
