@@ -23,7 +23,7 @@ use std::sync::Arc;
 
 use nix::errno::Errno;
 
-use crate::error::{Cause, Error, Result};
+use crate::error::{Error, Result};
 use gauge_owner::{Attempt, Done, Handle};
 
 mod attribute;
@@ -464,6 +464,15 @@ impl Fs {
         name.map(str::to_string).or_else(|| listed().map(|(name, _)| name))
     }
 
+    /// Where a file is, from its gauge's folder on.
+    fn path(&self, node: Node) -> String {
+        let name = self.file_name(node).unwrap_or_default();
+        match self.parent(node) {
+            Node::Root | Node::Of(_, Item::Supply(SupplyItem::Folder)) => name,
+            folder => format!("{}/{name}", self.path(folder)),
+        }
+    }
+
     /// The present content of a file.
     pub fn content(&self, node: Node) -> Content {
         self.at(node).content()
@@ -488,8 +497,8 @@ impl Fs {
         if self.is_stream(node) || !is_cut {
             return self.at(node).write(data, done);
         }
-        let why = "too long for a value, so it may not be whole; write the value alone, without padding";
-        let error = Error::new(self.file_name(node).unwrap_or_default(), Cause::Invalid, why);
+        let why = "longer than any value, so it may not be whole; write the value alone, without padding";
+        let error = Error::host(self.path(node), Errno::EFBIG, why);
         match node {
             Node::Of(gauge, _) => {
                 self.supplies[usize::from(gauge)].handle.refuse(Attempt::Other, error, done)

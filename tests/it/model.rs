@@ -752,11 +752,11 @@ impl Model {
         // The kernel refuses what nobody may write before gaugefs gets it.
         let is_read_only = class.mode().is_some_and(|mode| mode & 0o222 == 0);
         if (is_moved || too_long) && !is_read_only {
-            expected = Expected::failure(&[Errno::EINVAL]);
+            expected = Expected::failure(&[if is_moved { Errno::EINVAL } else { Errno::EFBIG }]);
         }
         if class == Class::Report && flags.contains(OFlags::APPEND) {
             // What is appended may end where a page does, behind which a longer text would go on.
-            expected.may.push(Errno::EINVAL);
+            expected.may.push(Errno::EFBIG);
         }
         if !flags.intersects(OFlags::WRONLY | OFlags::RDWR) {
             expected = Expected::failure(&[Errno::EBADF]);

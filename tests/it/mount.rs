@@ -922,8 +922,9 @@ fn a_piece_that_the_kernel_cuts_is_no_value() {
         options.write(true).append(append);
         let before = mount.cat(path);
         let written = options.open(mount.path(path)).expect("opens").write(text.as_bytes());
-        assert_eq!(written.map_err(errno), Err(Errno::EINVAL), "{path}, {} bytes", text.len());
-        assert!(mount.cat("gauge/last_error").contains("may not be whole"));
+        assert_eq!(written.map_err(errno), Err(Errno::EFBIG), "{path}, {} bytes", text.len());
+        let reason = mount.cat("gauge/last_error");
+        assert!(reason.contains(&format!("Z: {path}: ")) && reason.contains("may not be whole"), "{reason}");
         assert_eq!(mount.cat(path), before);
     }
     // Every position of the cut within a line, the newline included.

@@ -379,7 +379,7 @@ fn a_piece_of_a_write_is_no_value() {
             let answer = Box::new(move |outcome| done.send(outcome).expect("somebody waits"));
             tree.fs.write(tree.node(path), offset, padded(length, value).as_bytes(), answer);
             let error = is_done.recv().expect("an answer").expect_err("a piece");
-            assert_eq!(error.errno(), Errno::EINVAL, "{path}: {length} bytes at {offset}");
+            assert_eq!(error.errno(), Errno::EFBIG, "{path}: {length} bytes at {offset}");
             assert!(tree.handle.published().last_error.contains("may not be whole"), "{error}");
         }
     }
