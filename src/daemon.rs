@@ -144,7 +144,7 @@ pub(crate) fn run(setup: Setup, mode: Mode) -> Result<()> {
             })?
         }
         None => {
-            preflight::device()?;
+            fuse::needs::device()?;
             let mount = || fuse::mount(tree.clone(), &mountpoint, how, signal.clone());
             shutdown.mount(|| {
                 let mounted = mountpoint::make_and_mount(&mountpoint, mount)?;

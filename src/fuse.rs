@@ -32,6 +32,7 @@ use gauge_owner::Signal;
 mod adapter;
 mod inodes;
 pub mod knobs;
+pub mod needs;
 mod notify;
 #[cfg(test)]
 mod races;
@@ -93,14 +94,6 @@ fn host(subject: &str, error: &std::io::Error) -> Error {
 /// whenever something that the tree shows may have changed.
 pub fn mount(fs: Arc<Fs>, mountpoint: &Path, options: Options, signal: Arc<Signal>) -> Result<Mounted> {
     let mut config = Config::default();
-    config.mount_options = vec![
-        MountOption::FSName("gaugefs".into()),
-        MountOption::Subtype("gaugefs".into()),
-        MountOption::DefaultPermissions,
-        MountOption::NoSuid,
-        MountOption::NoDev,
-        MountOption::NoExec,
-    ];
     if options.read_only {
         config.mount_options.push(MountOption::RO);
     }
@@ -108,10 +101,8 @@ pub fn mount(fs: Arc<Fs>, mountpoint: &Path, options: Options, signal: Arc<Signa
     if (nix::unistd::geteuid().is_root() || options.shared) && !options.private {
         config.acl = SessionACL::All;
     }
-    start(fs, options, signal, |adapter| {
-        Session::new(adapter, mountpoint, &config)
-            .map_err(|error| host(&mountpoint.display().to_string(), &error))
-    })
+    let source = ("gaugefs", "gaugefs");
+    start(fs, options, signal, |adapter| needs::session(adapter, mountpoint, source, config))
 }
 
 /// Serves the tree through a `/dev/fuse` that is mounted already.

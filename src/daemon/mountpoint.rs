@@ -7,8 +7,6 @@
 //! by `look`, with a time limit: a gaugefs that is stopped or hung, of whatever user, or a network mount
 //! without its server, holds up nobody.
 
-use std::env;
-use std::ffi::OsStr;
 use std::io::ErrorKind;
 use std::os::unix::ffi::OsStrExt;
 use std::path::{Path, PathBuf};
@@ -25,6 +23,7 @@ use super::look::{self, Found, Look};
 use crate::error::{Cause, Error, Result, shown};
 use crate::folders;
 use crate::fs::Covered;
+use crate::fuse::needs;
 use gauge_bus::clock::{Clock, RealClock};
 use gauge_bus::regular;
 use gauge_owner::lock;
@@ -389,7 +388,7 @@ pub fn detach(path: &Path, lazily: bool) -> Result<()> {
         return remove(path, if lazily { MntFlags::MNT_DETACH } else { MntFlags::empty() });
     }
     let subject = path.display().to_string();
-    let mut command = Command::new(helper().unwrap_or_else(|| "fusermount3".into()));
+    let mut command = Command::new(needs::helper().unwrap_or_else(|| "fusermount3".into()));
     command.arg("-u").args(lazily.then_some("-z")).arg("--").arg(path).env("LC_ALL", "C");
     let run = look::run(&mut command, FUSERMOUNT).map_err(|error| {
         Error::io(&subject, "cannot run fusermount3 (Debian's package fuse3) to unmount it", &error)
@@ -484,22 +483,4 @@ fn users(path: &Path) -> Vec<String> {
         format!("process {} ({}{caller})", number.display(), name.trim().escape_debug())
     });
     named.collect()
-}
-
-/// The programs that mount for ordinary users. The crate `fuser` finds them in the same places.
-pub(super) const HELPERS: [&str; 2] = ["fusermount3", "fusermount"];
-
-/// The program that mounts and unmounts for users other than root.
-pub(super) fn helper() -> Option<PathBuf> {
-    let path = env::var_os("PATH").unwrap_or_default();
-    let folders: Vec<_> = env::split_paths(&path).chain(["/sbin".into(), "/bin".into()]).collect();
-    // A name with a slash is taken as it is.
-    let find = |name: &OsStr| folders.iter().map(|folder| folder.join(name)).find(|path| path.is_file());
-    match env::var_os("FUSERMOUNT_PATH") {
-        Some(name) if name.as_bytes().contains(&b'/') => {
-            Some(name.into()).filter(|path: &PathBuf| path.is_file())
-        }
-        Some(name) => find(&name),
-        None => HELPERS.iter().find_map(|name| find(OsStr::new(name))),
-    }
 }

@@ -5,22 +5,20 @@
 //! functions that open them.
 
 use std::collections::HashSet;
-use std::fs::File;
 use std::path::Path;
 use std::sync::Arc;
 
-use nix::errno::Errno;
 use nix::unistd::{Gid, Group, User, getegid, geteuid, getgroups};
 
 use super::{log, mountpoint, node};
 use crate::config::{GaugeOptions, MountOptions, Setup};
 use crate::error::{Cause, Error, Result};
 use crate::fs::Covered;
+use crate::fuse::needs;
 use gauge_bus::clock::{Clock, RealClock};
 use gauge_bus::regular;
 use gauge_owner::{GaugeSetup, Source, journal_dir};
 
-const DEVICE: &str = "/dev/fuse";
 const CONFIGURATION: &str = "/etc/fuse.conf";
 /// Its line that lets ordinary users open their mounts to others.
 const SHARED: &str = "user_allow_other";
@@ -36,7 +34,7 @@ pub(super) fn mount(
     let taken = covered.map(Covered::names).unwrap_or_default();
     let mut found: Vec<Result<()>> = Vec::new();
     if !is_service {
-        found.extend([group(mount), can_mount()]);
+        found.extend([group(mount), needs::rights()]);
     }
     found.extend(mount.log.as_deref().map(log::check));
     // Nothing is written there without a write to a gauge.
@@ -67,7 +65,7 @@ pub(crate) fn check(setup: &Setup) -> (Vec<String>, Vec<Error>) {
     let taken = covered.as_ref().map(Covered::names).unwrap_or_default();
     let names = super::names(&setup.gauges, &taken);
     found.extend(mount(setup, &names, covered.as_ref(), false));
-    found.extend(device().err());
+    found.extend(needs::device().err());
     for (name, gauge) in names.iter().zip(&setup.gauges) {
         found.extend(needs_of(name, &gauge.setup(), &mountpoint).into_iter().map(|error| error.within(name)));
     }
@@ -97,30 +95,6 @@ fn distinct(setup: &Setup) -> Result<()> {
         }
         None => Ok(()),
     }
-}
-
-/// Whether the kernel's end of a mount can be opened.
-pub(super) fn device() -> Result<()> {
-    let error = match File::options().read(true).write(true).open(DEVICE) {
-        Ok(_) => return Ok(()),
-        Err(error) => error,
-    };
-    let remedy = match error.raw_os_error().map(Errno::from_raw) {
-        Some(Errno::EACCES) => "as root: chmod 666 /dev/fuse",
-        Some(Errno::EPERM) => "a container has to be given the device",
-        _ => "load the kernel's module as root: modprobe fuse",
-    };
-    let error = Error::io(DEVICE, "cannot open it", &error);
-    Err(Error::host(DEVICE, error.errno(), format!("{}; {remedy}", error.reason())))
-}
-
-fn can_mount() -> Result<()> {
-    if geteuid().is_root() || mountpoint::helper().is_some() {
-        return Ok(());
-    }
-    let why = "not found, and only root can mount without it; install the package fuse3 (sudo apt-get install fuse3), or \
-               run gaugefs with sudo";
-    Err(Error::host(mountpoint::HELPERS[0], Errno::ENOENT, why))
 }
 
 /// Whether a group can be given access. The kernel opens a mount to others than its owner only if root has mounted it,

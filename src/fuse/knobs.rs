@@ -8,11 +8,11 @@ use std::time::{Duration, SystemTime};
 
 use fuser::{
     BsdFileFlags, Config, Errno, FileAttr, FileHandle, FileType, Filesystem, FopenFlags, Generation, INodeNo,
-    LockOwner, MountOption, OpenFlags, ReplyAttr, ReplyData, ReplyDirectory, ReplyEntry, ReplyOpen,
-    ReplyWrite, Request, Session, TimeOrNow, WriteFlags,
+    LockOwner, OpenFlags, ReplyAttr, ReplyData, ReplyDirectory, ReplyEntry, ReplyOpen, ReplyWrite, Request,
+    TimeOrNow, WriteFlags,
 };
 
-use super::host;
+use super::{host, needs};
 use crate::error::Result;
 use crate::fs::Knobs;
 use crate::output::say;
@@ -203,19 +203,10 @@ const TTL: Duration = Duration::from_secs(3600);
 
 /// Mounts a folder with the knobs of these gauges, each with its name, and serves it until it is unmounted.
 pub fn mount(path: &Path, source: &str, gauges: Vec<(String, Box<dyn Knobs>)>) -> Result<()> {
-    let mut config = Config::default();
-    config.mount_options = vec![
-        MountOption::FSName(source.into()),
-        MountOption::Subtype("knobs".into()),
-        MountOption::DefaultPermissions,
-        MountOption::NoSuid,
-        MountOption::NoDev,
-        MountOption::NoExec,
-    ];
     let uid = nix::unistd::geteuid().as_raw();
     let tree = Tree { gauges, uid, gid: nix::unistd::getegid().as_raw() };
-    let failed = |error| host(&path.display().to_string(), &error);
-    let session = Session::new(tree, path, &config).map_err(failed)?.spawn().map_err(failed)?;
+    let session = needs::session(tree, path, (source, "knobs"), Config::default())?;
+    let session = session.spawn().map_err(|error| host("a thread", &error))?;
     // Dropping it would unmount the path, and so whatever has been mounted there since.
     std::mem::forget(session);
     Ok(())

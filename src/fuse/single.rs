@@ -10,8 +10,9 @@ use std::mem;
 use std::os::fd::{AsFd, OwnedFd};
 use std::path::Path;
 
-use fuser::{Config, Filesystem, KernelConfig, MountOption, Request, Session};
+use fuser::{Config, Filesystem, KernelConfig, Request};
 
+use super::needs;
 use crate::error::{Error, Result};
 
 /// Most bytes of a write that the kernel passes on at once.
@@ -28,17 +29,7 @@ impl Filesystem for Single {
 /// Mounts at an existing regular file. The kernel's end of it is where the requests are read and answered; the mount is
 /// over when it has been unmounted.
 pub fn mount(path: &Path, source: &str) -> Result<OwnedFd> {
-    let mut config = Config::default();
-    config.mount_options = vec![
-        MountOption::FSName(source.into()),
-        MountOption::Subtype("i2c".into()),
-        MountOption::DefaultPermissions,
-        MountOption::NoSuid,
-        MountOption::NoDev,
-        MountOption::NoExec,
-    ];
-    let failed = |error: io::Error| super::host(&path.display().to_string(), &error);
-    let session = Session::new(Single, path, &config).map_err(failed)?;
+    let session = needs::session(Single, path, (source, "i2c"), Config::default())?;
     let device = session.as_fd().try_clone_to_owned();
     // Dropping it would unmount the path, and so whatever has been mounted there since.
     mem::forget(session);

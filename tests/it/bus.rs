@@ -17,7 +17,8 @@ use nix::sys::signal::{Signal, kill};
 use nix::unistd::{Pid, geteuid};
 
 use super::room::{
-    CHIP, Folder, Ran, as_nobody, can_mount, command, drop_copied_mounts, gaugefs, ioctls, run, within,
+    CHIP, Folder, Ran, as_nobody, can_mount, command, drop_copied_mounts, gaugefs, ioctls, run,
+    users_can_mount, within,
 };
 
 /// A server at a path, ended with the test.
@@ -263,7 +264,10 @@ fn a_command_has_the_bus_in_its_own_dev_and_gives_its_exit_code() {
 /// writing.
 #[test]
 fn regression_the_bus_of_an_ordinary_user_could_not_be_opened_before_it_was_looked_at() {
-    if !can_mount() || !geteuid().is_root() {
+    if !users_can_mount() {
+        return;
+    }
+    if !geteuid().is_root() {
         eprintln!("SKIPPED: this test becomes another user, which only root may");
         return;
     }
@@ -443,7 +447,7 @@ with smbus2.SMBus(int(os.environ["I2C_BUS"])) as bus:
 /// An account without any right, which mounts with fusermount3 or in a user namespace.
 #[test]
 fn an_ordinary_user_has_a_bus() {
-    if !can_mount() {
+    if !users_can_mount() {
         return;
     }
     if !geteuid().is_root() {
@@ -488,6 +492,28 @@ user ./gaugefs sim bq34z100-g1 --fast ./other -- true && echo quiet
     );
     assert_eq!(said.matches("ptrace_scope").count(), 1, "a command of its own is served: {said}");
     assert!(said.lines().any(|line| line == "quiet"), "{said}");
+}
+
+/// It said that permission was denied, because only `mount` looked for what a mount needs.
+#[test]
+fn regression_a_bus_without_fusermount3_does_not_say_what_is_missing() {
+    if !can_mount() {
+        return;
+    }
+    if !geteuid().is_root() {
+        eprintln!("SKIPPED: this test becomes another user, which only root may");
+        return;
+    }
+    let folder = Folder::new();
+    let bus = folder.file("bus");
+    let ways: [&[&str]; 2] = [&["sim", CHIP, &bus], &["sim", CHIP, &bus, "--", "true"]];
+    for arguments in ways {
+        let mut command = as_nobody(&folder, arguments);
+        fs::set_permissions(&folder.0, fs::Permissions::from_mode(0o777)).expect("its mode");
+        command.env("FUSERMOUNT_PATH", "/nonexistent/fusermount3");
+        run(command).failed(&["fusermount3: not found", "install the package fuse3"]);
+        assert!(!Path::new(&bus).exists(), "{bus} was made for nothing");
+    }
 }
 
 fn run_with(command: &mut Command, out: File) -> Ran {

@@ -14,7 +14,7 @@ mod session;
 pub(crate) use apart::drop_copied_mounts;
 pub(crate) use commands::{
     CHIP, Foreground, Ran, as_nobody, can_mount, command, gaugefs, read, run, same_as_golden, shown, stop,
-    within,
+    users_can_mount, within,
 };
 pub(crate) use documents::{TEXT, readme, root, rows, table, within_code};
 pub(crate) use mounted::{Mount, Swift, errno, mapped, quiet, statistic, write_cut};
