@@ -12,12 +12,11 @@ use std::time::Duration;
 
 use i2cdev::core::{I2CDevice, I2CMessage, I2CTransfer};
 use i2cdev::linux::{LinuxI2CDevice, LinuxI2CMessage};
-use nix::sched::{CloneFlags, unshare};
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::{Pid, geteuid};
 
 use super::room::{
-    CHIP, Folder, Ran, as_nobody, can_mount, command, drop_copied_mounts, gaugefs, ioctls, run,
+    CHIP, Folder, Ran, apart, as_nobody, can_mount, command, gaugefs, ioctls, open_fuse, run,
     users_can_mount, within,
 };
 
@@ -64,15 +63,6 @@ impl Drop for Server {
 
 fn voltage(device: &mut LinuxI2CDevice) -> u16 {
     device.smbus_read_word_data(0x08).expect("Voltage()")
-}
-
-/// Moves this test into a mount namespace of its own, where root may. The namespaces that it makes would otherwise have
-/// copies of the mounts of other tests, and keep their daemons running.
-fn apart() {
-    if !geteuid().is_root() || unshare(CloneFlags::CLONE_NEWNS).is_err() {
-        return;
-    }
-    drop_copied_mounts();
 }
 
 /// Whether a command can have namespaces of its own here.
@@ -276,8 +266,8 @@ fn regression_the_bus_of_an_ordinary_user_could_not_be_opened_before_it_was_look
         eprintln!("SKIPPED: ordinary users have no namespaces here; none had a /dev of its own");
         return;
     }
-    apart();
     let folder = Folder::new();
+    open_fuse(&folder);
     let opened = ["sim", CHIP, "--fast", "--", "sh", "-c", "exec 3<>$I2C_DEV && echo opened"];
     assert_eq!(run(as_nobody(&folder, &opened)).done(), "opened\n");
 }

@@ -11,7 +11,7 @@ mod mounted;
 mod scratch;
 mod session;
 
-pub(crate) use apart::drop_copied_mounts;
+pub(crate) use apart::{apart, drop_copied_mounts, open_fuse};
 pub(crate) use commands::{
     CHIP, Foreground, Ran, as_nobody, can_mount, command, gaugefs, read, run, same_as_golden, shown, stop,
     users_can_mount, within,

@@ -15,7 +15,7 @@ use std::time::{Duration, Instant};
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::{Pid, geteuid};
 
-use super::room::{CHIP, Folder, as_nobody, command, gaugefs, root, users_can_mount};
+use super::room::{CHIP, Folder, as_nobody, command, gaugefs, open_fuse, root, users_can_mount};
 use crate::room;
 
 const PATIENCE: Duration = Duration::from_secs(30);
@@ -255,6 +255,7 @@ fn the_system_call_filter_allows_what_a_service_needs_and_no_other_set() {
         return;
     };
     let folder = Folder::new();
+    open_fuse(&folder);
     let [config, log, pid, state] = ["config", "log", "pid", "state"].map(|name| folder.file(name));
     let tree = folder.file("m");
     fs::create_dir(&state).expect("a folder");

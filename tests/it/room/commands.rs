@@ -137,15 +137,11 @@ pub(crate) fn users_can_mount() -> bool {
     if !can_mount() {
         return false;
     }
-    let is_open = fs::metadata("/dev/fuse").is_ok_and(|status| status.permissions().mode() & 0o006 == 0o006);
-    let is_helped = Command::new("fusermount3").arg("-V").output().is_ok_and(|ran| ran.status.success());
-    if !(is_open && is_helped) {
-        eprintln!(
-            "SKIPPED: users other than root cannot mount here; to run all tests: sudo apt-get install fuse3, and sudo chmod \
-             666 /dev/fuse"
-        );
+    let can = Command::new("fusermount3").arg("-V").output().is_ok_and(|ran| ran.status.success());
+    if !can {
+        eprintln!("SKIPPED: fusermount3 is missing; to run all tests: sudo apt-get install fuse3");
     }
-    is_open && is_helped
+    can
 }
 
 #[track_caller]
