@@ -103,7 +103,8 @@ fn usable(path: &Path, mounted: &Mounted) -> Result<()> {
             "not a folder; choose a folder, or a path that does not exist",
         )),
         Err(error) if error.kind() != ErrorKind::NotFound => {
-            Err(Error::io(subject, "cannot be examined", &error))
+            let errno = Errno::from_raw(error.raw_os_error().unwrap_or_default());
+            Err(forbidden(path, "cannot be examined", errno))
         }
         _ => Ok(()),
     }

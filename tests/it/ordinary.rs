@@ -164,12 +164,14 @@ user "$gaugefs" mount --sim bq34z100-g1 ../closed/gauges; echo "=> $?"
 user "$gaugefs" mount --sim bq34z100-g1 ../closed; echo "=> $?"
 printf '[mount]\nmountpoint = "../closed/gauges"\n[[gauge]]\nsim = "bq34z100-g1"\n' > gauges.toml
 user "$gaugefs" mount --config gauges.toml --check; echo "=> $?"
+chmod 700 ../closed
+user "$gaugefs" mount --sim bq34z100-g1 ../closed/gauges; echo "=> $?"
 "#;
     let Some(said) = script(&folder, commands) else { return };
-    assert_eq!(said.matches("=> 1\n").count(), 3, "{said}");
-    let refusal = "cannot create the folder: Permission denied; choose a folder of yours, such as ~/gauges, or run it \
-                   with sudo";
-    assert_eq!(said.matches(refusal).count(), 2, "{said}");
+    assert_eq!(said.matches("=> 1\n").count(), 4, "{said}");
+    let remedy = "Permission denied; choose a folder of yours, such as ~/gauges, or run it with sudo";
+    assert_eq!(said.matches(&format!("cannot create the folder: {remedy}")).count(), 2, "{said}");
+    assert_eq!(said.matches(&format!("cannot be examined: {remedy}")).count(), 1, "{said}");
 }
 
 #[test]
