@@ -7,7 +7,9 @@ use zeroize::Zeroizing;
 use super::beside::{another, restore_rows, same_pack};
 use super::remedy::{still_lost, way_out};
 use super::ring::{ERASED, LENGTH_OF_KEY, SEALS, unstored};
+use super::row::offset;
 use crate::chip::KeyBlock;
+use crate::codec::WINDOW;
 use crate::dataflash::keyrow::quietly;
 use crate::dataflash::pack::Match;
 use crate::dataflash::schemes::sequence;
@@ -43,32 +45,7 @@ pub(super) fn probe(
     found: Seal,
     session: &mut Session,
 ) -> Result<Verdict> {
-    let (erased, mut has, mut now) = (Secret::from([ERASED; 2]), [Has::Unknown; 2], found);
-    for (at, (name, goal)) in
-        [(Name::Unseal, Seal::Unsealed), (Name::FullAccess, Seal::FullAccess)].into_iter().enumerate()
-    {
-        if now != [Seal::Sealed, Seal::Unsealed][at] {
-            continue;
-        }
-        let mine = gauge.key(name);
-        has[at] = match &mine {
-            Some(mine) if gauge.takes(mine, goal)? => {
-                if mine.is_erased() && !key.erased.contains(&name) {
-                    Has::Erased
-                } else {
-                    Has::Mine
-                }
-            }
-            _ => {
-                gauge.wait(gauge.chip.security.key_silence);
-                if gauge.takes(&erased, goal)? { Has::Erased } else { Has::Neither }
-            }
-        };
-        if has[at] == Has::Neither {
-            break;
-        }
-        now = gauge.seal()?;
-    }
+    let (mut has, now) = tried(gauge, key, found)?;
     let (mut lost, mut same) = (None, Match::Weak);
     if now != Seal::Sealed {
         sequence(gauge).enable(gauge)?;
@@ -78,36 +55,9 @@ pub(super) fn probe(
         }
     }
     if now == Seal::FullAccess {
-        let (place, start) = locate(block.subclass, block.start);
-        let row = quietly(gauge, |gauge| sequence(gauge).load(gauge, place).map(Zeroizing::new))?;
-        for (has, (name, at)) in
-            has.iter_mut().zip([(Name::Unseal, block.unseal), (Name::FullAccess, block.full_access)])
-        {
-            let stored = unstored(&row[start + at..start + at + 4], block.order);
-            *has = match gauge.key(name) {
-                Some(mine) if mine == stored && (!stored.is_erased() || key.erased.contains(&name)) => {
-                    Has::Mine
-                }
-                _ if stored.is_erased() => Has::Erased,
-                _ => Has::Neither,
-            };
-        }
-        lost = Some(
-            match block
-                .authentication
-                .map(|at| Secret::of_bytes(&row[start + at..start + at + LENGTH_OF_KEY]))
-            {
-                None => Has::Mine,
-                Some(stored) => match gauge.key(Name::Authentication) {
-                    Some(mine) if mine == stored => Has::Mine,
-                    _ if stored.has_erased_word() && !key.erased.contains(&Name::Authentication) => {
-                        Has::Erased
-                    }
-                    _ if key.names.contains(&Name::Authentication) => Has::Unknown,
-                    _ => Has::Mine,
-                },
-            },
-        );
+        let row = quietly(gauge, |gauge| Row::read(gauge, block))?;
+        has = SEALS.map(|name| row.seal_key(gauge, key, name));
+        lost = Some(row.authentication(gauge, key));
         if has == [Has::Mine; 2] && lost == Some(Has::Mine) {
             restore_rows(gauge, session, plan)?;
             let message = format!(
@@ -132,23 +82,6 @@ pub(super) fn probe(
     } else if now == Seal::Unsealed && found != Seal::Sealed {
         session.stays(now);
     }
-    let tell = |name: Name, has: Has| {
-        let what = match has {
-            Has::Mine => "the mount's",
-            Has::Erased => "ffff ffff (erased)",
-            Has::Neither => "neither the mount's nor ffff ffff",
-            Has::Unknown => "not known",
-        };
-        format!("{} key {what}", name.as_str())
-    };
-    let mut keys: Vec<String> = SEALS.into_iter().zip(has).map(|(name, has)| tell(name, has)).collect();
-    if block.authentication.is_some() {
-        keys.push(match lost {
-            Some(Has::Erased) => "authentication key erased, in part or as a whole".into(),
-            _ => tell(Name::Authentication, if lost == Some(Has::Mine) { Has::Mine } else { Has::Unknown })
-                .replace("the mount's", "as it was"),
-        });
-    }
     let keep = match session.found {
         Seal::Sealed => "",
         _ if found != Seal::Sealed => "; do not cut its power and do not seal it before",
@@ -157,7 +90,98 @@ pub(super) fn probe(
     Ok(Verdict::Undecided(format!(
         "a change of the {} key was cut short while it was written; the gauge has now: {}{keep}; {}",
         key.names(),
-        keys.join(", "),
+        told(block, has, lost),
         way_out(&key.names)
     )))
+}
+
+/// Goes up from `found` with the mount's keys, or with those of erased flash. Which it took, and how far up it has come.
+fn tried(gauge: &mut Gauge, key: &KeyPlan, found: Seal) -> Result<([Has; 2], Seal)> {
+    let (erased, mut has, mut now) = (Secret::from([ERASED; 2]), [Has::Unknown; 2], found);
+    let rungs = [(Seal::Sealed, Seal::Unsealed), (Seal::Unsealed, Seal::FullAccess)];
+    for (has, (name, (from, goal))) in has.iter_mut().zip(SEALS.into_iter().zip(rungs)) {
+        if now != from {
+            continue;
+        }
+        *has = match &gauge.key(name) {
+            Some(mine) if gauge.takes(mine, goal)? => {
+                if mine.is_erased() && !key.erased.contains(&name) {
+                    Has::Erased
+                } else {
+                    Has::Mine
+                }
+            }
+            _ => {
+                gauge.wait(gauge.chip.security.key_silence);
+                if gauge.takes(&erased, goal)? { Has::Erased } else { Has::Neither }
+            }
+        };
+        if *has == Has::Neither {
+            break;
+        }
+        now = gauge.seal()?;
+    }
+    Ok((has, now))
+}
+
+/// The row of the keys, which only FULL ACCESS shows.
+struct Row<'a> {
+    block: &'a KeyBlock,
+    window: Zeroizing<[u8; WINDOW]>,
+    start: usize,
+}
+
+impl<'a> Row<'a> {
+    fn read(gauge: &mut Gauge, block: &'a KeyBlock) -> Result<Self> {
+        let (place, start) = locate(block.subclass, block.start);
+        let window = sequence(gauge).load(gauge, place).map(Zeroizing::new)?;
+        Ok(Self { block, window, start })
+    }
+
+    /// Which key of two words is stored there.
+    fn seal_key(&self, gauge: &Gauge, key: &KeyPlan, name: Name) -> Has {
+        let at = self.start + offset(self.block, name).unwrap_or_default();
+        let stored = unstored(&self.window[at..at + 4], self.block.order);
+        match gauge.key(name) {
+            Some(mine) if mine == stored && (!stored.is_erased() || key.erased.contains(&name)) => Has::Mine,
+            _ if stored.is_erased() => Has::Erased,
+            _ => Has::Neither,
+        }
+    }
+
+    /// Whether the authentication key is as it was. Where there is none, nothing was lost.
+    fn authentication(&self, gauge: &Gauge, key: &KeyPlan) -> Has {
+        let Some(at) = offset(self.block, Name::Authentication) else { return Has::Mine };
+        let at = self.start + at;
+        let stored = Secret::of_bytes(&self.window[at..at + LENGTH_OF_KEY]);
+        match gauge.key(Name::Authentication) {
+            Some(mine) if mine == stored => Has::Mine,
+            _ if stored.has_erased_word() && !key.erased.contains(&Name::Authentication) => Has::Erased,
+            _ if key.names.contains(&Name::Authentication) => Has::Unknown,
+            _ => Has::Mine,
+        }
+    }
+}
+
+/// What a person is told of the keys.
+fn told(block: &KeyBlock, has: [Has; 2], lost: Option<Has>) -> String {
+    let tell = |(name, has): (Name, Has)| {
+        let what = match has {
+            Has::Mine => "the mount's",
+            Has::Erased => "ffff ffff (erased)",
+            Has::Neither => "neither the mount's nor ffff ffff",
+            Has::Unknown => "not known",
+        };
+        format!("{} key {what}", name.as_str())
+    };
+    let mut keys: Vec<String> = SEALS.into_iter().zip(has).map(tell).collect();
+    if block.authentication.is_some() {
+        let what = match lost {
+            Some(Has::Erased) => "erased, in part or as a whole",
+            Some(Has::Mine) => "as it was",
+            _ => "not known",
+        };
+        keys.push(format!("{} key {what}", Name::Authentication.as_str()));
+    }
+    keys.join(", ")
 }

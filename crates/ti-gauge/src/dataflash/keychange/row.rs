@@ -6,6 +6,7 @@ use zeroize::{Zeroize, Zeroizing};
 
 use super::Task;
 use super::ring::{ERASED, LENGTH_OF_KEY, Ring, SEALS, is_harmless, shows_order, turned, unstored};
+use crate::chip::KeyBlock;
 use crate::codec::{Bytes, WINDOW};
 use crate::dataflash::DataFlash;
 use crate::dataflash::keyrow::{quietly, stored};
@@ -17,15 +18,19 @@ use crate::gauge::Gauge;
 use crate::journal::KeyPlan;
 use crate::keys::{KeyChange, Name, Secret};
 
+/// Where the row of keys has that one; `None` if it has none.
+pub(super) fn offset(block: &KeyBlock, name: Name) -> Option<usize> {
+    match name {
+        Name::Unseal => Some(block.unseal),
+        Name::FullAccess => Some(block.full_access),
+        Name::Authentication => block.authentication,
+    }
+}
+
 impl Task<'_> {
     /// Position of a key in the row.
     pub(super) fn at(&self, name: Name) -> usize {
-        self.start
-            + match name {
-                Name::Unseal => self.block.unseal,
-                Name::FullAccess => self.block.full_access,
-                Name::Authentication => self.block.authentication.unwrap_or_default(),
-            }
+        self.start + offset(self.block, name).unwrap_or_default()
     }
 
     /// The row as it is now. Only what is keys counts: beside them may be what the gauge rewrites.
