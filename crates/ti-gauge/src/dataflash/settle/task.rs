@@ -2,6 +2,8 @@
 
 //! One interrupted write on the gauge that answers: whether this is its pack, and which content it gets.
 
+use std::ops::ControlFlow;
+
 use super::Decision;
 use crate::chip::{Chip, KeyStorage};
 use crate::codec::WINDOW;
@@ -67,55 +69,10 @@ impl Task<'_> {
         }
         let moment = gauge.moment();
         let mut job = Job::interrupted(look(gauge, self.plan)?, self.plan.reset);
-        let seen = &job.blocks;
-        let (all_old, all_new, intact) = (job.all(Held::Old), job.all(Held::New), job.is_intact());
-        let whole = intact && (all_old || all_new);
-        let mut done: fn(String) -> Verdict = Verdict::Done;
-        let mut another = None;
-        if let Some(decision) = self.decision {
-            another = match self.chosen(gauge, decision, seen)? {
-                Chosen::Itself => None,
-                Chosen::Another(pack) => Some(pack),
-                Chosen::Not(why) => return Ok(Verdict::Undecided(why)),
-            };
-            session.pack.pack = Some(self.present(gauge)?);
-            session.pack.certain_since(moment);
-        } else {
-            match self.doubt(gauge, seen)? {
-                Doubt::None => session.pack.certain_since(moment),
-                Doubt::Weak if self.plan.by_gauge && !all_old => {
-                    let why = "it was not judged what the gauge has measured and stored, and this gauge has the serial \
-                               number and the calibration of every new one, so it may be another pack";
-                    return Ok(Verdict::Undecided(why.into()));
-                }
-                // Flash is not touched, whichever gauge it is. A reset may seal it.
-                Doubt::Weak if whole && opens_again(gauge) => {
-                    session.pack.certain_since(moment);
-                    done = Verdict::Plausible;
-                }
-                Doubt::Weak if whole => {
-                    let held = if all_old { "old" } else { "new" };
-                    let why = format!("a write was interrupted; data flash holds the {held} values");
-                    return Ok(Verdict::Plausible(why));
-                }
-                Doubt::Weak => {
-                    let why = "this gauge has the serial number and the calibration of every new one, so it may be \
-                               another pack";
-                    return Ok(Verdict::Undecided(why.into()));
-                }
-                Doubt::Another => return Ok(Verdict::Another),
-                Doubt::Exchanged(why) => {
-                    session.pack.is_exchanged();
-                    return Ok(Verdict::Undecided(why));
-                }
-                Doubt::Because(why, same) => {
-                    if same == Match::Certain {
-                        session.pack.certain_since(moment);
-                    }
-                    return Ok(Verdict::Undecided(why));
-                }
-            }
-        }
+        let whose = match self.whose(gauge, session, &job, moment)? {
+            ControlFlow::Continue(whose) => whose,
+            ControlFlow::Break(verdict) => return Ok(verdict),
+        };
         // The mode that the write started may still be on; `begin` detects that.
         if sequence(gauge).always_finishes() {
             session.begin(gauge)?;
@@ -123,28 +80,37 @@ impl Task<'_> {
         let forward = match self.decision {
             Some(Decision::Finish(_)) => true,
             Some(Decision::Undo(_) | Decision::Discard) => false,
-            None => intact && all_new && !self.plan.by_gauge,
+            None => job.is_intact() && job.all(Held::New) && !self.plan.by_gauge,
         };
-        if self.plan.by_gauge && forward && seen.iter().any(|seen| seen.held == Held::Torn) {
+        if self.plan.by_gauge && forward && job.blocks.iter().any(|seen| seen.held == Held::Torn) {
             let why = "what the gauge has measured was lost while it was stored: it can only be undone";
             return Ok(Verdict::Undecided(why.into()));
         }
-        if !forward && intact && all_old && !self.plan.reset_sent {
-            if let Some(pack) = another {
-                let why = format!(
+        if !forward && job.is_intact() && job.all(Held::Old) && !self.plan.reset_sent {
+            return Ok(match whose {
+                Whose::Another(pack) => Verdict::Plausible(format!(
                     "another pack than an interrupted write was begun on, {pack}, has the old values already"
-                );
-                return Ok(Verdict::Plausible(why));
-            }
-            return Ok(done("a write was interrupted; data flash holds the old values".into()));
+                )),
+                whose => whose.settled("a write was interrupted; data flash holds the old values".into()),
+            });
         }
-        let erased = seen.iter().any(|seen| {
-            let secrets = secrets(chip, seen.block.place);
-            holds_keys(chip, seen.block.place) && secrets.iter().all(|at| seen.stored[at] == 0xff)
-        });
+        let keys = match job.blocks.iter().any(|seen| has_erased_keys(chip, seen)) {
+            true => {
+                "; the keys in the same row were erased, and no journal has them: they are ffff ffff now, change \
+                     them with gaugefs keys"
+            }
+            false => "",
+        };
         let side = if forward { Side::New } else { Side::Old };
         if let Landed::Unknown(error) = converge(gauge, session, &mut job, side, None) {
             return Err(unrestored(error));
+        }
+        if let Whose::Another(pack) = whose {
+            let values = if forward { "new values" } else { "values from before" };
+            return Ok(Verdict::Plausible(format!(
+                "the {values} of an interrupted write were written to another pack than it was begun on, {pack}, and \
+                 verified"
+            )));
         }
         let message = match (forward, self.plan.by_gauge) {
             (true, false) => {
@@ -156,22 +122,67 @@ impl Task<'_> {
                 "what the gauge has measured and stored was not judged; the old values were restored and verified"
             }
         };
-        if let Some(pack) = another {
-            let values = if forward { "new values" } else { "values from before" };
-            let message = format!(
-                "the {values} of an interrupted write were written to another pack than it was begun on, {pack}, and \
-                 verified"
-            );
-            return Ok(Verdict::Plausible(message));
+        Ok(whose.settled(format!("{message}{keys}")))
+    }
+
+    /// Whose pack this is, if something may be done to it: it is certain, a person has decided, or data flash need not be
+    /// touched.
+    fn whose(
+        &self,
+        gauge: &mut Gauge,
+        session: &mut Session,
+        job: &Job,
+        moment: Moment,
+    ) -> Result<ControlFlow<Verdict, Whose>> {
+        let undecided = |why: String| Ok(ControlFlow::Break(Verdict::Undecided(why)));
+        if let Some(decision) = self.decision {
+            let whose = match self.chosen(gauge, decision, &job.blocks)? {
+                Chosen::Itself => Whose::Certain,
+                Chosen::Another(pack) => Whose::Another(pack),
+                Chosen::Not(why) => return undecided(why),
+            };
+            session.pack.pack = Some(self.present(gauge)?);
+            session.pack.certain_since(moment);
+            return Ok(ControlFlow::Continue(whose));
         }
-        let keys = match erased {
-            true => {
-                "; the keys in the same row were erased, and no journal has them: they are ffff ffff now, change \
-                     them with gaugefs keys"
+        let all_old = job.all(Held::Old);
+        let whole = job.is_intact() && (all_old || job.all(Held::New));
+        match self.doubt(gauge, &job.blocks)? {
+            Doubt::None => {
+                session.pack.certain_since(moment);
+                Ok(ControlFlow::Continue(Whose::Certain))
             }
-            false => "",
-        };
-        Ok(done(format!("{message}{keys}")))
+            Doubt::Weak if self.plan.by_gauge && !all_old => undecided(
+                "it was not judged what the gauge has measured and stored, and this gauge has the serial number and the \
+                 calibration of every new one, so it may be another pack"
+                    .into(),
+            ),
+            // Flash is not touched, whichever gauge it is. A reset may seal it.
+            Doubt::Weak if whole && opens_again(gauge) => {
+                session.pack.certain_since(moment);
+                Ok(ControlFlow::Continue(Whose::Unproven))
+            }
+            Doubt::Weak if whole => {
+                let held = if all_old { "old" } else { "new" };
+                let why = format!("a write was interrupted; data flash holds the {held} values");
+                Ok(ControlFlow::Break(Verdict::Plausible(why)))
+            }
+            Doubt::Weak => undecided(
+                "this gauge has the serial number and the calibration of every new one, so it may be another pack"
+                    .into(),
+            ),
+            Doubt::Another => Ok(ControlFlow::Break(Verdict::Another)),
+            Doubt::Exchanged(why) => {
+                session.pack.is_exchanged();
+                undecided(why)
+            }
+            Doubt::Because(why, same) => {
+                if same == Match::Certain {
+                    session.pack.certain_since(moment);
+                }
+                undecided(why)
+            }
+        }
     }
 
     /// Whether the gauge is the one about which a person has decided.
@@ -254,6 +265,26 @@ impl Task<'_> {
     }
 }
 
+/// On whose pack an interrupted write is settled.
+enum Whose {
+    /// On the one on which it was begun.
+    Certain,
+    /// On one that nothing distinguishes from it.
+    Unproven,
+    /// On another one, as a person has decided, named for the message.
+    Another(String),
+}
+
+impl Whose {
+    /// How it was settled. Its journal is kept where nothing proves that it was this pack's.
+    fn settled(self, how: String) -> Verdict {
+        match self {
+            Whose::Certain => Verdict::Done(how),
+            Whose::Unproven | Whose::Another(_) => Verdict::Plausible(how),
+        }
+    }
+}
+
 /// Why a person has to decide about an interrupted write.
 enum Doubt {
     None,
@@ -299,6 +330,12 @@ pub(super) fn compare_seen(
 /// The serial number of a gauge, if it has one, as it is shown.
 pub(super) fn number_of(chip: &Chip, identity: &Identity) -> Option<String> {
     chip.serial_register().map(|_| format!("0x{:04x}", identity.serial))
+}
+
+/// Whether a block held keys, and holds what erased flash reads as.
+fn has_erased_keys(chip: &Chip, seen: &Seen) -> bool {
+    let place = seen.block.place;
+    holds_keys(chip, place) && secrets(chip, place).iter().all(|at| seen.stored[at] == 0xff)
 }
 
 /// Whether the gauge can be opened again after it was sealed.
