@@ -2,6 +2,8 @@
 
 //! Rules of the engine that only one transfer, one byte or one moment shows.
 
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use gauge_bus::clock::Clock;
@@ -357,6 +359,33 @@ fn a_block_that_has_changed_since_it_was_read_is_not_written() {
     assert!(error.to_string().contains("has changed since it was read"), "{error}");
     wanted[place] = 0x22;
     assert!(rig.sim.flash() == wanted, "{error}");
+}
+
+/// Two wrong bytes with a right sum, beside the written ones, in the look at a block to which the write may go back: it
+/// would write them.
+#[test]
+fn a_block_that_was_read_with_wrong_bytes_and_a_right_sum_is_not_written_back() {
+    let mut rig = Rig::calibrated("bq34z100-g1", Seal::Sealed);
+    let (armed, forged) = (Arc::new(AtomicBool::new(false)), Arc::new(AtomicBool::new(false)));
+    let (is_armed, is_forged) = (armed.clone(), forged.clone());
+    rig.through(move |bus, write, read| {
+        let done = bus.transfer(write, read);
+        if is_whole(write, read) && read[..2] == [80, 1] && is_armed.swap(false, Ordering::SeqCst) {
+            let beside = &mut read[2..4];
+            beside[0] = beside[0].wrapping_add(1);
+            beside[1] = beside[1].wrapping_sub(1);
+            is_forged.store(true, Ordering::SeqCst);
+        }
+        done
+    });
+    rig.read(80, 53).expect("the block is known then");
+    let mut wanted = rig.sim.flash();
+    let place = rig.position(80, 53);
+    wanted[place..place + 2].copy_from_slice(&3100_u16.to_be_bytes());
+    armed.store(true, Ordering::SeqCst);
+    let outcome = rig.write_values(&[((80, 53), "3100")]);
+    assert!(matches!(outcome, Ok(Outcome::Written { .. })), "{outcome:?}");
+    assert!(forged.load(Ordering::SeqCst) && rig.sim.flash() == wanted);
 }
 
 /// The block is stored wrong, and the first attempt to undo that is not stored at all.
