@@ -52,6 +52,9 @@ enum Access {
 
 use Access::{Calibrate, Import, Key, Mount, Read, Seal as SealState, Write};
 
+/// How often a gauge programs rows of its own.
+const REWRITES: [&str; 2] = ["rewrite_ms", "rewrite_every"];
+
 /// Boards with an error, and what takes it away.
 const BOARDS: &[(&[(&str, &str)], Job)] = &[
     (&[("shunt_error", "50"), ("load_ma", "1000")], Job::Current(-1000.0)),
@@ -306,7 +309,11 @@ impl Run {
             host.changes = self.image(&all, &values, most);
         }
         // A seal that it could not restore.
-        self.patiently(|| host.dataflash.settle(&mut host.gauge, Duration::ZERO).map(drop))
+        if !pay(host, &self.clock) {
+            self.keep_still();
+            host.dataflash.settle(&mut host.gauge, Duration::ZERO)?;
+        }
+        Ok(())
     }
 
     /// Other values for up to that many parameters that may be written at any time.
@@ -366,7 +373,7 @@ impl Run {
 
     /// Before a loss of power: a row of its own that the gauge is programming then is not the engine's.
     fn keep_still(&self) {
-        for knob in ["rewrite_ms", "rewrite_every"] {
+        for knob in REWRITES {
             let _ = self.sim.set(knob, "0");
         }
         self.clock.sleep(Duration::from_secs(1));
@@ -490,8 +497,9 @@ fn regression_drawn_imports_that_were_left_in_between() {
     let known = Known::new();
     // Flash that was shut by the row that was to be put back, for which nothing was decided, or a person asked; a block
     // that was read with wrong bytes and a right sum, to which the write went back; and RAM that was lost on the way back
-    // to what the part has by default.
-    for seed in [1544, 1_002_504, 1_002_931, 2_001_310, 20_053_034, 3_000_111] {
+    // to what the part has by default. The last one, a new pack that is away while it programs a row of its own, is a person's to
+    // decide.
+    for seed in [1544, 1_002_504, 1_002_931, 2_001_310, 20_053_034, 3_000_111, 885_298_662] {
         run(seed, &known, imports).unwrap_or_else(|why| panic!("seed {seed}: {why}"));
     }
 }
@@ -543,7 +551,7 @@ fn run(
     }
     let moves = &moves;
     let envelope = seed.wrapping_mul(7919);
-    let model = Run::new(chip, envelope, access, found, moves);
+    let mut model = Run::new(chip, envelope, access, found, moves);
     let drawn = model.sim.envelope();
     let about = |fault: &dyn std::fmt::Debug| {
         format!("{} {access:?} found {found:?}, fault {fault:?}, gauge {drawn}", chip.name)
@@ -566,9 +574,26 @@ fn run(
             outcome = model.act(&mut host);
         }
     }
-    let is_away = outcome.as_ref().is_err_and(|error| matches!(error.cause(), Cause::NotNow));
+    let is_away = outcome.as_ref().is_err_and(|error| match error.cause() {
+        Cause::NotNow => true,
+        // It went away between two blocks.
+        Cause::RolledBack => {
+            REWRITES.iter().any(|knob| model.sim.get(knob).is_some_and(|value| value != "0"))
+        }
+        _ => false,
+    });
     if is_away || outcome.is_err() && matches!(access, Calibrate(_)) {
         // Rows of the gauge's own keep it from being measured, or written. What is right is known without them.
+        model.keep_still();
+        host.transfers.store(0, Ordering::Relaxed);
+        outcome = model.act(&mut host);
+    }
+    if outcome.as_ref().is_err_and(|error| error.to_string().contains(NEW_PACK)) {
+        // It was away while it programmed a row of its own, and a person decides whether it is another one. What is right is
+        // known of the same gauge without these rows.
+        model = Run::new(chip, envelope, access, found, moves);
+        host = model.boot(Fault::None);
+        model.back_up(&mut host).map_err(|error| format!("backup: {error} <- {}", about(&"none")))?;
         model.keep_still();
         host.transfers.store(0, Ordering::Relaxed);
         outcome = model.act(&mut host);
@@ -813,9 +838,11 @@ const SHUT: &str = "stores nothing below";
 const LOST_KEY: &str = "the authentication key may have been lost with it";
 /// What only a person can decide.
 const UNDECIDED: &[&str] = &["does not explain"];
-/// What only a person can decide where the values that tell the pack from others were to be written.
+/// Nothing tells the pack from others, and it was away.
+const NEW_PACK: &str = "the calibration of every new pack, so it may be another one";
+/// Where what tells the pack from others was to be written.
 const AS_NEW: &str = "may be another pack";
-/// What only a person can decide of a gauge with RAM that has lost its power and no longer says so.
+/// Of a gauge with RAM that has lost its power and no longer says so.
 const UNDECIDED_RAM: &str = "is not what it was then";
 
 /// A gauge that was found open, whose key this host has not tried, is not reset.
