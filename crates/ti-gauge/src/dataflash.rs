@@ -588,7 +588,9 @@ impl DataFlash {
     fn read_subclass(&mut self, gauge: &mut Gauge, subclass: &'static Subclass) -> Result<Vec<u8>> {
         let chip = gauge.chip;
         read_subclass(gauge, subclass, |place, content| {
-            if chip.volatile.is_none() && self.known().contradicts(chip, place, content).is_some() {
+            // The marks of a suspected pack may not have been read before, because it did not answer.
+            let contradicts = |known: &Known| known.contradicts(chip, place, content).is_some();
+            if chip.volatile.is_none() && [self.known(), self.fingerprint()].into_iter().any(contradicts) {
                 self.now.may_be_another();
                 self.doubt_pack();
             }

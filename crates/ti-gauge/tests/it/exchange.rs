@@ -404,35 +404,48 @@ const BOARDS: &[(&str, [&str; 2], Job)] = &[
     ("temperature_error", ["35", "20"], Job::Temperature(25.0)),
 ];
 
-/// One calibration, which takes up to a minute, and in it an exchange.
-fn calibrate(seed: u64) -> std::result::Result<Vec<String>, String> {
-    let random = &mut Random(seed);
-    let chip = *random.pick(&["bq34z100-g1", "bq34z100-r2"]);
-    let (knob, errors, job) = random.pick(BOARDS);
-    let (found, other) =
-        (*random.pick(&[Seal::Sealed, Seal::Unsealed]), *random.pick(&[Seal::Sealed, Seal::Unsealed]));
-    let silent = Duration::from_millis(*random.pick(&[100, 1000, 4000]));
-    let part = random.below(1000);
-    let scene = || {
-        let first = Rig::calibrated(chip, found);
+/// Two packs on boards with an error, one in the place of the other.
+struct Boards {
+    chip: &'static str,
+    board: &'static (&'static str, [&'static str; 2], Job),
+    found: Seal,
+    other: Seal,
+    silent: Duration,
+    folder: String,
+}
+
+/// The first pack, the second one, the transfers of the host and the one at which the second pack comes, and the host.
+struct OnBoards {
+    first: Rig,
+    second: Sim,
+    _folder: Folder,
+    done: Arc<AtomicU64>,
+    comes: Arc<AtomicU64>,
+    host: (Gauge, DataFlash),
+}
+
+impl Boards {
+    fn scene(&self) -> OnBoards {
+        let (knob, errors, _) = self.board;
+        let first = Rig::calibrated(self.chip, self.found);
         let second =
-            Sim::new(chip, &Options::default(), first.clock.clone()).expect("a chip that is simulated");
+            Sim::new(self.chip, &Options::default(), first.clock.clone()).expect("a chip that is simulated");
         Rig::on(first.gauge.chip, second.clone(), first.clock.clone()).calibrate(7);
         for (sim, error) in [&first.sim, &second].into_iter().zip(errors) {
             sim.set(knob, error).expect("a knob");
         }
         first.clock.sleep(Duration::from_secs(5));
-        if other != Seal::Sealed {
-            open_second(&second, &first, None, other);
+        if self.other != Seal::Sealed {
+            open_second(&second, &first, None, self.other);
         }
-        let folder = Folder::new(&format!("exchange-calibration-{seed}"));
+        let folder = Folder::new(&self.folder);
         let (done, comes) = (Arc::new(AtomicU64::new(0)), Arc::new(AtomicU64::new(u64::MAX)));
         let bus = Place {
             packs: [first.sim.bus(), second.bus()],
             clock: first.clock.clone(),
             done: done.clone(),
             comes: comes.clone(),
-            silent,
+            silent: self.silent,
             asleep: Duration::ZERO,
             silent_until: None,
             is_back: Arc::default(),
@@ -442,51 +455,103 @@ fn calibrate(seed: u64) -> std::result::Result<Vec<String>, String> {
         let dataflash = DataFlash::new(Limits::default(), Some(folder.journal()));
         let mut host = (gauge, dataflash);
         meet(&mut host, 104);
-        if found != Seal::Sealed {
+        if self.found != Seal::Sealed {
             host.0.prove_key();
         }
         done.store(0, Ordering::Relaxed);
-        (first, second, folder, [done, comes], host)
-    };
-    let (_first, _second, _folder, [done, _], (mut gauge, mut dataflash)) = scene();
-    calibration::run(&mut dataflash, &mut gauge, job, Duration::ZERO, &mut |_| {})
-        .map_err(|error| format!("{chip} {job:?}, without an exchange: {error}"))?;
-    let transfers = done.load(Ordering::Relaxed);
-    // What is right for the other pack.
-    let (first, second, ..) = scene();
-    let mut other_rig = Rig::on(first.gauge.chip, second, first.clock.clone());
-    if other != Seal::Sealed {
-        other_rig.gauge.prove_key();
+        OnBoards { first, second, _folder: folder, done, comes, host }
     }
-    calibration::run(&mut other_rig.dataflash, &mut other_rig.gauge, job, Duration::ZERO, &mut |_| {})
-        .map_err(|error| format!("{chip} {job:?}, the other one: {error}"))?;
-    let own = other_rig.sim.flash();
-    let number = 1 + part * transfers / 1000;
-    let (first, second, _folder, [_, comes], (mut gauge, mut dataflash)) = scene();
-    comes.store(number, Ordering::Relaxed);
-    let flash = second.flash();
-    let outcome = calibration::run(&mut dataflash, &mut gauge, job, Duration::ZERO, &mut |_| {});
-    let at = format!(
-        "{chip} {job:?} found {found:?}, other {other:?}, silent {silent:?}, at {number} of {transfers}"
-    );
-    let is_calibrated = outcome.is_ok() && second.flash() == own;
-    // Nothing is sent any more once an offset has been judged.
-    if outcome.is_ok() && !is_calibrated && !matches!(job, Job::Temperature(_)) {
-        return Err(format!("success without the pack: {outcome:?} <- {at}"));
+
+    fn run(&self, gauge: &mut Gauge, dataflash: &mut DataFlash) -> Result<()> {
+        calibration::run(dataflash, gauge, &self.board.2, Duration::ZERO, &mut |_| {}).map(drop)
     }
-    let flash = if is_calibrated { own } else { flash };
-    for tried in ["at once", "later", "later still"] {
-        let differ: Vec<_> = (0..flash.len()).filter(|&at| second.flash()[at] != flash[at]).take(6).collect();
-        if !differ.is_empty() {
-            return Err(format!("{tried}: the other pack has changed at {differ:?}: {outcome:?} <- {at}"));
+
+    /// How many transfers a calibration takes, and what is right for the other pack.
+    fn undisturbed(&self) -> std::result::Result<(u64, Vec<u8>), String> {
+        let about = format!("{} {:?}", self.chip, self.board.2);
+        let OnBoards { _folder, done, host: (mut gauge, mut dataflash), .. } = self.scene();
+        self.run(&mut gauge, &mut dataflash)
+            .map_err(|error| format!("{about}, without an exchange: {error}"))?;
+        let OnBoards { first, second, .. } = self.scene();
+        let mut rig = Rig::on(first.gauge.chip, second, first.clock.clone());
+        if self.other != Seal::Sealed {
+            rig.gauge.prove_key();
         }
-        first.clock.sleep(Duration::from_secs(5));
-        let _ = dataflash.settle(&mut gauge, Duration::ZERO);
+        self.run(&mut rig.gauge, &mut rig.dataflash)
+            .map_err(|error| format!("{about}, the other one: {error}"))?;
+        Ok((done.load(Ordering::Relaxed), rig.sim.flash()))
     }
-    Ok(vec![match &outcome {
-        Ok(_) => format!("{job:?}: success"),
-        Err(error) => format!("{job:?}: {}", cause(error)),
-    }])
+
+    /// A calibration in which the packs are exchanged at a transfer. Returns what it has covered, or what is wrong.
+    fn exchanged(&self, number: u64, own: &[u8]) -> std::result::Result<Vec<String>, String> {
+        let job = &self.board.2;
+        let OnBoards { first, second, _folder, comes, host: (mut gauge, mut dataflash), .. } = self.scene();
+        comes.store(number, Ordering::Relaxed);
+        let flash = second.flash();
+        let outcome = self.run(&mut gauge, &mut dataflash);
+        let at = format!(
+            "{} {job:?} found {:?}, other {:?}, silent {:?}, at {number}",
+            self.chip, self.found, self.other, self.silent
+        );
+        let is_calibrated = outcome.is_ok() && second.flash() == own;
+        // Nothing is sent any more once an offset has been judged.
+        if outcome.is_ok() && !is_calibrated && !matches!(job, Job::Temperature(_)) {
+            return Err(format!("success without the pack: {outcome:?} <- {at}"));
+        }
+        let flash = if is_calibrated { own.to_vec() } else { flash };
+        for tried in ["at once", "later", "later still"] {
+            let differ: Vec<_> =
+                (0..flash.len()).filter(|&at| second.flash()[at] != flash[at]).take(6).collect();
+            if !differ.is_empty() {
+                return Err(format!(
+                    "{tried}: the other pack has changed at {differ:?}: {outcome:?} <- {at}"
+                ));
+            }
+            first.clock.sleep(Duration::from_secs(5));
+            let _ = dataflash.settle(&mut gauge, Duration::ZERO);
+        }
+        Ok(vec![match &outcome {
+            Ok(_) => format!("{job:?}: success"),
+            Err(error) => format!("{job:?}: {}", cause(error)),
+        }])
+    }
+}
+
+/// One calibration, which takes up to a minute, and in it an exchange.
+fn calibrate(seed: u64) -> std::result::Result<Vec<String>, String> {
+    let random = &mut Random(seed);
+    let &chip = random.pick(&["bq34z100-g1", "bq34z100-r2"]);
+    let boards = Boards {
+        chip,
+        board: random.pick(BOARDS),
+        found: *random.pick(&[Seal::Sealed, Seal::Unsealed]),
+        other: *random.pick(&[Seal::Sealed, Seal::Unsealed]),
+        silent: Duration::from_millis(*random.pick(&[100, 1000, 4000])),
+        folder: format!("exchange-calibration-{seed}"),
+    };
+    let part = random.below(1000);
+    let (transfers, own) = boards.undisturbed()?;
+    boards.exchanged(1 + part * transfers / 1000, &own)
+}
+
+/// At each transfer, because a command that has the pack store an offset is one of hundreds. A pack that did not answer while
+/// its marks were to be read was taken for the first one, and was told to store its offset.
+#[test]
+fn regression_an_exchange_at_any_transfer_of_an_offset_leaves_the_other_pack_as_it_was() {
+    for (board, silent) in BOARDS[..2].iter().flat_map(|board| [1, 30, 1000].map(|silent| (board, silent))) {
+        let boards = Boards {
+            chip: "bq34z100-g1",
+            board,
+            found: Seal::Unsealed,
+            other: Seal::Unsealed,
+            silent: Duration::from_millis(silent),
+            folder: format!("exchange-offset-{}-{silent}", board.0),
+        };
+        let (transfers, own) = boards.undisturbed().expect("no exchange");
+        for number in 1..=transfers {
+            boards.exchanged(number, &own).unwrap_or_else(|why| panic!("{why}"));
+        }
+    }
 }
 
 #[test]
