@@ -20,7 +20,7 @@ use nix::errno::Errno;
 use ti_gauge::chip::{Chip, Effect, kebab_case};
 use ti_gauge::dataflash::Limits;
 
-use crate::room::{Folder, Swift, can_mount};
+use crate::room::{Abort, Folder, Swift, can_mount};
 use crate::room::{TEXT, table};
 
 mod faults;
@@ -44,6 +44,8 @@ const WRITES: u64 = 10;
 const SEALS: [&str; 3] = ["sealed", "unsealed", "full-access"];
 
 struct Model {
+    /// Dropped first, because nothing else ends while somebody waits for a mount that does not answer.
+    abort: Option<Abort>,
     seed: u64,
     random: Random,
     users: Vec<User>,
@@ -103,6 +105,7 @@ impl Model {
         let limits = Limits { writes_per_hour: 0, allow_learning: true };
         let settings = Settings { limits, ..Settings::default() };
         let mount = Swift::new(chip, folder, settings, access, |_| ());
+        let abort = Abort::of(&mount.root);
         let parameters = parameters(chip);
         let fixed = [
             ("", Class::Folder),
@@ -160,6 +163,7 @@ impl Model {
         let all: BTreeMap<String, Errno> =
             (1..200).map(Errno::from_raw).map(|errno| (format!("{errno:?}"), errno)).collect();
         let mut model = Self {
+            abort,
             seed,
             random: Random(seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1),
             users,
@@ -228,6 +232,16 @@ impl Model {
             Err(errno) if expected.may.contains(&errno) => None,
             Err(errno) => self.fail(&format!("{call} {what}: {errno:?}; expected: {expected:?}")),
         }
+    }
+
+    /// Whether the gauge was away since a transaction was begun, which ends it.
+    fn was_away(&self) -> bool {
+        self.presence != self.mount.handle.published().presence
+    }
+
+    /// Whether a transaction is open that refuses other writes.
+    fn keeps_writes_out(&self) -> bool {
+        self.staged.is_some() && !self.was_away()
     }
 
     /// The errnos of a gauge that fails.
@@ -313,6 +327,7 @@ fn random_calls_of_several_users_answer_as_documented() {
         }));
         over.store(true, Ordering::SeqCst);
         if let Err(panic) = ran {
+            model.abort.iter().for_each(Abort::now);
             std::panic::resume_unwind(panic);
         }
         trespasser.map(|trespasser| trespasser.join().expect("nothing was allowed"))

@@ -3,6 +3,7 @@
 //! What tests share: the folders that they work in, the program as a command, mounts of their own. A test file uses this
 //! room, and no other test file.
 
+mod abort;
 mod apart;
 mod commands;
 mod documents;
@@ -11,6 +12,7 @@ mod mounted;
 mod scratch;
 mod session;
 
+pub(crate) use abort::Abort;
 pub(crate) use apart::{apart, drop_copied_mounts, open_fuse};
 pub(crate) use commands::{
     CHIP, Foreground, Ran, as_nobody, can_mount, command, gaugefs, read, run, same_as_golden, shown, stop,

@@ -5,6 +5,7 @@
 use std::collections::BTreeSet;
 use std::os::fd::OwnedFd;
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 use nix::errno::Errno;
 use rustix::fs::OFlags;
@@ -106,6 +107,16 @@ pub(super) struct OpenFile {
     pub(super) flags: OFlags,
     /// The gauge was disturbed while it was open.
     pub(super) disturbed: bool,
+    pub(super) opened: Instant,
+    /// What was last written through it: the kernel's page keeps that, over what was there, until the file is read.
+    pub(super) written: Option<String>,
+}
+
+impl OpenFile {
+    /// Whether gaugefs may have forgotten it: a page of it is then an error until read(2) asks for its size first.
+    pub(super) fn may_rest(&self) -> bool {
+        self.opened.elapsed() > Duration::from_millis(200)
+    }
 }
 
 /// What a call may answer.

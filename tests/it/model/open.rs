@@ -4,6 +4,7 @@
 
 use std::fs;
 use std::sync::Arc;
+use std::time::Instant;
 
 use nix::errno::Errno;
 use rustix::fs::{Mode, OFlags, SeekFrom};
@@ -85,7 +86,14 @@ impl Model {
             let at = self.random.below(OPEN as u64) as usize;
             self.open.swap_remove(at);
         }
-        self.open.push(OpenFile { fd: Arc::new(fd), class: target, flags, disturbed: self.disturbed });
+        self.open.push(OpenFile {
+            fd: Arc::new(fd),
+            class: target,
+            flags,
+            disturbed: self.disturbed,
+            opened: Instant::now(),
+            written: None,
+        });
         Some(self.open.len() - 1)
     }
 
@@ -128,7 +136,7 @@ impl Model {
     pub(super) fn on_open_file(&mut self, user: usize) {
         let Some(at) = self.held() else { return };
         let OpenFile { class, flags, disturbed, .. } = self.open[at];
-        let fd = self.open[at].fd.clone();
+        let (fd, may_rest) = (self.open[at].fd.clone(), self.open[at].may_rest());
         let who = &self.users[user];
         let what = format!("{:?} {class:?} {flags:?}", who.role);
         let is_folder = class == Class::Folder;
@@ -177,7 +185,7 @@ impl Model {
                     .or_if(flags.contains(OFlags::WRONLY) || can_write && is_folder, Errno::EACCES)
                     .or_if(is_folder, Errno::ENODEV)
                     .or_if(class.is_secret(), Errno::EFAULT);
-                if self.disturbed || disturbed || class == Class::Fleeting {
+                if self.disturbed || disturbed || class == Class::Fleeting || may_rest {
                     expected.may.push(Errno::EFAULT);
                 }
                 // A file that is empty has no page.
@@ -222,6 +230,9 @@ impl Model {
                 .or_if(class == Class::Folder, Errno::EINVAL)
                 .or_if(class.is_secret(), Errno::EPERM);
             let mut expected = expected.perhaps(&self.failures());
+            if self.open[at].may_rest() {
+                expected.may.push(Errno::ESTALE);
+            }
             if disturbed && class == Class::Measured || class == Class::Fleeting {
                 expected.may.push(Errno::ENODEV);
             }
@@ -236,7 +247,10 @@ impl Model {
             // A pipe takes what the kernel has of the file, which may be less than all of it.
             if let Some(bytes) = self.check("sendfile from", &what, answer.map_err(of_io), expected) {
                 let length = bytes.len();
-                self.is_plausible(class, 0, length, &bytes, false);
+                let written = self.open[at].written.as_deref().map(str::as_bytes);
+                if !written.is_some_and(|text| bytes.starts_with(text) || text.starts_with(&bytes)) {
+                    self.is_plausible(class, 0, length, &bytes, false);
+                }
             }
             return;
         }
@@ -258,6 +272,6 @@ impl Model {
         let length = text.len();
         let answer = self.users[user].does(move || rustix::fs::sendfile(&fd, &from, None, length));
         let what = format!("{what} {text:.40?}");
-        self.written("sendfile to", &what, class, &text, answer.map_err(of_io), expected);
+        self.written("sendfile to", &what, at, &text, answer.map_err(of_io), expected);
     }
 }

@@ -70,7 +70,7 @@ impl Model {
             }
             Class::Secret | Class::SecretRaw => bytes.is_empty(),
             Class::Seal if is_fresh => self.seal.iter().any(|seal| part(&format!("{seal}\n"))),
-            Class::Transaction if is_fresh && self.presence != self.mount.handle.published().presence => true,
+            Class::Transaction if is_fresh && self.was_away() => true,
             Class::Transaction if is_fresh && !self.disturbed && is_whole => match &self.staged {
                 None => text == "idle\n",
                 Some(staged) => {

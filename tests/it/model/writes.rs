@@ -156,7 +156,7 @@ impl Model {
             None => rustix::io::write(&fd, data.as_bytes()),
         });
         let what = format!("{:?} {class:?} {text:.40?} {offset:?}", self.users[user].role);
-        self.written("write", &what, class, &text, answer.map_err(of_io), expected);
+        self.written("write", &what, at, &text, answer.map_err(of_io), expected);
         Some(at)
     }
 
@@ -196,9 +196,12 @@ impl Model {
             .range
             .is_ok_and(|(min, max)| new.parse::<i64>().is_ok_and(|value| (min..=max).contains(&value)));
         if let Some(length) = self.check("write cut", &what, answer, expected)
-            && (length > there || !is_value || self.staged.is_some())
+            && (length > there || !is_value || self.keeps_writes_out())
         {
             self.fail(&format!("{length} bytes were written, {there} are there"));
+        }
+        if outcome.is_ok() {
+            self.open[at].written = Some(String::from_utf8_lossy(&part).into());
         }
         self.outcome(&[(parameter, new)], outcome);
         Some(at)
@@ -209,17 +212,23 @@ impl Model {
         &mut self,
         call: &str,
         what: &str,
-        class: Class,
+        at: usize,
         text: &str,
         answer: Result<usize, Errno>,
         expected: Expected,
     ) {
-        let expected = expected.perhaps(&self.failures());
+        let class = self.open[at].class;
+        let mut expected = expected.perhaps(&self.failures());
+        // What kept it out has ended where the gauge was away.
+        expected.fails &= !(self.staged.is_some() && self.was_away() && expected.may.contains(&Errno::EBUSY));
         let outcome = answer.map(drop);
         let length = answer.unwrap_or(text.len());
         let is_done = self.check(call, what, answer, expected).is_some();
         if is_done && length != text.len() {
             self.fail(&format!("{length} of {} bytes were written", text.len()));
+        }
+        if is_done {
+            self.open[at].written = Some(text.into());
         }
         match class {
             Class::Parameter(at) => {

@@ -36,12 +36,21 @@ pub(crate) fn folder_named(end: &str) -> PathBuf {
     path
 }
 
+/// Whether a process has ended, or its first thread has, because of SIGKILL, and another one waits for what never comes.
+fn has_ended(process: &str) -> bool {
+    let status = fs::read_to_string(Path::new("/proc").join(process).join("status")).unwrap_or_default();
+    status
+        .lines()
+        .find_map(|line| line.strip_prefix("State:\t"))
+        .is_none_or(|state| state.starts_with(['Z', 'X']))
+}
+
 /// Removes what tests that run no more have left in a folder.
-fn sweep(parent: &Path) {
+pub(super) fn sweep(parent: &Path) {
     for entry in fs::read_dir(parent).into_iter().flatten().flatten() {
         let name = entry.file_name();
         let process = name.to_str().and_then(|name| name.strip_prefix(PREFIX)?.split('-').next());
-        if process.is_some_and(|process| !Path::new("/proc").join(process).exists()) {
+        if process.is_some_and(has_ended) {
             remove(&entry.path());
         }
     }
@@ -60,7 +69,8 @@ pub(crate) fn remove(folder: &Path) {
         }
     }
     for mountpoint in mounts(folder) {
-        if umount2(&mountpoint, MntFlags::MNT_DETACH).is_err() {
+        // With force, so that whoever waits for it waits no longer.
+        if umount2(&mountpoint, MntFlags::MNT_DETACH | MntFlags::MNT_FORCE).is_err() {
             let _ = Command::new("fusermount3").args(["-u", "-z"]).arg(&mountpoint).status();
         }
     }
