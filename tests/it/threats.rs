@@ -93,11 +93,12 @@ fn each_line_of_the_threat_model_has_its_test() {
         .filter(|path| path.starts_with(root().join("tests/boot/guest")))
         .map(|path| fs::read_to_string(path).expect("a file of the checkout"))
         .collect();
-    let (mut ways, mut count, mut wrong) = (0, 0, Vec::new());
+    let (mut ways, mut count, mut wrong, mut attacks) = (0, 0, Vec::new(), BTreeSet::new());
     for Threat { way_in, tests: cell } in threats() {
         ways += 1;
         let mut attacked = 0;
         for named in within_code(&cell) {
+            attacks.extend(tests.contains(named).then(|| named.to_string()));
             match exists(named, &tests, &sources) {
                 // A crate or a source file is where the test beside it is.
                 true => {
@@ -121,6 +122,8 @@ fn each_line_of_the_threat_model_has_its_test() {
         count += attacked;
     }
     println!("{ways} ways in, {count} tests");
+    // `tests/campaign` runs these.
+    println!("attacks: {}", Vec::from_iter(attacks).join(" "));
     assert!(ways > 25, "{ways} ways in");
     assert!(wrong.is_empty(), "{wrong:#?}");
 }
