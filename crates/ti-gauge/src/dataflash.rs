@@ -588,9 +588,7 @@ impl DataFlash {
     fn read_subclass(&mut self, gauge: &mut Gauge, subclass: &'static Subclass) -> Result<Vec<u8>> {
         let chip = gauge.chip;
         read_subclass(gauge, subclass, |place, content| {
-            // The marks of a suspected pack may not have been read before, because it did not answer.
-            let contradicts = |known: &Known| known.contradicts(chip, place, content).is_some();
-            if chip.volatile.is_none() && [self.known(), self.fingerprint()].into_iter().any(contradicts) {
+            if chip.volatile.is_none() && self.contradicted_mark(chip, place, content).is_some() {
                 self.now.may_be_another();
                 self.doubt_pack();
             }
@@ -614,12 +612,17 @@ impl DataFlash {
 
     /// Makes sure that a block just read is of the pack whose values are known, and notes it.
     fn recognise(&mut self, gauge: &Gauge, place: Window, content: &[u8; WINDOW]) -> Result<()> {
-        let before = [self.known(), self.fingerprint()];
-        let Some(row) = before.iter().find_map(|known| known.contradicts(gauge.chip, place, content)) else {
+        let Some(row) = self.contradicted_mark(gauge.chip, place, content) else {
             self.note_block(gauge, place, *content);
             return Ok(());
         };
         Err(self.other_pack(gauge, row))
+    }
+
+    /// The mark in a block just read that is not as this pack had it, as far as that is known. What a suspected pack was known
+    /// by counts as well: its marks may not have been compared yet, because it did not answer.
+    fn contradicted_mark(&self, chip: &'static Chip, place: Window, content: &[u8; WINDOW]) -> Option<Row> {
+        [self.known(), self.fingerprint()].iter().find_map(|before| before.contradicts(chip, place, content))
     }
 
     fn other_pack(&mut self, gauge: &Gauge, row: Row) -> Error {
