@@ -165,6 +165,32 @@ fn the_cross_builds_are_those_of_tests_cross() {
     assert!(tried.contains("--locked --bin gaugefs"));
 }
 
+/// A recipe of Buildroot, and one of Yocto, with their words for the package that has `nsenter`.
+fn recipes() -> [(String, &'static str); 2] {
+    let read = |path: &str| fs::read_to_string(root().join(path)).expect("the version's own file");
+    let buildroot =
+        read("udev/buildroot/package/gaugefs/gaugefs.mk") + &read("udev/buildroot/package/gaugefs/Config.in");
+    let yocto = read(concat!("udev/yocto/gaugefs_", env!("CARGO_PKG_VERSION"), ".bb"));
+    assert!(
+        buildroot.contains(concat!("\nGAUGEFS_VERSION = ", env!("CARGO_PKG_VERSION"), "\n")),
+        "{buildroot}"
+    );
+    [(buildroot, "BR2_PACKAGE_UTIL_LINUX_NSENTER"), (yocto, "util-linux-nsenter")]
+}
+
+/// Without the rule no bus belongs to the service's account, and without `nsenter` nobody sees its mount.
+#[test]
+fn regression_a_service_of_buildroot_or_yocto_cannot_open_its_bus() {
+    for (recipe, nsenter) in recipes() {
+        let units = "gaugefs gaugefs@ gaugefs-node@";
+        for installed in
+            [nsenter, units, "/udev/service.conf", "/udev/60-gaugefs.rules", "/udev/modules-load.conf"]
+        {
+            assert!(recipe.contains(installed), "{installed}: {recipe}");
+        }
+    }
+}
+
 #[test]
 fn the_kernels_options_are_found_where_it_shows_them() {
     let commands = block("The kernel", "sh");

@@ -19,19 +19,22 @@ CARGO_PROFILE = "dist"
 CARGO_BUILD_FLAGS += "--bin gaugefs"
 
 do_install:append() {
-    install -d ${D}${sysconfdir}/gaugefs ${D}${sysconfdir}/init.d
+    install -d ${D}${sysconfdir}/gaugefs
     install -d -m 0700 ${D}${localstatedir}/lib/gaugefs
     if ${@bb.utils.contains('DISTRO_FEATURES', 'systemd', 'true', 'false', d)}; then
-        install -d ${D}${systemd_system_unitdir}/gaugefs.service.d
-        install -m 0644 ${S}/udev/gaugefs.service ${D}${systemd_system_unitdir}/
-        install -m 0644 ${S}/udev/service.conf ${D}${systemd_system_unitdir}/gaugefs.service.d/10-confined.conf
+        for unit in gaugefs gaugefs@ gaugefs-node@; do
+            install -D -m 0644 ${S}/udev/$unit.service ${D}${systemd_system_unitdir}/$unit.service
+            install -D -m 0644 ${S}/udev/service.conf ${D}${systemd_system_unitdir}/$unit.service.d/10-confined.conf
+        done
+        install -D -m 0644 ${S}/udev/60-gaugefs.rules ${D}${nonarch_base_libdir}/udev/rules.d/60-gaugefs.rules
+        install -D -m 0644 ${S}/udev/modules-load.conf ${D}${nonarch_libdir}/modules-load.d/gaugefs.conf
         chown gaugefs:gaugefs ${D}${localstatedir}/lib/gaugefs
     else
-        install -m 0755 ${S}/udev/S60gaugefs ${D}${sysconfdir}/init.d/gaugefs
+        install -D -m 0755 ${S}/udev/S60gaugefs ${D}${sysconfdir}/init.d/gaugefs
     fi
 }
 
-FILES:${PN} += "${systemd_system_unitdir}"
+FILES:${PN} += "${systemd_system_unitdir} ${nonarch_base_libdir}/udev ${nonarch_libdir}/modules-load.d"
 SYSTEMD_SERVICE:${PN} = "gaugefs.service"
 INITSCRIPT_NAME = "gaugefs"
 INITSCRIPT_PARAMS = "defaults 60"
@@ -42,4 +45,6 @@ USERADD_PARAM:${PN} = "--system --home-dir ${localstatedir}/lib/gaugefs --no-cre
 
 # fusermount3, for users other than root, is of the recipe fuse3.
 RRECOMMENDS:${PN} = "kernel-module-fuse kernel-module-i2c-dev"
+# The units enter the namespace in which everybody sees the mount.
+RDEPENDS:${PN} = "${@bb.utils.contains('DISTRO_FEATURES', 'systemd', 'util-linux-nsenter', '', d)}"
 RSUGGESTS:${PN} = "fuse3-utils"

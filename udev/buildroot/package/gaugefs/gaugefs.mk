@@ -31,16 +31,20 @@ define GAUGEFS_INSTALL_INIT_OPENRC
 	$(INSTALL) -D -m 0755 $(@D)/udev/gaugefs.openrc $(TARGET_DIR)/etc/init.d/gaugefs
 endef
 
-# They run under an account of their own, which udev hands the buses.
+# With systemd it runs under an account of its own, to which the rule hands the buses.
 define GAUGEFS_USERS
 	gaugefs -1 gaugefs -1 * - - i2c Fuel gauges
 endef
 
 define GAUGEFS_INSTALL_INIT_SYSTEMD
-	$(INSTALL) -d -m 0755 $(TARGET_DIR)/usr/lib/systemd/system/gaugefs.service.d
-	$(INSTALL) -m 0644 $(@D)/udev/gaugefs.service $(TARGET_DIR)/usr/lib/systemd/system/gaugefs.service
-	$(INSTALL) -m 0644 $(@D)/udev/service.conf \
-		$(TARGET_DIR)/usr/lib/systemd/system/gaugefs.service.d/10-confined.conf
+	$(foreach unit,gaugefs gaugefs@ gaugefs-node@, \
+		$(INSTALL) -D -m 0644 $(@D)/udev/$(unit).service \
+			$(TARGET_DIR)/usr/lib/systemd/system/$(unit).service
+		$(INSTALL) -D -m 0644 $(@D)/udev/service.conf \
+			$(TARGET_DIR)/usr/lib/systemd/system/$(unit).service.d/10-confined.conf
+	)
+	$(INSTALL) -D -m 0644 $(@D)/udev/60-gaugefs.rules $(TARGET_DIR)/usr/lib/udev/rules.d/60-gaugefs.rules
+	$(INSTALL) -D -m 0644 $(@D)/udev/modules-load.conf $(TARGET_DIR)/usr/lib/modules-load.d/gaugefs.conf
 endef
 
 define GAUGEFS_LINUX_CONFIG_FIXUPS
