@@ -218,7 +218,6 @@ impl Model {
 
 #[cfg(test)]
 mod tests {
-    use std::fs;
     use std::path::Path;
 
     use ratatui::Terminal;
@@ -316,13 +315,8 @@ mod tests {
     #[test]
     fn the_picture_is_that_of_the_document() {
         let buffer = drawn(&model(&["LEFT", "RIGHT", "THIRD", "FOURTH"], true), 80, 24);
-        let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
         let svg = crate::top::picture::svg(&buffer);
-        let path = root.join("docs/line.svg");
-        if std::env::var("GAUGEFS_GOLDEN").is_ok_and(|value| value == "write") {
-            fs::write(&path, &svg).expect("a file");
-        }
-        assert!(fs::read_to_string(&path).is_ok_and(|old| old == svg), "docs/line.svg is not what is drawn");
+        crate::top::tests::matches(Path::new("docs/line.svg"), &svg);
     }
 
     #[test]

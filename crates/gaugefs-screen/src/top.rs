@@ -28,7 +28,7 @@ mod model;
 pub(crate) mod picture;
 pub(crate) mod terminal;
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 
 const TOP: &str = "\
 Keys: q quit, arrows or tab select a gauge, v i c t quantity, + - time span, l learning,

@@ -142,13 +142,19 @@ fn text(buffer: &Buffer) -> String {
 
 #[track_caller]
 fn golden(name: &str, now: &str) {
-    matches(&Path::new("../../tests/it/golden/top").join(name), now);
+    matches(&Path::new("tests/it/golden/top").join(name), now);
 }
 
-/// Compares with a file of the repository, or writes it if GAUGEFS_GOLDEN is `write`.
+/// Compares with a file of the repository, or writes it if GAUGEFS_GOLDEN is `write`. What crates.io has of this crate is
+/// without them.
 #[track_caller]
-fn matches(file: &Path, now: &str) {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(file);
+pub(crate) fn matches(file: &Path, now: &str) {
+    let repository = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+    if !repository.join("docs").exists() {
+        eprintln!("SKIPPED: there is no {}", file.display());
+        return;
+    }
+    let path = repository.join(file);
     if std::env::var_os("GAUGEFS_GOLDEN").is_some_and(|what| what == "write") {
         fs::write(&path, now).expect("the golden file");
     }
@@ -426,5 +432,5 @@ fn the_picture_in_docs_is_what_top_draws() {
     press(&mut model, '+');
     press(&mut model, '+');
     let svg = picture::svg(&drawn(&model, 80, 24, last + 1.0));
-    matches(Path::new("../../docs/top.svg"), &svg);
+    matches(Path::new("docs/top.svg"), &svg);
 }

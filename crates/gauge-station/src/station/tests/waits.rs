@@ -105,6 +105,11 @@ fn programmed(image: Option<&str>) -> (Entry, BTreeMap<&'static str, Duration>) 
 #[test]
 fn every_wait_of_a_pack_has_its_reason_in_the_document() {
     let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/PRODUCTION.md");
+    // What crates.io has of this crate is without it.
+    if !page.parent().is_some_and(Path::exists) {
+        eprintln!("SKIPPED: there is no {}", page.display());
+        return;
+    }
     let page = fs::read_to_string(page).expect("the page");
     let section = page.split_once("\n### How long it takes\n").expect("the section").1;
     let section = section.split("\n### ").next().unwrap_or_default();
