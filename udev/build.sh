@@ -11,7 +11,8 @@ folders="--remap-path-prefix=$PWD=/gaugefs"
 for folder in "${CARGO_HOME:-$HOME/.cargo}"/registry/src/*; do
     folders+=" --remap-path-prefix=$folder=/cargo"
 done
-folders+=" --remap-path-prefix=$(rustc --print sysroot)/lib/rustlib/src/rust=/rust"
+sysroot=$(rustc --print sysroot)
+folders+=" --remap-path-prefix=$sysroot/lib/rustlib/src/rust=/rust"
 export RUSTFLAGS="${RUSTFLAGS:+$RUSTFLAGS }$folders"
 
 here=$(rustc -vV | sed -n 's/^host: //p')
@@ -23,7 +24,11 @@ dist() {
     local pointers=
     [[ $1 != x86_64-* ]] || pointers=' -Cforce-frame-pointers=yes'
     RUSTFLAGS="$RUSTFLAGS$pointers" cargo build --profile dist --quiet --locked --bin gaugefs --target "$1"
+    nameless "$made/$1/dist/gaugefs" || { echo "$1: the program names folders of this machine" >&2; return 1; }
 }
+
+# nameless PROGRAM: no path of this machine is in it.
+nameless() { ! grep -aoF -e "$PWD/" -e "${CARGO_HOME:-$HOME/.cargo}/" -e "$sysroot/" "$1" | sort | uniq -c >&2; }
 
 # documents PROGRAM FOLDER: writes the manual pages and the completions that a program of this machine prints.
 documents() {
