@@ -398,7 +398,7 @@ pub fn detach(path: &Path, lazily: bool) -> Result<()> {
         Some((true, _)) => Ok(()),
         Some((false, said)) if said.to_lowercase().contains("busy") => Err(failed(path, Errno::EBUSY)),
         Some((false, said)) => {
-            let why = format!("only root and the user who mounted it may unmount it ({})", said.trim());
+            let why = format!("not unmounted; as root: gaugefs umount {subject} ({})", said.trim());
             Err(Error::new(subject, Cause::NotPermitted, why))
         }
         None => {

@@ -210,6 +210,31 @@ user "$gaugefs" umount gauges; echo "=> $?"
     );
 }
 
+/// A small Debian has no /etc/mtab, which fusermount3 looks into.
+#[test]
+fn regression_any_failure_of_fusermount3_is_told_as_that_of_another_user() {
+    let folder = Folder::new();
+    let commands = r#"
+export FUSERMOUNT_PATH=$PWD/fusermount3
+cat >fusermount3 <<'END'
+#!/bin/sh
+[ "$1" != -u ] || { echo "$0: failed to open /etc/mtab: No such file or directory" >&2; exit 1; }
+unset FUSERMOUNT_PATH
+exec fusermount3 "$@"
+END
+chmod 755 fusermount3
+user mkdir gauges && user "$gaugefs" mount --sim bq34z100-g1 gauges
+user "$gaugefs" umount gauges; echo "=> $?"
+"$gaugefs" umount gauges; echo "=> $?"
+"#;
+    let Some(said) = script(&folder, commands) else { return };
+    assert!(said.starts_with("=> 1\n=> 0\n"), "{said}");
+    says(
+        &said,
+        &["/gauges: not unmounted; as root: gaugefs umount /", "fusermount3: failed to open /etc/mtab: "],
+    );
+}
+
 /// One that is not on the list of `--check` is found before the mount, too.
 #[test]
 fn a_check_lists_all_that_a_mount_would_stumble_over() {
