@@ -165,7 +165,7 @@ pub struct DataFlash {
     no_erased_key: Fact<(), Arrival>,
     /// A seal that is owed beside it.
     owed_seal: Option<OwedSeal>,
-    /// The journal of a read could not be written, which has been reported.
+    /// The journal of an access that goes on without one could not be written, which has been reported.
     unrecorded: bool,
 }
 
@@ -303,6 +303,23 @@ impl DataFlash {
                 }
             }
             Err(error) => return Err(error),
+        }
+        Ok(())
+    }
+
+    /// Goes on with a restoration whose journal cannot be written, as on a full disk: without it the gauge shows nothing, and
+    /// whatever it leaves in RAM is written again by the next one. What is lost is that a power cut of the host within it
+    /// leaves the gauge unsealed, and in CONFIG UPDATE until that ends by itself.
+    fn unless_unrecorded(&mut self, gauge: &Gauge, recorded: Result<()>) -> Result<()> {
+        let Err(Cause::Io(kind)) = recorded.as_ref().map_err(Error::cause) else {
+            self.unrecorded &= recorded.is_err();
+            return recorded;
+        };
+        if !std::mem::replace(&mut self.unrecorded, true) {
+            log::warn!(
+                "{}: no journal can be written ({kind}); the profile is written without one",
+                gauge.chip.name
+            );
         }
         Ok(())
     }
@@ -445,7 +462,11 @@ impl DataFlash {
                 found = self.next_look(gauge, &found, changes)?;
             }
             self.check_key(gauge, found.seal, changes)?;
-            let record = Self::owing(blocks(changes));
+            let soon = extras.soon;
+            let record = |this: &mut Self, gauge: &mut Gauge, session: &mut Session| {
+                let owed = this.owe(gauge, session, blocks(changes));
+                if soon { this.unless_unrecorded(gauge, owed) } else { owed }
+            };
             let outcome = self.session(gauge, (found.seal, asked), record, |this, gauge, session| {
                 let opened = match found.seal {
                     Seal::Sealed => this.look_while_opening(gauge, session, &found, changes),
@@ -542,7 +563,14 @@ impl DataFlash {
         // A loss of power takes all of RAM, and disturbs no row beside the one that is written.
         let neighbours = if extras.soon { Vec::new() } else { self.neighbours(gauge, &dirty)? };
         let plan = planned::plan(gauge, reset, &dirty, &neighbours, self.known().marks(gauge.chip));
-        self.note(session, plan)?;
+        if let Err(error) = self.note(session, plan.clone()) {
+            match extras.soon {
+                true => self.unless_unrecorded(gauge, Err(error))?,
+                false => return Err(error),
+            }
+            session.remove_journal();
+            self.note(session, plan)?;
+        }
         self.refer(gauge, session);
         // The write may change the serial number.
         self.now.may_be_renamed();

@@ -2,15 +2,20 @@
 
 //! The configuration of a gauge with RAM, written again after a loss of power.
 
+use std::io;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
 use gauge_bus::clock::Clock as _;
 use gauge_bus::{Bus, BusError};
 use gauge_sim::SimBus;
 use ti_gauge::chip::{CHIPS, Chip};
-use ti_gauge::dataflash::{Change, Outcome};
+use ti_gauge::dataflash::{Change, DataFlash, Limits, Outcome};
 use ti_gauge::error::Result;
 use ti_gauge::gauge::{Gauge, Seal};
+use ti_gauge::journal::{Disk, File, Journal};
 use ti_gauge::keys::{Keys, Name};
 
 use crate::rig::Rig;
@@ -113,6 +118,96 @@ fn a_block_that_was_not_stored_is_stored_once_more() {
             assert!(rig.sim.flash() == new, "{chip}, {fault}");
             let ended = rig.gauge.statistics.resets.load(std::sync::atomic::Ordering::Relaxed);
             assert_eq!(ended - begun, 1, "{chip}, {fault}: without leaving CONFIG UPDATE for it");
+        }
+    }
+}
+
+/// A disk that is full after so many bytes.
+#[derive(Clone, Debug)]
+struct Full(Arc<AtomicUsize>);
+
+impl Disk for Full {
+    fn create_folder(&self, _: &Path) -> io::Result<()> {
+        Ok(())
+    }
+
+    fn exists(&self, path: &Path) -> bool {
+        path.extension().is_none()
+    }
+
+    fn read(&self, _: &Path) -> io::Result<String> {
+        Err(io::ErrorKind::NotFound.into())
+    }
+
+    fn create(&self, _: &Path) -> io::Result<Box<dyn File>> {
+        Ok(Box::new(self.clone()))
+    }
+
+    fn open(&self, _: &Path) -> io::Result<Box<dyn File>> {
+        Err(io::ErrorKind::NotFound.into())
+    }
+
+    fn rename(&self, _: &Path, _: &Path) -> io::Result<()> {
+        Ok(())
+    }
+
+    fn list(&self, _: &Path) -> io::Result<Vec<PathBuf>> {
+        Ok(Vec::new())
+    }
+
+    fn remove(&self, _: &Path) -> io::Result<()> {
+        Ok(())
+    }
+
+    fn sync(&self, _: &Path) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+impl File for Full {
+    fn append(&mut self, bytes: &[u8]) -> io::Result<()> {
+        let left = self.0.load(Ordering::Relaxed).checked_sub(bytes.len());
+        self.0.store(left.ok_or(io::ErrorKind::StorageFull)?, Ordering::Relaxed);
+        Ok(())
+    }
+
+    fn reserve(&mut self, _: u64) -> io::Result<()> {
+        Ok(())
+    }
+
+    fn sync(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+/// Without its profile the gauge shows nothing, for as long as nobody removes a file. An ordinary write is refused.
+#[test]
+fn regression_a_full_disk_kept_a_gauge_from_its_profile() {
+    for (found, (chip, values)) in
+        FOUND.into_iter().flat_map(|found| PARTS.iter().map(move |part| (found, part)))
+    {
+        let changes = changes(chip, values);
+        let new = model(chip, found, &changes);
+        // Not even the first lines, and all but the plan.
+        for room in [0, 300] {
+            let mut rig = Rig::new(chip);
+            let journal = Journal::new("/state".into(), "i2c-1-55".into(), "i2c-1 address 0x55".into());
+            let disk = Arc::new(Full(Arc::new(AtomicUsize::new(room))));
+            rig.dataflash = DataFlash::new(Limits::default(), Some(journal.on(disk.clone())));
+            rig.is_found(found);
+            let before = rig.sim.flash();
+            let write = rig.dataflash.write(&mut rig.gauge, &changes, Duration::ZERO);
+            let write = write.expect_err("it could not be undone").to_string();
+            assert!(
+                write.contains("cannot write the journal") && rig.sim.flash() == before,
+                "{chip}: {write}"
+            );
+            disk.0.store(room, Ordering::Relaxed);
+            rig.is_found(found);
+            let outcome = rig.restore(&changes);
+            let is_written = matches!(outcome, Ok(Outcome::Written { .. }));
+            assert!(is_written && rig.sim.flash() == new, "{chip} {found:?} {room}: {outcome:?}");
+            assert_eq!(rig.seal(), found, "{chip} {room}");
         }
     }
 }
