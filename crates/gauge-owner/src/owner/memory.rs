@@ -397,9 +397,10 @@ mod tests {
     use super::super::rig::{INTERVAL, Rig};
     use super::super::{Settings, Startup, operations as op};
     use super::*;
-    use gauge_bus::clock::{Clock, RealClock};
+    use gauge_bus::clock::{Clock, RealClock, SimClock};
     use gauge_bus::{Bus, BusError};
     use gauge_sim::{Options, Sim, SimBus};
+    use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
     use std::sync::atomic::{AtomicU64, Ordering};
     use std::sync::{Arc, Mutex};
     use ti_gauge::chip::CHIPS;
@@ -618,6 +619,36 @@ mod tests {
         }
     }
 
+    /// A bus of a host that is gone at a transfer: it does nothing any more, and takes no time for it.
+    struct Dies {
+        bus: SimBus,
+        left: Arc<AtomicU64>,
+    }
+
+    impl Bus for Dies {
+        fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
+            let left = self.left.load(Ordering::Relaxed);
+            if left == 0 {
+                resume_unwind(Box::new("the host is gone"));
+            }
+            self.left.store(left.saturating_sub(1), Ordering::Relaxed);
+            self.bus.transfer(write, read)
+        }
+    }
+
+    /// A bus on which each transfer takes a while.
+    struct Slow {
+        bus: SimBus,
+        clock: Arc<SimClock>,
+    }
+
+    impl Bus for Slow {
+        fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
+            self.clock.sleep(Duration::from_millis(6));
+            self.bus.transfer(write, read)
+        }
+    }
+
     /// Half a profile is never shown as a whole one, and is whole in the end.
     #[test]
     fn a_loss_of_power_at_any_transfer_of_a_restoration_is_made_good() {
@@ -730,6 +761,64 @@ mod tests {
                 assert!(files.is_empty(), "{} {number}: {files:?}", chip.name);
             }
             assert!(interrupted > 3, "{}: {interrupted}", chip.name);
+        }
+        let _ = std::fs::remove_dir_all(folder);
+    }
+
+    /// As by a watchdog that resets the host. The gauge shows CONFIG UPDATE up to a second after it was asked for it, and leaves it
+    /// by itself only after 240 s.
+    #[test]
+    fn regression_a_host_that_was_back_at_once_waited_for_the_end_of_config_update() {
+        let folder = std::env::temp_dir().join(format!("gaugefs-memory-back-{}", std::process::id()));
+        for chip in parts() {
+            let journal = Journal::new(folder.clone(), "i2c-1-55".into(), "i2c-1 address 0x55".into());
+            let settings = || Settings {
+                profile: profile(chip, ""),
+                journal: Some(journal.clone()),
+                ..Settings::default()
+            };
+            let left = Arc::new(AtomicU64::new(u64::MAX));
+            let lost = || {
+                let mut rig = Rig::on(chip.name, settings(), Startup::default(), |bus| {
+                    Box::new(Dies { bus, left: left.clone() })
+                });
+                rig.start().expect("it answers");
+                rig.poll_after(INTERVAL);
+                lose_power(&rig.sim);
+                rig.clock.sleep(Duration::from_secs(3));
+                rig
+            };
+            let mut whole = lost();
+            whole.sim.keep_log(true);
+            whole.poll_after(Duration::ZERO);
+            let is_asked = |write: &[u8]| matches!(write, [0x00, 0x13 | 0x90, 0x00]);
+            let asked = whole.sim.log().iter().position(|record| is_asked(&record.write));
+            let asked = asked.expect("it is asked for CONFIG UPDATE") as u64 + 1;
+            let takes: u64 =
+                whole.sim.get("cfgupdate_ms").and_then(|time| time.parse().ok()).expect("a time");
+            // What is done before the profile is written takes that long on a slow bus.
+            for pause in (0..=takes).rev().step_by(25).take(16) {
+                let mut rig = lost();
+                left.store(asked, Ordering::Relaxed);
+                catch_unwind(AssertUnwindSafe(|| rig.poll_after(Duration::ZERO))).expect_err("it ends there");
+                left.store(u64::MAX, Ordering::Relaxed);
+                let clock = rig.clock.clone();
+                let bus = Box::new(Slow { bus: rig.sim.bus(), clock: clock.clone() });
+                rig.direct = super::super::Direct::new(chip, bus, clock, settings(), Startup::default());
+                rig.clock.sleep(Duration::from_millis(pause));
+                let begun = rig.clock.now();
+                let _ = rig.start();
+                let expected = chip.register(Role::ChargeFullDesign).map(|_| CAPACITY);
+                while shown(&rig) != expected {
+                    rig.poll_after(Duration::from_millis(500));
+                    let error = rig.handle.published().last_error.to_string();
+                    let took = rig.clock.now() - begun;
+                    assert!(took < Duration::from_secs(12), "{} after {pause} ms: {error}", chip.name);
+                }
+                rig.poll_after(INTERVAL);
+                let files = std::fs::read_dir(&folder).expect("a folder").count();
+                assert_eq!((shown(&rig), files), (expected, 0), "{} after {pause} ms", chip.name);
+            }
         }
         let _ = std::fs::remove_dir_all(folder);
     }

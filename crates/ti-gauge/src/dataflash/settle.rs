@@ -15,6 +15,7 @@ use super::DataFlash;
 use super::pack::{Match, compare};
 use super::schemes::sequence;
 use super::session::{Reference, Session, in_time};
+use super::state::has_lost_memory;
 use super::verdict::Verdict;
 use super::window::holds_keys;
 use crate::error::{Cause, Error, Reason, Result, Step};
@@ -311,6 +312,15 @@ impl DataFlash {
                 gauge.learn_selection();
                 open?;
                 sequence(gauge).enable(gauge)?;
+                if has_lost_memory(gauge)? {
+                    if elsewhere {
+                        return Ok(Verdict::Another);
+                    }
+                    // It may be on its way into CONFIG UPDATE, which its flags show up to a second later.
+                    self.mode_left_on = true;
+                    let why = "a write was interrupted, and the gauge has since lost power and with it its data memory";
+                    return Ok(Verdict::Done(why.into()));
+                }
                 let then = &entry.identity;
                 let (watched, certain) = (pending.watched, pending.certain.map(|(moment, _)| moment));
                 let shown = self.shown.as_ref().filter(|shown| shown.entry == *entry);

@@ -13,7 +13,6 @@ use crate::dataflash::pack::{Known, Match, compare, mark_windows};
 use crate::dataflash::planned::{Held, Seen, look};
 use crate::dataflash::schemes::sequence;
 use crate::dataflash::session::{Reference, Session};
-use crate::dataflash::state::has_lost_memory;
 use crate::dataflash::verdict::{Verdict, unrestored};
 use crate::dataflash::window::{holds_keys, secrets};
 use crate::error::Result;
@@ -56,14 +55,6 @@ pub(super) struct Task<'a> {
 impl Task<'_> {
     pub(super) fn run(&self, gauge: &mut Gauge, session: &mut Session) -> Result<Verdict> {
         let chip = gauge.chip;
-        if has_lost_memory(gauge)? {
-            if self.elsewhere {
-                return Ok(Verdict::Another);
-            }
-            let why =
-                "a write was interrupted, and the gauge has since lost power and with it its data memory";
-            return Ok(Verdict::Done(why.into()));
-        }
         if self.plan.by_gauge {
             measured::is_over(gauge)?;
         }
