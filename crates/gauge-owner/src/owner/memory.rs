@@ -5,7 +5,7 @@
 
 use std::time::Duration;
 
-use super::{Attempt, Owner, Presence};
+use super::{Attempt, Owner, Presence, operations};
 use crate::choose::{Choice, choose};
 use crate::error::{Cause, Error, Step};
 use ti_gauge::chip::{Chip, Role};
@@ -267,6 +267,8 @@ impl Owner {
                     return;
                 }
                 self.log_written(&profile, &outcome);
+                // Whatever had been interrupted is gone with the memory.
+                self.shared.succeeded(&operations::SETTLE.itself());
                 let learned = learned.map(|time| format!(", with what it had learned until {time}"));
                 let learned = learned.unwrap_or_default();
                 log::info!(
@@ -820,6 +822,35 @@ mod tests {
                 assert_eq!((shown(&rig), files), (expected, 0), "{} after {pause} ms", chip.name);
             }
         }
+        let _ = std::fs::remove_dir_all(folder);
+    }
+
+    /// Once the profile is there, nothing of what was interrupted is left.
+    #[test]
+    fn regression_an_interrupted_restoration_was_told_as_an_error_when_it_had_been_made_good() {
+        let folder = std::env::temp_dir().join(format!("gaugefs-memory-told-{}", std::process::id()));
+        let chip = Chip::by_name("bq27441-g1").expect("it has a table");
+        let journal = Journal::new(folder.clone(), "i2c-1-55".into(), "i2c-1 address 0x55".into());
+        let settings =
+            || Settings { profile: profile(chip, ""), journal: Some(journal.clone()), ..Settings::default() };
+        let left = Arc::new(AtomicU64::new(u64::MAX));
+        let mut rig = Rig::on(chip.name, settings(), Startup::default(), |bus| {
+            Box::new(Ends { bus, left: left.clone() })
+        });
+        rig.start().expect("it answers");
+        rig.poll_after(INTERVAL);
+        lose_power(&rig.sim);
+        rig.clock.sleep(Duration::from_secs(3));
+        left.store(40, Ordering::Relaxed);
+        rig.poll_after(Duration::ZERO);
+        assert!(journal.path().exists());
+        let (bus, clock) = (Box::new(rig.sim.bus()), rig.clock.clone());
+        rig.direct = super::super::Direct::new(chip, bus, clock, settings(), Startup::default());
+        lose_power(&rig.sim);
+        rig.clock.sleep(Duration::from_secs(3));
+        rig.start().expect("it answers");
+        rig.poll_after(INTERVAL);
+        assert_eq!((shown(&rig), &*rig.handle.published().last_error), (Some(CAPACITY), ""));
         let _ = std::fs::remove_dir_all(folder);
     }
 
