@@ -16,7 +16,8 @@ const LEARNED: &str = "\
 A gauge without flash loses with its power what Impedance Track has learned of the pack: Qmax, Ra and
 more. gaugefs saves that in --state-dir, and writes it again with the profile if the pack was named
 with --pack; no such gauge can tell its pack from another one after a loss of power. Values that
-cannot be right are not written, and this command says which.
+cannot be right are not written, and this command says which. The newest 10 versions are kept, and the
+last one of each of 30 days.
 
 Examples:
   gaugefs learned /run/gauges/BAT0             what is kept, and from when

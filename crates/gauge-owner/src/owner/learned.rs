@@ -22,8 +22,10 @@ use ti_gauge::image::{Image, toml};
 use ti_gauge::journal;
 use ti_gauge::value::Value;
 
-/// Versions of one pack that are kept.
+/// The newest versions of one pack are kept, and besides them the last one of each of so many days: that what was learned is
+/// wrong may be noticed late.
 const KEPT: usize = 10;
+const DAYS: usize = 30;
 const SUFFIX: &str = ".learned.toml";
 /// Least time between two looks at what was learned: a gauge learns with charges and discharges. One that is SEALED is
 /// opened for it.
@@ -67,10 +69,18 @@ impl Version {
         Self(time.strftime("%Y%m%dT%H%M%SZ").to_string())
     }
 
-    /// A second later.
-    fn next(&self) -> Option<Self> {
-        let time: Timestamp = self.0.parse().ok()?;
-        time.checked_add(SignedDuration::from_secs(1)).ok().map(Self::at)
+    /// The version that follows, which is newer also by a clock that was put back. By one that stays far behind, days pass as
+    /// well, or all versions would be of one day.
+    fn next(&self, now: Timestamp) -> Option<Self> {
+        let last: Timestamp = self.0.parse().ok()?;
+        let [second, pause] = [Duration::from_secs(1), EVERY].map(SignedDuration::try_from);
+        let (second, pause) = (second.ok()?, pause.ok()?);
+        let step = if last.duration_since(now) < pause { second } else { pause };
+        Some(Self::at(now.max(last.checked_add(step).ok()?)))
+    }
+
+    fn day(&self) -> &str {
+        self.0.split_once('T').map_or(&self.0, |(day, _)| day)
     }
 }
 
@@ -102,12 +112,13 @@ impl Learned {
         self.pack.as_deref().unwrap_or_default()
     }
 
-    /// The names of files of this place and part: the pack, the version, and where it is.
+    /// The files of this place and part: the pack, the version, and where it is.
     fn all(&self, chip: &Chip) -> impl Iterator<Item = (String, Version, PathBuf)> {
         let entries = fs::read_dir(&self.folder).into_iter().flatten().flatten();
         let prefix = format!("{}-{}-", self.key, chip.name);
         entries.filter_map(move |entry| {
             let name = entry.file_name().into_string().ok()?;
+            entry.file_type().is_ok_and(|kind| kind.is_file()).then_some(())?;
             let (pack, time) = name.strip_suffix(SUFFIX)?.strip_prefix(&prefix)?.rsplit_once('-')?;
             Some((pack.to_string(), Version::parse(time)?, entry.path()))
         })
@@ -176,10 +187,9 @@ impl Learned {
         if files.last().is_some_and(is_same) {
             return Ok(false);
         }
-        // A version is newer than those before it, also by a clock that was put back.
         let version = match files.last() {
-            Some((last, _)) if *last >= Version::at(now) => last.next().unwrap_or_else(|| last.clone()),
-            _ => Version::at(now),
+            Some((last, _)) => last.next(now).unwrap_or_else(|| last.clone()),
+            None => Version::at(now),
         };
         let name = format!("{}-{}-{}-{version}{SUFFIX}", self.key, image.chip.name, self.pack());
         let (path, temporary) =
@@ -187,7 +197,7 @@ impl Learned {
         journal::save(&path, &temporary, &text).map_err(|error| {
             Error::io(path.display().to_string(), "cannot save what the gauge has learned", &error)
         })?;
-        for (_, old) in files.iter().take((files.len() + 1).saturating_sub(KEPT)) {
+        for old in superfluous(&self.files(image.chip)) {
             if let Err(error) = fs::remove_file(old) {
                 log::warn!("{}: cannot remove this old version: {error}", old.display());
             }
@@ -195,14 +205,30 @@ impl Learned {
         Ok(true)
     }
 
+    /// Removes all versions. One that cannot be removed keeps none of the others.
     fn forget(&self, chip: &Chip) -> Result<usize> {
         let files = self.files(chip);
-        for (_, path) in &files {
+        let remove = |(_, path): &(Version, PathBuf)| {
             fs::remove_file(path)
-                .map_err(|error| Error::io(path.display().to_string(), "cannot be removed", &error))?;
-        }
-        Ok(files.len())
+                .map_err(|error| Error::io(path.display().to_string(), "cannot be removed", &error))
+        };
+        let removed: Vec<_> = files.iter().rev().map(remove).collect();
+        removed.into_iter().collect::<Result<()>>().map(|()| files.len())
     }
+}
+
+/// The versions that are not kept. Days are counted by the versions, not by the clock.
+fn superfluous(files: &[(Version, PathBuf)]) -> Vec<&Path> {
+    let (mut days, mut day) = (0, "");
+    let mut superfluous = Vec::new();
+    for (number, (version, path)) in files.iter().rev().enumerate() {
+        let is_last = std::mem::replace(&mut day, version.day()) != version.day();
+        days += usize::from(is_last);
+        if number >= KEPT && !(is_last && days <= DAYS) {
+            superfluous.push(path.as_path());
+        }
+    }
+    superfluous
 }
 
 /// The index of the subclass that a change is of.
@@ -420,7 +446,11 @@ impl Owner {
         };
         let told = match wish {
             Wish::Show => self.kept_text(&store),
-            Wish::Forget => format!("{} versions removed\n", store.forget(chip)?),
+            Wish::Forget => format!(
+                "{} versions removed; what the gauge itself still has is saved with the next look, unless another pack is \
+                 there or its profile is imported\n",
+                store.forget(chip)?
+            ),
             Wish::Restore(version) => self.restore_learned(&store, version, asked)?,
         };
         self.shared.publish(|published| published.learned = told.into());
@@ -742,9 +772,117 @@ mod tests {
             assert_eq!((newest, dropped.len()), (Some(Value::Int(15_000 + number as i64)), 0), "{time}");
         }
         let versions: Vec<_> = store.files(chip()).into_iter().map(|(version, _)| version.0).collect();
-        let expected = ["20261125T093000Z", "20261125T093001Z", "20990101T000000Z", "20990101T000001Z"];
+        let expected = ["20261125T093000Z", "20261125T094500Z", "20990101T000000Z", "20990101T001500Z"];
         assert_eq!(versions, expected);
         fs::remove_dir_all(folder).expect("it is there");
+    }
+
+    /// A store, and what saves a version with that Qmax at a time.
+    fn store(name: &str) -> (Learned, impl Fn(usize, Timestamp)) {
+        let store = Learned::new(folder(name), "i2c-1-55".into(), Some("A".into()));
+        let other = store.clone();
+        let save = move |number: usize, now: Timestamp| {
+            let qmax = 15_000 + number % 2;
+            let text = format!("chip = \"bq27441-g1\"\n[state]\nqmax-cell-0 = {qmax}\n");
+            let image = Image::parse(&text, Some(chip())).expect("an image");
+            assert_eq!(store.save(&image, now), Ok(true), "{number}");
+        };
+        (other, save)
+    }
+
+    fn time(text: &str) -> Timestamp {
+        text.parse().expect("a time")
+    }
+
+    fn names(store: &Learned) -> Vec<String> {
+        store.files(chip()).into_iter().map(|(version, _)| version.0).collect()
+    }
+
+    /// What is left of versions that were saved at these times, without a disk.
+    fn history(times: impl Iterator<Item = Timestamp>) -> Vec<String> {
+        let mut files: Vec<(Version, PathBuf)> = Vec::new();
+        for now in times {
+            let version = files.last().map_or(Some(Version::at(now)), |(last, _)| last.next(now));
+            let version = version.expect("time is left");
+            files.push((version.clone(), version.0.into()));
+            let gone: Vec<PathBuf> = superfluous(&files).into_iter().map(PathBuf::from).collect();
+            files.retain(|(_, path)| !gone.contains(path));
+        }
+        files.into_iter().map(|(version, _)| version.0).collect()
+    }
+
+    /// Whoever notices after weeks that something wrong was learned can go back.
+    #[test]
+    fn the_last_version_of_each_of_thirty_days_is_kept_beside_the_newest_ones() {
+        let at =
+            |day: i64, hour: i64| time("2026-11-01T00:30:00Z") + SignedDuration::from_hours(24 * day + hour);
+        let left = history((0..40 * 24).map(|hour| at(0, hour)));
+        let days = (10..39).map(|day| at(day, 23));
+        let newest = (14..24).map(|hour| at(39, hour));
+        let expected: Vec<_> = days.chain(newest).map(|time| Version::at(time).0).collect();
+        assert_eq!((left, expected.len()), (expected.clone(), KEPT + DAYS - 1));
+    }
+
+    /// As of a host without a clock of its own, and of one that was in the year 2099 once.
+    #[test]
+    fn days_pass_by_a_clock_that_stays_behind() {
+        for (first, ever_after) in [
+            ("2099-01-01T00:00:00Z", "2026-11-25T09:30:00Z"),
+            ("2026-11-25T09:30:00Z", "1970-01-01T00:01:00Z"),
+        ] {
+            let left = history([first].into_iter().chain([ever_after; 4000]).map(time));
+            let mut days: Vec<_> = left.iter().map(|name| &name[..8]).collect();
+            days.dedup();
+            assert!(days.len() == DAYS && left.len() < KEPT + DAYS, "{left:?}");
+        }
+    }
+
+    /// The host has lost its power between a new version and the end of the old ones, again and again.
+    #[test]
+    fn versions_that_should_have_been_removed_are_removed_with_the_next_one() {
+        let (store, save) = store("left");
+        let left =
+            |number: i64| Version::at(time("2026-11-20T09:30:00Z") + SignedDuration::from_mins(15 * number));
+        fs::create_dir_all(&store.folder).expect("a folder");
+        for number in 0..80 {
+            let name = format!("i2c-1-55-bq27441-g1-A-{}{SUFFIX}", left(number));
+            fs::write(store.folder.join(name), "half a").expect("a file");
+        }
+        save(0, time("2026-11-25T09:30:00Z"));
+        // 58 of them are of the first day.
+        assert_eq!(names(&store).len(), KEPT + 1);
+        assert_eq!(names(&store)[0], left(57).0);
+        fs::remove_dir_all(&store.folder).expect("it is there");
+    }
+
+    #[test]
+    fn regression_a_folder_named_like_a_version_kept_the_newest_from_being_forgotten() {
+        let (store, save) = store("forget");
+        for number in 0..3 {
+            save(number, time("2026-11-25T09:30:00Z") + SignedDuration::from_mins(15 * number as i64));
+        }
+        let like = |pack, time| format!("i2c-1-55-bq27441-g1-{pack}-{time}{SUFFIX}");
+        let others = [
+            like("A", "20261125T091500Z"),
+            like("A", "20261126T091500Z"),
+            like("B", "20261125T093000Z"),
+            like("A", "20261125"),
+            "notes.txt".into(),
+        ];
+        for name in &others {
+            let path = store.folder.join(name);
+            if name.contains("T091500Z") { fs::create_dir(path) } else { fs::write(path, "") }.expect("made");
+        }
+        assert_eq!(store.forget(chip()), Ok(3));
+        let mut left: Vec<_> = fs::read_dir(&store.folder)
+            .expect("a folder")
+            .map(|entry| entry.expect("an entry").file_name().into_string().expect("text"))
+            .collect();
+        let mut others = others.to_vec();
+        left.sort();
+        others.sort();
+        assert_eq!(left, others);
+        fs::remove_dir_all(&store.folder).expect("it is there");
     }
 
     #[test]
@@ -757,9 +895,20 @@ mod tests {
         {
             assert_eq!(Version::parse(text), None, "{text}");
         }
-        let next = |text| Version::parse(text).and_then(|version| version.next()).map(|version| version.0);
-        assert_eq!(next("20261231T235959Z").as_deref(), Some("20270101T000000Z"));
-        assert_eq!(next("99991230T220000Z"), None);
+        let next = |text, now: &str| {
+            let next = Version::parse(text).and_then(|version| version.next(now.parse().expect("a time")));
+            next.map(|version| version.0)
+        };
+        for (last, now, expected) in [
+            ("20261231T235959Z", "2026-12-31T23:59:59Z", "20270101T000000Z"),
+            ("20261231T235959Z", "2026-12-31T23:50:00Z", "20270101T000000Z"),
+            ("20261231T235959Z", "2027-01-01T00:00:05Z", "20270101T000005Z"),
+            ("20261231T235959Z", "1970-01-01T00:00:00Z", "20270101T001459Z"),
+            ("19700101T000000Z", "2026-12-31T23:59:59Z", "20261231T235959Z"),
+        ] {
+            assert_eq!(next(last, now).as_deref(), Some(expected), "{last} {now}");
+        }
+        assert_eq!(next("99991230T220000Z", "2026-12-31T23:59:59Z"), None);
     }
 
     #[test]
