@@ -288,7 +288,7 @@ impl Owner {
         let was_asleep =
             |(then, awake): (Duration, Instant)| now.saturating_sub(then) > awake.elapsed() + AWAKE;
         let is_watched = self.memory.is_watched(self.gauge.chip);
-        if is_watched && self.turned.is_some_and(was_asleep) {
+        if is_watched && (self.turned.is_some_and(was_asleep) || self.memory.is_look_due(now)) {
             self.schedule.hurry();
         }
         if let Some((submitted, request)) = request {

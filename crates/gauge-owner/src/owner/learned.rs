@@ -352,7 +352,10 @@ impl Owner {
         let published = self.shared.published();
         let is_shown = |snapshot: &super::Snapshot| snapshot.is_valid && snapshot.is_configured;
         let is_good = published.snapshot.as_deref().is_some_and(is_shown) && self.memory.is_kept();
-        let (Some(store), true) = (self.learned.clone(), is_good) else { return };
+        let (Some(store), true) = (self.learned.clone(), is_good) else {
+            self.memory.next_look = None;
+            return;
+        };
         let now = self.gauge.clock.now();
         let pause = if published.seal == Seal::Sealed { EVERY_SEALED } else { EVERY };
         if now < *self.memory.next_look.get_or_insert(now + FIRST) {
@@ -1182,6 +1185,31 @@ mod tests {
         rig.poll_after(FIRST);
         lose_power(&mut rig);
         assert_eq!(words(&mut rig), (15_432, 77));
+        fs::remove_dir_all(folder).expect("it is there");
+    }
+
+    #[test]
+    fn regression_a_gauge_that_is_polled_once_an_hour_had_its_first_look_after_an_hour() {
+        let folder = folder("hourly");
+        let mut rig = rig(&folder, Some("A"));
+        let store = rig.owner.learned.clone().expect("it was given");
+        rig.owner.shared.publish(|published| published.interval = Duration::from_secs(3600));
+        rig.poll_after(INTERVAL);
+        for (qmax, limit) in [(15_432, FIRST), (15_433, EVERY_SEALED)] {
+            learn_now(&mut rig, qmax);
+            let (begun, before) = (rig.clock.now(), store.files(chip()).len());
+            let polls = rig.transfers();
+            while store.files(chip()).len() == before {
+                // Nobody was asleep.
+                rig.owner.turned = None;
+                let pause = rig.owner.take_turn(None).expect("nobody ends it");
+                rig.clock.sleep(pause);
+                let took = rig.clock.now() - begun;
+                assert!(took < limit + Duration::from_secs(5), "{qmax}: {took:?}");
+            }
+            // It is not polled all the time for it.
+            assert!(rig.transfers() - polls < 300, "{}", rig.transfers() - polls);
+        }
         fs::remove_dir_all(folder).expect("it is there");
     }
 

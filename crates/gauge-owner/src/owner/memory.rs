@@ -117,6 +117,11 @@ impl Memory {
         chip.volatile == Some(0) && self.is_managed()
     }
 
+    /// Whether it is time for a look at what the gauge has learned.
+    pub(super) fn is_look_due(&self, now: Duration) -> bool {
+        self.next_look.is_some_and(|due| due <= now)
+    }
+
     /// Whether what data memory holds now is about to be replaced, or should be.
     pub(super) fn is_waited_for(&self) -> bool {
         matches!(self.loss, Loss::Owed { .. } | Loss::Stopped)
