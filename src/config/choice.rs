@@ -128,7 +128,7 @@ impl Options for ChoiceOptions {
             name: "pack-by-text",
             effect: Effect::Switch(|to, on| to.pack_by_text = on),
             doc: "The line is the name of the pack, such as a serial number",
-            more: "So each pack gets back what it has learned itself.",
+            more: "So each pack gets back what it has learned itself, at whichever bus and address it is.",
             at: IN_FILE,
             not_with: &["pack"],
             ..Opt::NEW

@@ -40,6 +40,8 @@ pub struct Learned {
     folder: PathBuf,
     key: String,
     pack: Option<String>,
+    /// The pack itself shows that name, wherever it is.
+    anywhere: bool,
     trusted: Option<u32>,
 }
 
@@ -93,7 +95,7 @@ impl fmt::Display for Version {
 impl Learned {
     /// What is learned at the place that `key` identifies, by a pack of that name.
     pub fn new(folder: PathBuf, key: String, pack: Option<String>) -> Self {
-        Self { folder, key, pack, trusted: None }
+        Self { folder, key, pack, anywhere: false, trusted: None }
     }
 
     /// Also believes versions of that account, as [`journal::Journal::trusting`] does.
@@ -104,7 +106,12 @@ impl Learned {
 
     /// What a pack of another name, or of none, learns there.
     pub(super) fn of_pack(self, pack: Option<String>) -> Self {
-        Self { pack, ..self }
+        Self { pack, anywhere: false, ..self }
+    }
+
+    /// What a pack learns that shows its name itself: it may have learned in other places, too.
+    pub(super) fn of_pack_anywhere(self, pack: Option<String>) -> Self {
+        Self { pack, anywhere: true, ..self }
     }
 
     /// The part of a file's name that tells packs apart. No pack has an empty name.
@@ -112,14 +119,16 @@ impl Learned {
         self.pack.as_deref().unwrap_or_default()
     }
 
-    /// The files of this place and part: the pack, the version, and where it is.
+    /// The files of this part in this place, or in all places: the pack, the version, and where it is.
     fn all(&self, chip: &Chip) -> impl Iterator<Item = (String, Version, PathBuf)> {
         let entries = fs::read_dir(&self.folder).into_iter().flatten().flatten();
-        let prefix = format!("{}-{}-", self.key, chip.name);
+        let infix = format!("-{}-", chip.name);
         entries.filter_map(move |entry| {
             let name = entry.file_name().into_string().ok()?;
             entry.file_type().is_ok_and(|kind| kind.is_file()).then_some(())?;
-            let (pack, time) = name.strip_suffix(SUFFIX)?.strip_prefix(&prefix)?.rsplit_once('-')?;
+            let (key, rest) = name.strip_suffix(SUFFIX)?.split_once(&infix)?;
+            (self.anywhere || key == self.key).then_some(())?;
+            let (pack, time) = rest.rsplit_once('-')?;
             Some((pack.to_string(), Version::parse(time)?, entry.path()))
         })
     }
@@ -855,6 +864,32 @@ mod tests {
         // 58 of them are of the first day.
         assert_eq!(names(&store).len(), KEPT + 1);
         assert_eq!(names(&store)[0], left(57).0);
+        fs::remove_dir_all(&store.folder).expect("it is there");
+    }
+
+    /// A device with two bays: the pack shows its serial number in either.
+    #[test]
+    fn a_pack_that_shows_its_name_takes_what_it_has_learned_along() {
+        let (store, save) = store("bays");
+        save(1, time("2026-11-25T09:30:00Z"));
+        let other = Learned::new(store.folder.clone(), "i2c-2-55".into(), None);
+        let of = |pack: &str| other.clone().of_pack_anywhere(Some(pack.into()));
+        let qmax = |store: &Learned| {
+            let (newest, _) = store.newest(chip(), None);
+            newest.map(|(_, image)| image.entries[0].value.clone())
+        };
+        assert_eq!(qmax(&of("A")), Some(Value::Int(15_001)));
+        assert_eq!(
+            (qmax(&of("B")), qmax(&of("")), qmax(&other.clone().of_pack(Some("A".into())))),
+            Default::default()
+        );
+        // What it learns there is newer.
+        let image = Image::parse("chip = \"bq27441-g1\"\n[state]\nqmax-cell-0 = 15002\n", Some(chip()));
+        let image = image.expect("an image");
+        assert_eq!(of("A").save(&image, time("2026-11-25T09:30:00Z")), Ok(true));
+        assert_eq!(qmax(&store.clone().of_pack_anywhere(Some("A".into()))), Some(Value::Int(15_002)));
+        assert_eq!(qmax(&store), Some(Value::Int(15_001)));
+        assert_eq!(of("A").forget(chip()), Ok(2));
         fs::remove_dir_all(&store.folder).expect("it is there");
     }
 

@@ -245,7 +245,10 @@ impl Owner {
             log::info!("{}: {why}", self.shared.name());
         }
         self.memory.profile = chosen.choice.profile.clone();
-        self.learned = self.learned.take().map(|learned| learned.of_pack(chosen.pack));
+        self.learned = self.learned.take().map(|learned| match chosen.choice.rule.pack_by_text {
+            true => learned.of_pack_anywhere(chosen.pack),
+            false => learned.of_pack(chosen.pack),
+        });
         self.memory.why = why;
         self.memory.chosen.learn(published.presence, ());
         Ok(())
