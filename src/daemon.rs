@@ -2,17 +2,19 @@
 
 //! The life of a mount: open the gauges, poll each once, mount, say so, wait for the end, unmount.
 
-use std::collections::{HashMap, HashSet};
+use std::collections::HashMap;
+use std::path::PathBuf;
 use std::sync::Arc;
 
 use nix::unistd::{getegid, geteuid};
 
 use crate::config::{GaugeOptions, MountOptions, Setup};
 use crate::error::{Cause, Error, Result};
-use crate::fs::{Access, Covered, Fs, Knobs, MountedGauge, Scales, free_name};
+use crate::fs::{Access, Covered, Fs, Knobs, MountedGauge, free_name};
 use crate::fuse;
 use crate::output::say;
 use gauge_bus::clock::{Clock, HurriedClock, RealClock};
+use gauge_owner::lock::Lock;
 use gauge_owner::{Handle, Opening, Ready, Signal};
 
 mod adapters;
@@ -83,35 +85,8 @@ pub(crate) fn run(setup: Setup, mode: Mode) -> Result<()> {
             say(format_args!("warning: {line}"));
         }
     };
-    let scales = names.iter().cloned().zip(gauges.iter().map(GaugeOptions::scales));
-    let mut scales: HashMap<String, Scales> = scales.collect();
-    let batteries = names.iter().zip(&gauges).filter(|(_, gauge)| gauge.kernel_node);
-    let batteries: HashSet<String> = batteries.map(|(name, _)| name.clone()).collect();
-    let named = names.into_iter().zip(gauges.iter().map(GaugeOptions::setup));
-    let gauges: Vec<Ready> = if configured {
-        let (gauges, lines) = opening.many(named.collect())?;
-        lines.iter().for_each(|line| warn(line));
-        gauges
-    } else {
-        named.map(|(name, gauge)| opening.one(name, gauge)).collect::<Result<_>>()?
-    };
-
-    let handles: Vec<Handle> = gauges.iter().map(|gauge| gauge.handle.clone()).collect();
-    let (mut entries, mut nodes, mut locks, mut logged) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
-    let mut wanted = Vec::new();
-    for (gauge, Ready { name, handle, sim, what, lock, node }) in (0..).zip(gauges) {
-        if batteries.contains(&name) {
-            node::check_chip(&name, handle.chip())?;
-            let interval = handle.published().interval;
-            wanted.push(node::Wanted { gauge, name: name.clone(), interval });
-        }
-        nodes.extend(node.map(|node| (node, handle.clone())));
-        logged.push((what, format!("{}/{name}", mountpoint.display())));
-        let scales = scales.remove(&name).unwrap_or_default();
-        let knobs = sim.map(|sim| Box::new(SimKnobs(sim)) as Box<dyn Knobs>);
-        entries.push(MountedGauge { name, handle, scales, knobs });
-        locks.push(lock);
-    }
+    let Gauges { entries, handles, nodes, batteries, locks, places } =
+        Gauges::open(&opening, names, &gauges, configured, &warn)?;
     entries.iter().flat_map(MountedGauge::warnings).for_each(|line| warn(&line));
     adapters::watch(nodes.into_iter());
     // What root mounts is root's, whoever serves it.
@@ -121,8 +96,8 @@ pub(crate) fn run(setup: Setup, mode: Mode) -> Result<()> {
     };
     let access = Access { uid, gid: mount.group.unwrap_or(gid), group: mount.group.is_some() };
     let tree = Arc::new(Fs::new(entries, access).with_mains(mains).overlay(covered));
-    let offer = (!wanted.is_empty()).then(node::Offer::new).transpose()?;
-    let batteries = offer.as_ref().map(|offer| offer.serve(&tree, &signal, wanted)).transpose()?;
+    let offer = (!batteries.is_empty()).then(node::Offer::new).transpose()?;
+    let batteries = offer.as_ref().map(|offer| offer.serve(&tree, &signal, batteries)).transpose()?;
     if let Some(offer) = offer.as_ref().filter(|_| mode != Mode::Service) {
         offer.plug()?;
     }
@@ -153,8 +128,8 @@ pub(crate) fn run(setup: Setup, mode: Mode) -> Result<()> {
             })?
         }
     };
-    for (what, place) in &logged {
-        ::log::info!("{what} mounted at {place}");
+    for (what, name) in &places {
+        ::log::info!("{what} mounted at {}/{name}", mountpoint.display());
     }
     match mode {
         Mode::Background => background::ready(&inherited)?,
@@ -168,11 +143,69 @@ pub(crate) fn run(setup: Setup, mode: Mode) -> Result<()> {
     shutdown.reach(Phase::Ending);
     mountpoint::unmake();
     let ended = finish(&handles);
-    for (_, place) in &logged {
-        ::log::info!("{place} unmounted");
+    for (_, name) in &places {
+        ::log::info!("{}/{name} unmounted", mountpoint.display());
     }
     drop(locks);
     ended
+}
+
+/// The gauges of a mount, opened and polled once, each list in their order.
+#[derive(Default)]
+struct Gauges {
+    entries: Vec<MountedGauge>,
+    handles: Vec<Handle>,
+    /// The nodes of adapters, and the gauges that are gone with them.
+    nodes: Vec<(PathBuf, Handle)>,
+    /// Those that are batteries of the kernel's as well.
+    batteries: Vec<node::Wanted>,
+    /// What keeps other processes out.
+    locks: Vec<Option<Lock>>,
+    /// What each is, and the name of its folder.
+    places: Vec<(String, String)>,
+}
+
+impl Gauges {
+    /// From a configuration file, gauges that do not answer are skipped.
+    fn open(
+        opening: &Opening,
+        names: Vec<String>,
+        options: &[GaugeOptions],
+        configured: bool,
+        warn: &dyn Fn(&str),
+    ) -> Result<Self> {
+        let options_of: HashMap<String, &GaugeOptions> = names.iter().cloned().zip(options).collect();
+        let named = names.into_iter().zip(options.iter().map(GaugeOptions::setup));
+        let ready: Vec<Ready> = if configured {
+            let (gauges, lines) = opening.many(named.collect())?;
+            lines.iter().for_each(|line| warn(line));
+            gauges
+        } else {
+            named.map(|(name, gauge)| opening.one(name, gauge)).collect::<Result<_>>()?
+        };
+        let mut all = Self::default();
+        for (gauge, ready) in (0..).zip(ready) {
+            let options = options_of[&ready.name];
+            all.add(gauge, ready, options)?;
+        }
+        Ok(all)
+    }
+
+    fn add(&mut self, gauge: u16, ready: Ready, options: &GaugeOptions) -> Result<()> {
+        let Ready { name, handle, sim, what, lock, node } = ready;
+        if options.kernel_node {
+            node::check_chip(&name, handle.chip())?;
+            let interval = handle.published().interval;
+            self.batteries.push(node::Wanted { gauge, name: name.clone(), interval });
+        }
+        self.nodes.extend(node.map(|node| (node, handle.clone())));
+        self.places.push((what, name.clone()));
+        self.handles.push(handle.clone());
+        let knobs = sim.map(|sim| Box::new(SimKnobs(sim)) as Box<dyn Knobs>);
+        self.entries.push(MountedGauge { name, handle, scales: options.scales(), knobs });
+        self.locks.push(lock);
+        Ok(())
+    }
 }
 
 /// The names of the gauges' folders. Gauges without a name get the first of BAT0, BAT1 ... that are free.
