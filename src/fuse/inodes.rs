@@ -515,10 +515,12 @@ impl<W> Inodes<W> {
         true
     }
 
-    /// Changes a nodeid's file time, because the kernel drops the bytes that it has when it sees another one.
+    /// Changes a nodeid's file time, because the kernel drops the bytes that it has when it sees another one. It asks for
+    /// them again then.
     pub(super) fn touch(&mut self, number: u64) {
         if let Some(inode) = self.live.get_mut(&number) {
             inode.since += Duration::from_nanos(1);
+            inode.is_read = false;
         }
     }
 }
@@ -788,6 +790,20 @@ mod tests {
         inodes.write_ends(written, bytes("2\n"), at(60_000));
         drop_resting(&mut inodes, 60_100);
         assert_eq!(inodes.live.len(), 2, "they are to be read now");
+    }
+
+    /// Somebody has set its times, for example: a reader that is slow then got ESTALE.
+    #[test]
+    fn regression_a_nodeid_whose_bytes_the_kernel_drops_rested_as_one_that_was_read() {
+        for sharing in [Sharing::Alone, THREAD] {
+            let mut inodes = inodes();
+            let number = inodes.enter(FILE, bytes("1\n"), sharing, at(0)).number;
+            inodes.served(number, 4096, at(0));
+            inodes.touch(number);
+            inodes.settle(number, at(10));
+            drop_resting(&mut inodes, 10 + IN_USE.as_millis() as u64 - 1);
+            assert!(inodes.get(number).is_some(), "{sharing:?}");
+        }
     }
 
     #[test]
