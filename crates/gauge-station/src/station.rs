@@ -611,7 +611,7 @@ impl Station {
         while !self.is_over()
             && self.wait(bench, slot, true, what)
             && self.may_begin(&bench.name, slot)
-            && self.take()
+            && take(&self.left)
         {
             if let Err(error) = self.record().check() {
                 self.failures.fetch_add(1, Ordering::SeqCst);
@@ -682,12 +682,6 @@ impl Station {
         is_right
     }
 
-    /// Takes one of the packs that may still be begun.
-    fn take(&self) -> bool {
-        let less = |left: u64| left.checked_sub(1);
-        self.left.fetch_update(Ordering::SeqCst, Ordering::SeqCst, less).is_ok()
-    }
-
     /// Waits until a pack is there, or none, and says what is to do for that. Returns whether that will ever be so.
     fn wait(&self, bench: &Bench, slot: &mut dyn Slot, there: bool, what: &str) -> bool {
         let (mut steady, mut told) = (0, false);
@@ -719,6 +713,18 @@ impl Station {
             slot.clock().sleep(LOOK);
         }
     }
+}
+
+/// Takes one of those that are left.
+fn take(left: &AtomicU64) -> bool {
+    let mut now = left.load(Ordering::SeqCst);
+    while let Some(less) = now.checked_sub(1) {
+        match left.compare_exchange(now, less, Ordering::SeqCst, Ordering::SeqCst) {
+            Ok(_) => return true,
+            Err(other) => now = other,
+        }
+    }
+    false
 }
 
 /// The line that people see.

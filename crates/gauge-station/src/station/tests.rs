@@ -22,7 +22,7 @@ use ti_gauge::{codec, text};
 
 use super::record::{Entry, Event};
 use super::target::Flash;
-use super::{Bench, Plan, STEADY, Scanner, Screen, Slot, Station, serial};
+use super::{Bench, Plan, STEADY, Scanner, Screen, Slot, Station, serial, take};
 use crate::error::Result;
 use crate::options::Options;
 use crate::setup::Setup;
@@ -236,10 +236,7 @@ impl File for Opened {
     }
 
     fn sync(&mut self) -> io::Result<()> {
-        let less = |left: u64| left.checked_sub(1);
-        if self.1.has_pass.load(Ordering::SeqCst)
-            && self.1.unsynced.fetch_update(Ordering::SeqCst, Ordering::SeqCst, less).is_ok()
-        {
+        if self.1.has_pass.load(Ordering::SeqCst) && take(&self.1.unsynced) {
             return Err(io::Error::from_raw_os_error(nix::libc::EIO));
         }
         self.1.call(|| Ok(()))
