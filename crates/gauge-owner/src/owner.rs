@@ -286,7 +286,8 @@ impl Owner {
         let next_poll = |owner: &Self| owner.schedule.due(owner.shared.published().interval);
         let now = self.gauge.clock.now();
         let was_asleep =
-            |(then, awake): (Duration, Instant)| now.saturating_sub(then) > awake.elapsed() + AWAKE;
+            // A sleep that stops no clock shows in a nap that was too long.
+            |(then, awake): (Duration, Instant)| now.saturating_sub(then) > awake.elapsed().min(NAP_OF_RAM) + AWAKE;
         let is_watched = self.memory.is_watched(self.gauge.chip);
         if is_watched && (self.turned.is_some_and(was_asleep) || self.memory.is_look_due(now)) {
             self.schedule.hurry();

@@ -918,6 +918,23 @@ mod tests {
         within("after ten minutes asleep");
     }
 
+    /// As where a processor that idles does not stop the clocks of the kernel.
+    #[test]
+    fn regression_a_loss_in_a_sleep_that_stopped_no_clock_was_found_with_the_next_poll() {
+        let mut rig = rig(Chip::by_name("bq27441-g1").expect("it has a table"), "");
+        rig.owner.shared.publish(|published| published.interval = Duration::from_secs(3600));
+        rig.poll_after(INTERVAL);
+        let asleep = Duration::from_secs(20);
+        rig.owner.turned = std::time::Instant::now().checked_sub(asleep).map(|then| (rig.clock.now(), then));
+        lose_power(&rig.sim);
+        rig.clock.sleep(asleep);
+        rig.owner.take_turn(None);
+        let mut flags = [0; 2];
+        rig.sim.bus().transfer(&[0x06], &mut flags).expect("it answers");
+        let lost = rig.handle.chip().volatile.expect("it has a flag");
+        assert_eq!(u16::from_le_bytes(flags) & lost, 0, "{}", rig.handle.published().last_error);
+    }
+
     /// A mount waits for the first polls, so that this is when its values are there.
     #[test]
     fn the_first_values_are_right_within_three_seconds_of_the_bus() {
