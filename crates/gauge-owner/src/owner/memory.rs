@@ -577,14 +577,17 @@ mod tests {
     #[test]
     fn what_the_gauge_has_learned_is_no_sign_of_a_loss() {
         let chip = Chip::by_name("bq27441-g1").expect("it has a table");
-        let mut rig = rig(chip, "qmax-cell-0 = 15000\n");
-        rig.sim.set_flash(82, 0, &17_000_u16.to_be_bytes());
-        rig.owner.memory.is_doubtful();
-        let before = rig.sim.flash();
-        for _ in 0..3 {
-            rig.poll_after(INTERVAL);
+        // The second one is the part's own, as after a loss.
+        for qmax in [17_000_u16, 16_384] {
+            let mut rig = rig(chip, "qmax-cell-0 = 15000\n");
+            rig.sim.set_flash(82, 0, &qmax.to_be_bytes());
+            rig.owner.memory.is_doubtful();
+            let before = rig.sim.flash();
+            for _ in 0..3 {
+                rig.poll_after(INTERVAL);
+            }
+            assert!(rig.sim.flash() == before, "{qmax}");
         }
-        assert!(rig.sim.flash() == before);
     }
 
     #[test]
@@ -665,8 +668,11 @@ mod tests {
         let folder = std::env::temp_dir().join(format!("gaugefs-memory-{}", std::process::id()));
         for (chip, lost) in parts().flat_map(|chip| [(chip, Lost::Gauge), (chip, Lost::Host)]) {
             let expected = chip.register(Role::ChargeFullDesign).map(|_| CAPACITY);
-            // A restoration has a hundred transfers.
-            let every = if std::env::var_os("GAUGEFS_ALL_FAULTS").is_some() { 1 } else { 23 };
+            // A restoration has a hundred transfers. Where no flag shows the loss of memory, only what the gauge holds tells what
+            // a host has left.
+            let is_told_by_values = matches!(lost, Lost::Host) && chip.volatile == Some(0);
+            let all = is_told_by_values || std::env::var_os("GAUGEFS_ALL_FAULTS").is_some();
+            let every = if all { 1 } else { 23 };
             for number in (1..).step_by(every) {
                 let left = Arc::new(AtomicU64::new(u64::MAX));
                 let journal = || Journal::new(folder.clone(), "i2c-1-55".into(), "i2c-1 address 0x55".into());
