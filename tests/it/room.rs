@@ -13,7 +13,9 @@ mod scratch;
 mod session;
 
 pub(crate) use abort::Abort;
-pub(crate) use apart::{apart, drop_copied_mounts, open_fuse};
+#[cfg(feature = "screen")]
+pub(crate) use apart::drop_copied_mounts;
+pub(crate) use apart::{apart, open_fuse};
 pub(crate) use commands::{
     CHIP, Foreground, Ran, as_nobody, can_mount, command, gaugefs, read, run, same_as_golden, shown, stop,
     users_can_mount, within,
