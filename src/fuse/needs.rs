@@ -11,6 +11,7 @@ use std::path::{Path, PathBuf};
 use fuser::{Config, Filesystem, MountOption, Session};
 use nix::errno::Errno;
 use nix::unistd::geteuid;
+use rustix::thread::{CapabilitySet, capabilities};
 
 use super::host;
 use crate::error::{Error, Result};
@@ -36,9 +37,10 @@ pub fn helper() -> Option<PathBuf> {
     }
 }
 
-/// Whether this user can mount: root by itself, others with fusermount3.
+/// Whether this process can mount: by itself, as root and as whoever has a user namespace, or with fusermount3.
 pub fn rights() -> Result<()> {
-    if geteuid().is_root() || helper().is_some() {
+    let is_able = capabilities(None).is_ok_and(|sets| sets.effective.contains(CapabilitySet::SYS_ADMIN));
+    if is_able || geteuid().is_root() || helper().is_some() {
         return Ok(());
     }
     let why = "not found, and only root can mount without it; install the package fuse3 (sudo apt-get install fuse3), or \
