@@ -619,34 +619,24 @@ mod tests {
     struct Ends {
         bus: SimBus,
         left: Arc<AtomicU64>,
+        /// How.
+        end: fn() -> BusError,
     }
 
     impl Bus for Ends {
         fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
             let left = self.left.load(Ordering::Relaxed);
             if left == 0 {
-                return Err(BusError::NoAck);
+                return Err((self.end)());
             }
             self.left.store(left.saturating_sub(1), Ordering::Relaxed);
             self.bus.transfer(write, read)
         }
     }
 
-    /// A bus of a host that is gone at a transfer: it does nothing any more, and takes no time for it.
-    struct Dies {
-        bus: SimBus,
-        left: Arc<AtomicU64>,
-    }
-
-    impl Bus for Dies {
-        fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
-            let left = self.left.load(Ordering::Relaxed);
-            if left == 0 {
-                resume_unwind(Box::new("the host is gone"));
-            }
-            self.left.store(left.saturating_sub(1), Ordering::Relaxed);
-            self.bus.transfer(write, read)
-        }
+    /// The host does nothing any more, and takes no time for it.
+    fn dies() -> BusError {
+        resume_unwind(Box::new("the host is gone"))
     }
 
     /// A bus on which each transfer takes a while.
@@ -680,7 +670,7 @@ mod tests {
                 let settings =
                     || Settings { profile: profile(chip, ""), journal: journal(), ..Settings::default() };
                 let mut rig = Rig::on(chip.name, settings(), Startup::default(), |bus| {
-                    Box::new(Ends { bus, left: left.clone() })
+                    Box::new(Ends { bus, left: left.clone(), end: || BusError::NoAck })
                 });
                 rig.start().expect("it answers");
                 rig.poll_after(INTERVAL);
@@ -750,7 +740,7 @@ mod tests {
             };
             let left = Arc::new(AtomicU64::new(u64::MAX));
             let mut rig = Rig::on(chip.name, settings(), Startup::default(), |bus| {
-                Box::new(Ends { bus, left: left.clone() })
+                Box::new(Ends { bus, left: left.clone(), end: || BusError::NoAck })
             });
             rig.start().expect("it answers");
             rig.poll_after(INTERVAL);
@@ -762,7 +752,7 @@ mod tests {
                 rig.poll_after(Duration::ZERO);
                 interrupted += u64::from(journal.path().exists());
                 left.store(u64::MAX, Ordering::Relaxed);
-                let bus = Box::new(Ends { bus: rig.sim.bus(), left: left.clone() });
+                let bus = Box::new(Ends { bus: rig.sim.bus(), left: left.clone(), end: || BusError::NoAck });
                 let clock = rig.clock.clone();
                 rig.direct = super::super::Direct::new(chip, bus, clock, settings(), Startup::default());
                 rig.clock.sleep(Duration::from_secs(3));
@@ -796,7 +786,7 @@ mod tests {
             let left = Arc::new(AtomicU64::new(u64::MAX));
             let lost = || {
                 let mut rig = Rig::on(chip.name, settings(), Startup::default(), |bus| {
-                    Box::new(Dies { bus, left: left.clone() })
+                    Box::new(Ends { bus, left: left.clone(), end: dies })
                 });
                 rig.start().expect("it answers");
                 rig.poll_after(INTERVAL);
@@ -849,7 +839,7 @@ mod tests {
             || Settings { profile: profile(chip, ""), journal: Some(journal.clone()), ..Settings::default() };
         let left = Arc::new(AtomicU64::new(u64::MAX));
         let mut rig = Rig::on(chip.name, settings(), Startup::default(), |bus| {
-            Box::new(Ends { bus, left: left.clone() })
+            Box::new(Ends { bus, left: left.clone(), end: || BusError::NoAck })
         });
         rig.start().expect("it answers");
         rig.poll_after(INTERVAL);
