@@ -178,8 +178,9 @@ impl Adapter {
 
     /// Gives the kernel bytes of a nodeid's value.
     fn serve(&self, number: u64, bytes: &[u8], offset: u64, size: u32, reply: ReplyData) {
-        reply.data(slice(bytes, offset, size));
+        // First the note: whoever is answered next may be told to drop these bytes.
         self.inodes().served(number, offset + u64::from(size), Now::read());
+        reply.data(slice(bytes, offset, size));
     }
 
     /// Handles a request. A panic in it is an error of this request, whose reply is dropped, which answers EIO; it is

@@ -35,8 +35,9 @@ const SETTLING: Duration = Duration::from_millis(50);
 /// [`RENEWAL_DELAY`] without asking, so that it asks before it uses one that rests.
 const IN_USE: Duration = RENEWAL_DELAY.saturating_mul(2);
 
-/// How long such a nodeid is in use if the kernel has been given the whole value, and asks for the name each time.
-const READ_THROUGH: Duration = Duration::from_millis(200);
+/// How long such a nodeid is in use if the kernel has been given the whole value, has nothing to drop of it, and asks for the
+/// name each time.
+const READ_THROUGH: Duration = Duration::from_secs(1);
 
 /// As many nodeids as this are in the table whether they are in use or not.
 const SPARE: usize = 128;
@@ -136,6 +137,9 @@ pub(super) struct Inode<W> {
     used: Instant,
     /// The kernel has been given the whole value.
     is_read: bool,
+    /// The kernel has been told to drop its bytes. Even if it has been given them again: the answer to another reader, which
+    /// says so too, may be on its way, and that reader then asks for them once more.
+    was_dropped: bool,
 }
 
 /// So many lookups that no number of them takes them back.
@@ -155,6 +159,7 @@ impl<W> Inode<W> {
             asked: (0, 0),
             used: now.instant,
             is_read: false,
+            was_dropped: false,
         }
     }
 
@@ -179,7 +184,8 @@ impl<W> Inode<W> {
 
     /// Whether nothing needs to be known of it.
     fn rests(&self, now: Now) -> bool {
-        let delay = if self.is_read && self.sharing != Sharing::All { READ_THROUGH } else { IN_USE };
+        let is_done = self.is_read && !self.was_dropped && self.sharing != Sharing::All;
+        let delay = if is_done { READ_THROUGH } else { IN_USE };
         self.is_idle() && now.instant >= self.used + delay
     }
 
@@ -194,11 +200,15 @@ impl<W> Inode<W> {
     fn shown(&self, number: u64, now: Now) -> Option<Shown> {
         let node = node(number)?;
         let ino = if self.sharing == Sharing::Alone { node.place().into() } else { number };
+        // One that is not shared may rest sooner, and whoever reads past the kernel's copy (O_DIRECT) has to ask before.
+        let most = if self.sharing == Sharing::All { RENEWAL_DELAY } else { READ_THROUGH / 2 };
         let valid = match self.superseded {
             _ if self.renewed.is_some() => Duration::ZERO,
             // Even if it is superseded at once, it is not renewed earlier.
-            None => RENEWAL_DELAY,
-            Some(_) => self.due().map_or(Duration::ZERO, |due| due.saturating_duration_since(now.instant)),
+            None => most,
+            Some(_) => {
+                self.due().map_or(Duration::ZERO, |due| due.saturating_duration_since(now.instant)).min(most)
+            }
         };
         Some(Shown { number, ino, node, size: self.value.size(), since: self.since, valid })
     }
@@ -294,7 +304,7 @@ impl<W> Inodes<W> {
     pub(super) fn wake(&mut self, number: u64, value: Value, sharing: Sharing, now: Now) {
         // The kernel may have the bytes that it showed before.
         let renewed = Some(now.instant);
-        let inode = Inode { lookups: UNKNOWN, renewed, ..Inode::new(value, sharing, now) };
+        let inode = Inode { lookups: UNKNOWN, renewed, was_dropped: true, ..Inode::new(value, sharing, now) };
         self.live.entry(number).or_insert(inode);
     }
 
@@ -461,7 +471,6 @@ impl<W> Inodes<W> {
     pub(super) fn renew(&mut self, number: u64, value: Value, now: Now) {
         let Some(inode) = self.live.get_mut(&number) else { return };
         inode.value = value;
-        inode.is_read = false;
         inode.superseded = None;
         inode.renewed = Some(now.instant);
         inode.used = now.instant;
@@ -520,7 +529,7 @@ impl<W> Inodes<W> {
     pub(super) fn touch(&mut self, number: u64) {
         if let Some(inode) = self.live.get_mut(&number) {
             inode.since += Duration::from_nanos(1);
-            inode.is_read = false;
+            inode.was_dropped = true;
         }
     }
 }
@@ -643,7 +652,7 @@ mod tests {
         let new = inodes.enter(FILE, bytes("10\n"), THREAD, at(5));
         assert_ne!(new.number, old.number);
         assert_eq!((new.size, new.since), (3, at(5).time));
-        assert_eq!(shown(&inodes, old.number, 5), Shown { valid: RENEWAL_DELAY, ..old });
+        assert_eq!(shown(&inodes, old.number, 5), old);
         assert_eq!(value(&inodes, old.number), &bytes("9\n"));
         // An old value that comes back gets a nodeid of its own.
         let again = inodes.enter(FILE, bytes("9\n"), THREAD, at(9));
@@ -792,15 +801,21 @@ mod tests {
         assert_eq!(inodes.live.len(), 2, "they are to be read now");
     }
 
-    /// Somebody has set its times, for example: a reader that is slow then got ESTALE.
+    /// Somebody has set its times, for example: a reader that is slow then got ESTALE. So did one of two whose answer the
+    /// kernel took up only after the other had read.
     #[test]
     fn regression_a_nodeid_whose_bytes_the_kernel_drops_rested_as_one_that_was_read() {
-        for sharing in [Sharing::Alone, THREAD] {
+        for (sharing, is_read_again) in
+            [Sharing::Alone, THREAD].into_iter().flat_map(|one| [(one, false), (one, true)])
+        {
             let mut inodes = inodes();
             let number = inodes.enter(FILE, bytes("1\n"), sharing, at(0)).number;
             inodes.served(number, 4096, at(0));
             inodes.touch(number);
             inodes.settle(number, at(10));
+            if is_read_again {
+                inodes.served(number, 4096, at(10));
+            }
             drop_resting(&mut inodes, 10 + IN_USE.as_millis() as u64 - 1);
             assert!(inodes.get(number).is_some(), "{sharing:?}");
         }
@@ -927,7 +942,7 @@ mod tests {
     #[test]
     fn attributes_are_not_valid_beyond_a_renewal() {
         let mut inodes = inodes();
-        let number = inodes.enter(FILE, bytes("1\n"), THREAD, at(0)).number;
+        let number = inodes.enter(FILE, bytes("1\n"), Sharing::All, at(0)).number;
         assert_eq!(shown(&inodes, number, 100).valid, RENEWAL_DELAY);
         inodes.retire(number, at(100));
         assert_eq!(shown(&inodes, number, 300).valid, RENEWAL_DELAY - Duration::from_millis(200));
@@ -936,10 +951,30 @@ mod tests {
         assert_eq!(shown(&inodes, number, 300).valid, Duration::ZERO);
     }
 
+    /// Whoever reads past the kernel's copy is answered only while it is in use.
+    #[test]
+    fn attributes_are_not_valid_for_longer_than_a_nodeid_that_was_read_is_in_use() {
+        for sharing in [Sharing::Alone, THREAD, Sharing::All] {
+            let mut inodes = inodes();
+            let number = inodes.enter(FILE, bytes("1\n"), sharing, at(0)).number;
+            inodes.served(number, 4096, at(0));
+            for is_superseded in [false, true] {
+                if is_superseded {
+                    inodes.retire(number, at(0));
+                }
+                let valid = shown(&inodes, number, 0).valid;
+                assert!(
+                    !inodes.live[&number].rests(Now { instant: at(0).instant + valid, ..at(0) }),
+                    "{sharing:?}"
+                );
+            }
+        }
+    }
+
     #[test]
     fn a_renewed_nodeid_has_a_new_time_for_each_reader_until_it_has_settled() {
         let mut inodes = inodes();
-        let number = inodes.enter(FILE, bytes("1\n"), THREAD, at(0)).number;
+        let number = inodes.enter(FILE, bytes("1\n"), Sharing::All, at(0)).number;
         let mut times = vec![shown(&inodes, number, 0).since];
         // The calendar's clock need not have advanced.
         inodes.renew(number, bytes("1\n"), at(0));
@@ -965,7 +1000,7 @@ mod tests {
         inodes.settle(number, at(701));
         assert_eq!(shown(&inodes, number, 701).valid, Duration::ZERO);
         inodes.settle(number, at(750));
-        assert_eq!(shown(&inodes, number, 750).valid, RENEWAL_DELAY);
+        assert_eq!(shown(&inodes, number, 750).valid, READ_THROUGH / 2);
     }
 
     #[test]
