@@ -275,6 +275,11 @@ mod tests {
     #[test]
     fn the_reports_of_the_tests_replay_and_are_evidence() {
         let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/reports");
+        // What crates.io has of this crate is without it.
+        if !folder.exists() {
+            eprintln!("SKIPPED: there is no {}", folder.display());
+            return;
+        }
         let (mut real, mut simulated) = (BTreeSet::new(), 0);
         for entry in fs::read_dir(&folder).expect("the folder") {
             let file = entry.expect("an entry").path();

@@ -249,20 +249,25 @@ fn is_confirmed(chip: &Chip) -> Result<bool> {
 }
 
 #[cfg(test)]
-#[allow(dead_code, reason = "the tests of the boot loader use the rest")]
-#[path = "../../crates/ti-gauge/tests/it/firmware.rs"]
-mod firmware;
-
-#[cfg(test)]
 mod tests {
     use std::sync::atomic::{AtomicBool, Ordering};
 
-    use super::firmware::{Style, content, file};
     use super::*;
     use gauge_bus::clock::SimClock;
-    use gauge_sim::Options;
+    use gauge_sim::{Options, firmware};
 
     const CHIP: &str = "bq34z100-g1";
+
+    /// Instruction and data flash of a whole file.
+    fn content(chip: &Chip) -> (Vec<[u8; 96]>, Vec<u8>) {
+        let file = chip.firmware_file.as_ref().expect("it has one");
+        firmware::named(chip.name, file.name, file.names[0]).expect("a boot loader")
+    }
+
+    fn file(chip: &Chip) -> String {
+        let (rows, data) = content(chip);
+        firmware::file(rows, data, firmware::Style::Row)
+    }
 
     /// Two simulated gauges, one after the other, at the same address.
     struct Exchanged {
@@ -299,7 +304,7 @@ mod tests {
         /// Runs a rescue with that gauge at the usual address, and answers the question with yes.
         fn rescue(&self, gauge: &Sim) -> Result<()> {
             let chip = Chip::by_name(CHIP).expect("a chip");
-            let firmware = Firmware::parse(&file(chip, Style::Row), chip).expect("a whole file");
+            let firmware = Firmware::parse(&file(chip), chip).expect("a whole file");
             let mut boot = self.left.bus_at(ROM_ADDRESS);
             let gauge = Box::new(gauge.bus());
             bring_back(&firmware, chip, gauge, &mut boot, &self.clock, ["a file", "a bus"], &|| Ok(true))
@@ -319,7 +324,7 @@ mod tests {
     #[test]
     fn a_gauge_that_comes_while_the_question_is_open_is_not_erased() {
         let chip = Chip::by_name(CHIP).expect("a chip");
-        let firmware = Firmware::parse(&file(chip, Style::Row), chip).expect("a whole file");
+        let firmware = Firmware::parse(&file(chip), chip).expect("a whole file");
         let bring = |packs: [&Sim; 2], clock: &Arc<dyn Clock>| {
             let is_second = Arc::new(AtomicBool::new(false));
             let at = |address| Exchanged {

@@ -56,6 +56,7 @@ mod device;
 mod envelope;
 mod error;
 mod fault;
+pub mod firmware;
 mod flash;
 mod flat;
 mod gauging;

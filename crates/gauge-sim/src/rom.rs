@@ -18,16 +18,16 @@ use super::random::Random;
 pub(super) const ROM_ADDRESS: u8 = 0x0B;
 
 /// Rows of instruction flash and of data flash, and their bytes.
-const ROWS: usize = 512;
+pub(super) const ROWS: usize = 512;
 const ROW: usize = 96;
-const DATA_ROWS: usize = 32;
-const DATA_ROW: usize = 32;
+pub(super) const DATA_ROWS: usize = 32;
+pub(super) const DATA_ROW: usize = 32;
 /// Bytes of data flash.
 pub(super) const DATA: usize = DATA_ROWS * DATA_ROW;
 /// The mark of valid firmware in row 0.
-const MARK: [u8; 3] = [0x54, 0x54, 0x15];
-const MARK_AT: usize = 15;
-const ERASED: [u8; 3] = [0xFF, 0xFF, 0x3F];
+pub(super) const MARK: [u8; 3] = [0x54, 0x54, 0x15];
+pub(super) const MARK_AT: usize = 15;
+pub(super) const ERASED: [u8; 3] = [0xFF, 0xFF, 0x3F];
 /// Offset of the version in row 0, the low byte first.
 const VERSION_AT: usize = 48;
 /// The values of 0x66: done; the magic word is wrong; the sum is wrong; not done yet. No source has the last one.
@@ -42,7 +42,7 @@ pub(super) type Row = [u8; ROW];
 /// The place of each class in the boot loader's data flash: class, index, length.
 pub(super) type Layout = &'static [(u16, usize, usize)];
 
-fn erased() -> Row {
+pub(super) fn erased() -> Row {
     std::array::from_fn(|at| ERASED[at % 3])
 }
 

@@ -375,7 +375,7 @@ type Recorded = (String, f64, Vec<(String, String)>);
 
 /// What `tests/record` has recorded of three gauges.
 fn recorded() -> Vec<Recorded> {
-    let text = include_str!("../../../../tests/it/images/recorded-three.csv");
+    let text = include_str!("recorded.csv");
     let mut reader = csv::Reader::from_reader(text.as_bytes());
     let titles = reader.headers().expect("a header").clone();
     let row = |record: csv::StringRecord| {

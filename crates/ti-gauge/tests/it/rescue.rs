@@ -8,13 +8,14 @@ use std::time::Duration;
 
 use gauge_bus::clock::{Clock, SimClock};
 use gauge_bus::{Bus, BusError, GAUGE_ADDRESS};
+use gauge_sim::firmware::{self, Writer};
 use gauge_sim::{Options, Sim};
 use ti_gauge::chip::{CHIPS, Chip};
 use ti_gauge::error::Cause;
 use ti_gauge::probe::ROM_ADDRESS;
 use ti_gauge::rom::{self, Firmware, Found};
 
-use crate::firmware::{Style, Writer, content, file, file_of};
+use crate::firmware::{Style, content, file};
 
 const STYLES: [Style; 2] = [Style::Row, Style::Word];
 
@@ -282,14 +283,14 @@ fn the_file_of_another_part_is_refused() {
     let (rows, mut data) = content(chip);
     let at = chip.firmware_file.as_ref().expect("it has one").name;
     data[at + 1..at + 12].copy_from_slice(b"bq27541-G1 ");
-    assert!(refused(&file_of(rows.clone(), data.clone(), Style::Row), chip).contains("bq27541"));
+    assert!(refused(&firmware::file(rows.clone(), data.clone(), Style::Row), chip).contains("bq27541"));
     // A name of the user's own is none of TI's.
     data[at + 1..at + 12].copy_from_slice(b"Our pack 12");
     let firmware =
-        Firmware::parse(&file_of(rows.clone(), data.clone(), Style::Row), chip).expect("a whole file");
+        Firmware::parse(&firmware::file(rows.clone(), data.clone(), Style::Row), chip).expect("a whole file");
     assert_eq!(firmware.name, "Our pack 12");
     data[at] = 0xFF;
-    assert!(refused(&file_of(rows, data, Style::Row), chip).contains("Device Name"));
+    assert!(refused(&firmware::file(rows, data, Style::Row), chip).contains("Device Name"));
     // What the head of the file expects of the gauge.
     let head = "W: AA 00 01 00\nC: AA 00 20 05\n";
     assert!(refused(&(head.to_string() + &file(chip, Style::Row)), chip).contains("0x0520"));

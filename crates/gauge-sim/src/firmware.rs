@@ -1,0 +1,130 @@
+// SPDX-License-Identifier: MIT
+
+//! Files with whole firmware of a simulated gauge, in the form of TI's tools (FlashStream): what a rescue from ROM mode
+//! is tried with.
+//!
+//! ```
+//! use gauge_sim::firmware::{self, Style};
+//!
+//! // The Device Name is at byte 736 of data flash there.
+//! let (rows, data) = firmware::named("bq34z100-g1", 736, "bq34z100-G1").expect("a part with a boot loader");
+//! let text = firmware::file(rows, data, Style::Row);
+//! assert!(text.starts_with("; "));
+//! ```
+
+use std::fmt::Write as _;
+use std::sync::Arc;
+
+use gauge_bus::clock::SimClock;
+
+use crate::rom::{DATA_ROW, DATA_ROWS, ERASED, MARK, MARK_AT, ROWS, erased};
+use crate::{Options, Sim};
+
+/// How a file writes the mark of valid firmware: with row 0 at the end, or alone.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Style {
+    /// Rows 1 and 0 last.
+    Row,
+    /// The mark's word alone, after every row.
+    Word,
+}
+
+/// A file that is being written, and what its commands take their bytes from.
+#[derive(Clone, Debug)]
+pub struct Writer {
+    /// The file so far.
+    pub text: String,
+    /// Instruction flash.
+    pub rows: Vec<[u8; 96]>,
+    /// Data flash.
+    pub data: Vec<u8>,
+}
+
+impl Writer {
+    /// A command with its sum, and the wait after it.
+    pub fn command(&mut self, bytes: &[u8], ms: u32) {
+        let hex = |bytes: &[u8]| bytes.iter().map(|byte| format!(" {byte:02X}")).collect::<String>();
+        let sum = bytes.iter().fold(0_u16, |sum, byte| sum.wrapping_add((*byte).into()));
+        // Writing to a String does not fail.
+        let _ = write!(self.text, "W: 16 00{}\nW: 16 64{}\nX: {ms}\n", hex(bytes), hex(&sum.to_le_bytes()));
+    }
+
+    /// A command that has to answer that it is done.
+    pub fn done(&mut self, bytes: &[u8], ms: u32) {
+        self.command(bytes, ms);
+        self.text += "C: 16 66 00\n";
+    }
+
+    /// Writes a row of instruction flash.
+    pub fn row(&mut self, row: usize) {
+        let [low, high] = (row as u16).to_le_bytes();
+        self.done(&[&[0x02, low, high, 0x00], &self.rows[row][..]].concat(), 2);
+    }
+
+    /// Compares the sum of instruction flash, of which these rows have been written.
+    pub fn sum(&mut self, written: &dyn Fn(usize) -> bool) {
+        let rows = (0..ROWS).map(|row| if written(row) { self.rows[row] } else { erased() });
+        let words: Vec<_> =
+            rows.flat_map(|row| row.chunks(3).map(<[u8]>::to_vec).collect::<Vec<_>>()).collect();
+        let sum = words
+            .iter()
+            .fold(0_u32, |sum, word| sum.wrapping_add(u32::from_le_bytes([word[0], word[1], word[2], 0])));
+        let [a, b, c, d] = sum.to_le_bytes();
+        self.command(&[0x05], 170);
+        let _ = writeln!(self.text, "C: 16 04 {a:02X} {b:02X} {c:02X} {d:02X}");
+    }
+
+    /// Erases data flash, writes it and compares its sum.
+    pub fn data(&mut self) {
+        self.done(&[0x0C, 0, 0, 0, 0x83, 0xDE], 200);
+        for row in 0..DATA_ROWS {
+            let bytes = self.data[row * DATA_ROW..][..DATA_ROW].to_vec();
+            self.done(&[&[0x0A, row as u8, 0, 0], &bytes[..]].concat(), 2);
+        }
+        let sum = self.data.iter().fold(0_u16, |sum, byte| sum.wrapping_add((*byte).into()));
+        let [low, high] = sum.to_le_bytes();
+        self.command(&[0x08], 2);
+        let _ = writeln!(self.text, "C: 16 04 {low:02X} {high:02X}");
+    }
+}
+
+/// Instruction and data flash of a new gauge, with a Device Name at that byte; `None` for a part whose boot loader is not
+/// simulated.
+pub fn named(part: &str, at: usize, name: &str) -> Option<(Vec<[u8; 96]>, Vec<u8>)> {
+    let sim = Sim::new(part, &Options::default(), Arc::new(SimClock::new())).ok()?;
+    let (rows, mut data) = sim.firmware()?;
+    data[at] = name.len() as u8;
+    data[at + 1..at + 1 + name.len()].copy_from_slice(name.as_bytes());
+    Some((rows, data))
+}
+
+/// The file that writes all of it: the keys and ROM_MODE, erased flash, every row, the mark last, and the way back.
+pub fn file(rows: Vec<[u8; 96]>, data: Vec<u8>, style: Style) -> String {
+    let text = "; exported\r\nW: AA 00 14 04\nW: AA 00 72 36\nW: AA 00 FF FF\nW: AA 00 FF FF\nX: 1000\n\
+                W: AA 00 00 0F\nX: 1000\n";
+    let mut out = Writer { text: text.into(), rows, data };
+    out.done(&[0x04, 0, 0, 0, 0x83, 0xDE], 200);
+    match style {
+        Style::Row => {
+            (2..ROWS).for_each(|row| out.row(row));
+            out.sum(&|row| row >= 2);
+            out.data();
+            out.row(1);
+            out.row(0);
+            out.sum(&|_| true);
+        }
+        Style::Word => {
+            let mark = out.rows[0][MARK_AT..MARK_AT + MARK.len()].to_vec();
+            out.rows[0][MARK_AT..MARK_AT + MARK.len()].copy_from_slice(&ERASED);
+            (0..ROWS).for_each(|row| out.row(row));
+            out.sum(&|_| true);
+            out.data();
+            out.sum(&|_| true);
+            out.done(&[&[0x01, 0, 0, 0x05], &mark[..]].concat(), 2);
+            out.rows[0][MARK_AT..MARK_AT + MARK.len()].copy_from_slice(&mark);
+            out.sum(&|_| true);
+        }
+    }
+    out.command(&[0x0F], 4000);
+    out.text
+}
