@@ -150,6 +150,7 @@ mod tests {
 
         /// Of a string, the bytes after its end may change.
         #[test]
+        #[cfg_attr(miri, ignore = "it tries so many values that it takes hours there")]
         fn what_is_decoded_encodes_to_the_same_value((kind, bytes) in stored()) {
             let value = decode(kind, &bytes);
             let again = encode(kind, &value).expect("a decoded value fits its type");
@@ -185,6 +186,7 @@ mod tests {
     }
 
     #[test]
+    #[cfg_attr(miri, ignore = "it tries so many values that it takes hours there")]
     fn every_f4_code_reads_back_to_itself() {
         for high in 0..=u16::MAX {
             let [exponent, mantissa] = high.to_be_bytes();

@@ -753,7 +753,8 @@ mod tests {
         let nothing = Entry { identity, machine: Some(machine), found: Seal::Sealed, plan: None };
         let entry = Entry { plan: Some(plan.clone()), ..nothing.clone() };
         assert_eq!(parse(&text), Some(entry));
-        for length in 0..text.len() {
+        // Under miri a parse takes a tenth of a second.
+        for length in (0..text.len()).step_by(if cfg!(miri) { 41 } else { 1 }) {
             let expected = (length >= head.len()).then(|| nothing.clone());
             assert_eq!(parse(&text[..length]), expected, "{length} bytes of it");
             // A page that never reached the disk reads as zeros.

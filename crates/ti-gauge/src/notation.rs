@@ -273,6 +273,7 @@ mod tests {
     }
 
     #[test]
+    #[cfg_attr(miri, ignore = "it tries so many values that it takes hours there")]
     fn every_number_of_every_chip_reads_back_as_it_is_shown() {
         proptest!(cases(24), |(bytes: [u8; 4], place in 0.0..=1.0)| {
             for parameter in parameters() {
@@ -295,6 +296,7 @@ mod tests {
     }
 
     #[test]
+    #[cfg_attr(miri, ignore = "it tries so many values that it takes hours there")]
     fn every_string_of_every_chip_reads_back_as_it_is_shown() {
         proptest!(cases(256), |(bytes in prop::collection::vec(any::<u8>(), 0..32), letters in prop::collection::vec(prop::sample::select(b"%02fF ".to_vec()), 0..32))| {
             for parameter in parameters().filter(|parameter| matches!(parameter.kind, Type::S(_))) {
@@ -350,6 +352,7 @@ mod tests {
     }
 
     #[test]
+    #[cfg_attr(miri, ignore = "it tries so many values that it takes hours there")]
     fn the_shortest_f4_reads_back_to_the_same_bytes() {
         proptest!(cases(2048), |(bytes: [u8; 4])| {
             let shown = render(Type::F4, &codec::decode(Type::F4, &bytes));

@@ -428,6 +428,7 @@ mod tests {
     }
 
     #[test]
+    #[cfg_attr(miri, ignore = "it tries so many values that it takes hours there")]
     fn what_is_shown_with_its_unit_is_read_again() {
         let config = ProptestConfig { cases: 24, failure_persistence: None, ..ProptestConfig::default() };
         proptest!(config, |(place in 0.0..=1.0)| {
