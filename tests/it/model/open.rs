@@ -246,10 +246,16 @@ impl Model {
             });
             // A pipe takes what the kernel has of the file, which may be less than all of it.
             if let Some(bytes) = self.check("sendfile from", &what, answer.map_err(of_io), expected) {
-                let length = bytes.len();
+                // With O_APPEND what was written stands behind the value that was there.
+                let line = bytes.iter().position(|&byte| byte == b'\n').map_or(0, |end| end + 1);
+                let value = if flags.contains(OFlags::APPEND) { line } else { 0 };
                 let written = self.open[at].written.as_deref().map(str::as_bytes);
-                if !written.is_some_and(|text| bytes.starts_with(text) || text.starts_with(&bytes)) {
-                    self.is_plausible(class, 0, length, &bytes, false);
+                let is_written = |bytes: &[u8]| {
+                    written.is_some_and(|text| bytes.starts_with(text) || text.starts_with(bytes))
+                };
+                let value = if is_written(&bytes[value..]) { &bytes[..value] } else { &bytes[..] };
+                if !value.is_empty() || bytes.is_empty() {
+                    self.is_plausible(class, 0, value.len(), value, false);
                 }
             }
             return;
