@@ -153,7 +153,8 @@ pub(crate) fn options(input: &[u8]) {
         }
         "poll" => {
             let accepted = accepts_gauge(option, value);
-            assert!(!accepted || real.is_some_and(|seconds| (0.5..=3600.0).contains(&seconds)));
+            let meant = real.or_else(|| seconds_of(value.trim()));
+            assert!(!accepted || meant.is_some_and(|seconds| (0.5..=3600.0).contains(&seconds)), "{meant:?}");
         }
         "current-scale" | "voltage-scale" | "energy-scale" => {
             let accepted = accepts_gauge(option, value);
@@ -184,6 +185,24 @@ fn is_decimal(value: &str) -> bool {
 
 fn is_address(value: &str) -> bool {
     is_decimal(value) || value.starts_with("0x") || value.starts_with("0X")
+}
+
+/// What a person reads in a time with its unit, such as `2min`.
+fn seconds_of(text: &str) -> Option<f64> {
+    let (number, unit) = text.split_at(text.find(char::is_alphabetic)?);
+    let number: f64 = number.trim_end().parse().ok()?;
+    let factor = match unit {
+        "s" => 1.0,
+        "min" => 60.0,
+        "h" => 3600.0,
+        "d" => 86_400.0,
+        "ks" => 1e3,
+        "ms" => 1e-3,
+        "us" | "µs" | "μs" => 1e-6,
+        "ns" => 1e-9,
+        _ => return None,
+    };
+    Some(number * factor)
 }
 
 /// Whether a gauge of a configuration may have an option with this text.
