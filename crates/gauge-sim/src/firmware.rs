@@ -20,6 +20,9 @@ use gauge_bus::clock::SimClock;
 use crate::rom::{DATA_ROW, DATA_ROWS, ERASED, MARK, MARK_AT, ROWS, erased};
 use crate::{Options, Sim};
 
+/// The mark of valid firmware in row 0.
+const MARK_WORD: std::ops::Range<usize> = MARK_AT..MARK_AT + MARK.len();
+
 /// How a file writes the mark of valid firmware: with row 0 at the end, or alone.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Style {
@@ -64,11 +67,11 @@ impl Writer {
     /// Compares the sum of instruction flash, of which these rows have been written.
     pub fn sum(&mut self, written: &dyn Fn(usize) -> bool) {
         let rows = (0..ROWS).map(|row| if written(row) { self.rows[row] } else { erased() });
-        let words: Vec<_> =
-            rows.flat_map(|row| row.chunks(3).map(<[u8]>::to_vec).collect::<Vec<_>>()).collect();
-        let sum = words
-            .iter()
-            .fold(0_u32, |sum, word| sum.wrapping_add(u32::from_le_bytes([word[0], word[1], word[2], 0])));
+        let of_row = |sum: u32, row: [u8; 96]| {
+            row.chunks(3)
+                .fold(sum, |sum, word| sum.wrapping_add(u32::from_le_bytes([word[0], word[1], word[2], 0])))
+        };
+        let sum = rows.fold(0, of_row);
         let [a, b, c, d] = sum.to_le_bytes();
         self.command(&[0x05], 170);
         let _ = writeln!(self.text, "C: 16 04 {a:02X} {b:02X} {c:02X} {d:02X}");
@@ -114,14 +117,14 @@ pub fn file(rows: Vec<[u8; 96]>, data: Vec<u8>, style: Style) -> String {
             out.sum(&|_| true);
         }
         Style::Word => {
-            let mark = out.rows[0][MARK_AT..MARK_AT + MARK.len()].to_vec();
-            out.rows[0][MARK_AT..MARK_AT + MARK.len()].copy_from_slice(&ERASED);
+            let mark = out.rows[0][MARK_WORD].to_vec();
+            out.rows[0][MARK_WORD].copy_from_slice(&ERASED);
             (0..ROWS).for_each(|row| out.row(row));
             out.sum(&|_| true);
             out.data();
             out.sum(&|_| true);
             out.done(&[&[0x01, 0, 0, 0x05], &mark[..]].concat(), 2);
-            out.rows[0][MARK_AT..MARK_AT + MARK.len()].copy_from_slice(&mark);
+            out.rows[0][MARK_WORD].copy_from_slice(&mark);
             out.sum(&|_| true);
         }
     }
