@@ -6,7 +6,7 @@
 //! SIGKILL ends the process that waits. So a child process makes the call, and is left behind if it does not
 //! return in time.
 
-use std::ffi::OsStr;
+use std::ffi::{CStr, OsStr};
 use std::fs;
 use std::io::{self, Read};
 use std::os::fd::AsFd;
@@ -29,6 +29,9 @@ use gaugefs_client::{Gauge, mounts};
 const LIMIT: Duration = Duration::from_secs(5);
 /// Longest output of a child, even with very many gauges.
 const LONGEST: usize = 4 << 20;
+
+/// The name of a process that looks. It ends by itself, so it is none that keeps a mount from being removed.
+pub(super) const NAME: &CStr = c"gaugefs-look";
 
 /// The findings of a look within its time limit.
 #[derive(Debug, Default)]
@@ -121,6 +124,8 @@ pub(crate) fn at(path: &Path) -> Result<Found> {
 /// In the child: prints the full path, whether its daemon is gone, and if they are asked for, the gauges there, each as
 /// soon as it is known.
 pub(crate) fn answer(path: &Path, gauges: bool) -> Result<()> {
+    // Before anything is open in the mount. Without a name it would be taken for any user of the mount, no more.
+    let _ = nix::sys::prctl::set_name(NAME);
     let tell = |word: &[u8]| print_file(&[word, &[0]].concat());
     let path = resolve(path)?;
     tell(path.as_os_str().as_bytes())?;

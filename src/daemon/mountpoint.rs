@@ -463,7 +463,8 @@ fn table() -> Result<Vec<Mount>> {
     mounts::all().map_err(|error| Error::io("/proc/self/mountinfo", "cannot read it", &error))
 }
 
-/// The processes that have something open there, as far as this user may see them, without this one.
+/// The processes that have something open there, as far as this user may see them, without this one and without those that
+/// look, which end by themselves.
 fn users(path: &Path) -> Vec<String> {
     let inside = |link: PathBuf| fs::read_link(link).is_ok_and(|target| target.starts_with(path));
     let processes = fs::read_dir("/proc").into_iter().flatten().flatten();
@@ -476,12 +477,15 @@ fn users(path: &Path) -> Vec<String> {
             let files = fs::read_dir(process.join("fd")).into_iter().flatten().flatten();
             inside(process.join("cwd")) || files.map(|file| file.path()).any(inside)
         });
-    let named = using.map(|process| {
+    let named = using.filter_map(|process| {
         let name = regular::read_text(&process.path().join("comm"), regular::SYSTEM).unwrap_or_default();
+        if name.trim().as_bytes() == look::NAME.to_bytes() {
+            return None;
+        }
         let number = process.file_name();
         let is_caller = number.to_str() == Some(&getppid().to_string());
         let caller = if is_caller { ", which has started this command" } else { "" };
-        format!("process {} ({}{caller})", number.display(), name.trim().escape_debug())
+        Some(format!("process {} ({}{caller})", number.display(), name.trim().escape_debug()))
     });
     named.collect()
 }

@@ -248,3 +248,33 @@ fn an_unmount_from_inside_the_mount_says_so() {
     assert!(!said.contains("(gaugefs)"), "{said}");
     gaugefs(&["umount", &at]).done();
 }
+
+/// Any `gaugefs list` or `doctor` looks into all mounts. It ends by itself, so it is nothing that a user could free.
+#[test]
+fn regression_a_look_at_a_mount_was_named_as_its_user() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let at = folder.file("m");
+    gaugefs(&["mount", "--sim", CHIP, &at]).done();
+    let inside = || Path::new(&at).join("BAT0");
+    // It waits as it is, because nobody reads what it says.
+    let (unread, said) = nix::unistd::pipe().expect("a pipe");
+    nix::fcntl::fcntl(&said, nix::fcntl::FcntlArg::F_SETPIPE_SZ(4096)).expect("a small pipe");
+    nix::unistd::write(&said, &[0; 4096]).expect("a full pipe");
+    let mut look = command(&["look", "--", &at]);
+    let mut look = look.current_dir(inside()).stdout(said).spawn().expect("a look");
+    let name = format!("/proc/{}/comm", look.id());
+    within(Duration::from_secs(10), "the name of a look", || {
+        fs::read_to_string(&name).is_ok_and(|name| name.trim() == "gaugefs-look")
+    });
+    let mut umount = command(&["umount", &at]);
+    umount.current_dir(inside());
+    let ran = run(umount);
+    look.kill().expect("it is there");
+    look.wait().expect("it ends");
+    drop(unread);
+    ran.failed(&["in use; try again after `cd`, from outside of it"]);
+    gaugefs(&["umount", &at]).done();
+}
