@@ -5,7 +5,7 @@
 
 use super::blocks::{arrange, old_bytes};
 use super::schemes::sequence;
-use super::state::read_word;
+use super::state::{once_measured, read_word};
 use super::window::locate;
 use super::window::{Dirty, Window};
 use super::{Change, DataFlash, Place};
@@ -347,7 +347,8 @@ pub(super) fn shut(gauge: &mut Gauge) -> Result<Option<Error>> {
     let limit = word(gate.limit)? as i16;
     let now = Setting::now(limit, gate.divider.map(&mut word).transpose()?.unwrap_or(1));
     // One reading may have a wrong bit.
-    let highest = read_word(gauge, voltage)?.max(read_word(gauge, voltage)?);
+    let twice = |gauge: &mut Gauge| Ok(read_word(gauge, voltage)?.max(read_word(gauge, voltage)?));
+    let highest = once_measured(gauge, twice, |&highest| highest)?;
     let remedy = || ": charge the pack, or raise the voltage at the gauge".into();
     let Some(shut) = now.shut(gate, highest.into(), remedy) else { return Ok(None) };
     let is_open = calibration_enabled(gauge)?;

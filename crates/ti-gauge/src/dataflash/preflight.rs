@@ -8,7 +8,7 @@
 use super::io::read_byte;
 use super::schemes::sequence;
 use super::session::Session;
-use super::state::{lost_flag, read_word};
+use super::state::{lost_flag, once_measured, read_word};
 use super::{Change, DataFlash, Outcome};
 use crate::chip::{Chip, Kind, Learning, Mode, Role, Word};
 use crate::error::{Cause, Error, Reason, Result, Step};
@@ -172,7 +172,11 @@ impl DataFlash {
     pub(super) fn first_look(&mut self, gauge: &mut Gauge, changes: &[Change]) -> Result<Found> {
         let moment = gauge.moment();
         self.confirm(gauge).map_err(|error| in_rom(gauge.chip, error))?;
-        let found = Found { moment, ..read_state(gauge)? };
+        let state = match needs_voltage(gauge.chip, changes) {
+            true => once_measured(gauge, read_state, |found| found.voltage_mv)?,
+            false => read_state(gauge)?,
+        };
+        let found = Found { moment, ..state };
         if self.check(gauge.chip, &found, changes).is_ok() {
             return Ok(found);
         }
@@ -305,11 +309,9 @@ impl DataFlash {
                 off(mode, word)?;
             }
         }
-        // Restoring a saved configuration to a gauge with RAM that lost power is harmless at any voltage.
-        let (voltage_mv, restored) = (found.voltage_mv, changes.iter().all(|change| change.saved));
         match chip.preflight.voltage_mv {
-            Some((min, max)) if !(min..=max).contains(&voltage_mv) && !restored => {
-                let reason = Reason::Supply { value: voltage_mv, least: min, greatest: max };
+            Some((min, max)) if !(min..=max).contains(&found.voltage_mv) && needs_voltage(chip, changes) => {
+                let reason = Reason::Supply { value: found.voltage_mv, least: min, greatest: max };
                 Err(Error::of("Voltage()", reason).of_register().at(Step::Check))
             }
             _ => Ok(()),
@@ -453,6 +455,12 @@ fn behind(chip: &Chip) -> usize {
     let modes = chip.preflight.modes.iter().filter_map(|mode| mode.word.register());
     let flags = chip.register(Role::Flags).filter(|_| chip.volatile.is_some()).map(|flags| flags.code);
     modes.chain(flags).fold(voltage(chip), u8::max).into()
+}
+
+/// Whether the voltage decides about a write. Restoring a saved configuration to a gauge with RAM that lost power is
+/// harmless at any.
+fn needs_voltage(chip: &Chip, changes: &[Change]) -> bool {
+    chip.preflight.voltage_mv.is_none() || !changes.iter().all(|change| change.saved)
 }
 
 /// Seal, voltage and flags, in the one read that the seal needs.

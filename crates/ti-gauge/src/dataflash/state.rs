@@ -14,6 +14,10 @@ use crate::value::Value;
 /// Between two looks at a register that is to show what data memory holds, and the time that it has for that.
 const COPY_POLL: Duration = Duration::from_millis(25);
 const COPIES: Duration = Duration::from_millis(500);
+/// How long Voltage() may be 0 after a reset, until the first measurement. SLUUAC9A, 2.4.6: nothing is valid before
+/// [INITCOMP].
+const FIRST_MEASUREMENT: Duration = Duration::from_secs(2);
+const MEASUREMENT_POLL: Duration = Duration::from_millis(50);
 
 pub(crate) fn read_word(gauge: &mut Gauge, word: Word) -> Result<u16> {
     match word {
@@ -24,6 +28,22 @@ pub(crate) fn read_word(gauge: &mut Gauge, word: Word) -> Result<u16> {
             gauge.read(code, &mut bytes)?;
             Ok(u16::from_le_bytes(bytes))
         }
+    }
+}
+
+/// Looks at a voltage, again while the gauge has measured none: that is no flat battery's.
+pub(super) fn once_measured<T>(
+    gauge: &mut Gauge,
+    look: impl Fn(&mut Gauge) -> Result<T>,
+    voltage_mv: impl Fn(&T) -> u16,
+) -> Result<T> {
+    let end = gauge.clock.now() + FIRST_MEASUREMENT;
+    loop {
+        let seen = look(gauge)?;
+        if voltage_mv(&seen) != 0 || gauge.clock.now() >= end {
+            return Ok(seen);
+        }
+        gauge.wait(MEASUREMENT_POLL);
     }
 }
 

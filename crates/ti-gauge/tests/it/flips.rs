@@ -385,6 +385,9 @@ fn a_wrong_bit_does_not_prove_a_key() {
             rig.read(80, 53).expect_err(&fault);
             assert!(!rig.gauge.key_is_proven(), "{fault}");
             assert_eq!(rig.sim.get("seal").as_deref(), Some("sealed"), "{fault}");
+            // One that has worked would be tried for ever, as on a disturbed bus.
+            let error = rig.read(80, 53).expect_err("the key is wrong");
+            assert_eq!(cause(&error), "not-permitted", "{fault}: {error}");
         }
     }
 }

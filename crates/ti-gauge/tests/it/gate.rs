@@ -87,6 +87,26 @@ fn finished_pack() -> Rig {
     rig
 }
 
+/// Voltage() is 0 until the gauge has measured.
+#[test]
+fn regression_a_write_right_after_a_reset_was_refused_as_one_of_a_flat_pack() {
+    for (chip, id, offset, values) in
+        [("bq34z100-g1", 80, 53, ["3100", "3200"]), ("bq27441-g1", 82, 10, ["1400", "1500"])]
+    {
+        let mut rig = Rig::new(chip);
+        rig.sim.set("first_ms", "2000").expect("a knob");
+        for value in values {
+            let outcome = rig.write(id, offset, value);
+            assert!(matches!(outcome, Ok(Outcome::Written { .. })), "{chip}: {value}: {outcome:?}");
+        }
+    }
+    // One that never measures any is not waited for without an end.
+    let mut rig = at("bq34z100-g1", "0");
+    let begun = rig.clock.now();
+    refused(&mut rig, &[((80, 53), "3100")], "not-now", &["measures 0 mV"]);
+    assert!(rig.clock.now() - begun < Duration::from_secs(4));
+}
+
 #[test]
 fn a_divider_that_would_shut_flash_is_refused() {
     // Voltage() would be 385 mV.

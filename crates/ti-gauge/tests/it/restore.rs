@@ -212,6 +212,27 @@ fn regression_a_full_disk_kept_a_gauge_from_its_profile() {
     }
 }
 
+#[test]
+fn a_profile_does_not_wait_for_the_first_measurement() {
+    for &(chip, values) in PARTS {
+        let time = |first_ms: &str| {
+            let mut rig = Rig::new(chip);
+            rig.sim.set("first_ms", first_ms).expect("a knob");
+            rig.sim.set("power", "off").expect("a knob");
+            rig.sim.set("power", "on").expect("a knob");
+            rig.dataflash.forget();
+            while rig.gauge.seal().is_err() {
+                rig.clock.sleep(Duration::from_millis(10));
+            }
+            let begun = rig.clock.now();
+            let outcome = rig.restore(&changes(chip, values));
+            assert!(matches!(outcome, Ok(Outcome::Written { .. })), "{chip}: {first_ms} ms: {outcome:?}");
+            rig.clock.now() - begun
+        };
+        assert_eq!(time("60000"), time("0"), "{chip}");
+    }
+}
+
 /// One fault at each transfer. Success is said only of what is there, and the next attempt succeeds.
 #[test]
 fn a_fault_at_any_transfer_of_a_restore_causes_no_false_success() {
