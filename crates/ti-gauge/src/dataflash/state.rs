@@ -40,7 +40,7 @@ pub(super) fn once_measured<T>(
     let end = gauge.clock.now() + FIRST_MEASUREMENT;
     loop {
         let seen = look(gauge)?;
-        if voltage_mv(&seen) != 0 || gauge.clock.now() >= end {
+        if voltage_mv(&seen) != 0 || !gauge.may_try_until(end) {
             return Ok(seen);
         }
         gauge.wait(MEASUREMENT_POLL);
