@@ -34,7 +34,6 @@ use gauge_owner::lock::Lock;
 use gauge_owner::{Opened, Source};
 use gauge_sim::Sim;
 use gaugefs_client::mounts;
-use gaugefs_host::signals;
 use ti_gauge::probe::ROM_ADDRESS;
 
 mod caller;
@@ -238,14 +237,6 @@ impl Drop for Panel {
             say(error);
         }
     }
-}
-
-/// Signals that end the server.
-const SIGNALS: [Signal; 3] = [Signal::SIGTERM, Signal::SIGINT, Signal::SIGHUP];
-
-/// Blocks these signals. To be called before any thread is started, which then inherits them as blocked.
-pub(crate) fn block() -> Result<SigSet> {
-    signals::block(&SIGNALS)
 }
 
 /// Serves the bus at a path until it is unmounted, or a signal ends it.

@@ -26,10 +26,11 @@ use rustix::thread::{
     CapabilitySet, CapabilitySets, capabilities, configure_capability_in_ambient_set, set_capabilities,
 };
 
-use super::{SIGNALS, SOURCE, setting};
+use super::{SOURCE, setting};
 use crate::error::{Error, Result};
 use crate::fuse::single;
 use crate::output::say;
+use gaugefs_host::signals;
 
 /// The first number that is tried: adapters of the kernel count from 0.
 const FIRST: u32 = 90;
@@ -64,7 +65,7 @@ pub(crate) fn become_command(number: Option<u32>, command: &[OsString]) -> Resul
         let _ = fs::metadata(&node);
     }
     // The server has blocked them, and a process inherits that.
-    SIGNALS.into_iter().collect::<SigSet>().thread_unblock().map_err(failed)?;
+    signals::ends().into_iter().collect::<SigSet>().thread_unblock().map_err(failed)?;
     Ok(not_run(command, &Command::new(&command[0]).args(&command[1..]).exec()))
 }
 

@@ -125,12 +125,18 @@ impl Program {
     }
 }
 
-/// The first signal ends the station when the present packs are done, the second one ends it at once.
+/// A signal ends the station when the present packs are done. A second one ends it at once, but for a hangup: a terminal that
+/// closes sends several.
 fn watch_signals(stops: Arc<AtomicBool>, tell: impl Fn(&str) + Send + 'static) -> Result<()> {
-    let signals = signals::block(&[Signal::SIGTERM, Signal::SIGINT])?;
+    let signals = signals::block()?;
     thread::spawn(move || {
-        while signals.wait().is_ok() {
-            if stops.swap(true, Ordering::SeqCst) {
+        let mut is_told = false;
+        while let Ok(signal) = signals.wait() {
+            stops.store(true, Ordering::SeqCst);
+            if signal == Signal::SIGHUP {
+                continue;
+            }
+            if std::mem::replace(&mut is_told, true) {
                 lock::remove_all();
                 std::process::exit(1);
             }
@@ -150,7 +156,7 @@ fn on_screen(
     (title, slots): (String, &[String]),
 ) -> Result<ExitCode> {
     // Before there is a thread that would take them.
-    let signals = signals::block(&[Signal::SIGTERM, Signal::SIGINT])?;
+    let signals = signals::block()?;
     let (board, shown) = Board::show(title, slots, stops.clone(), lock::remove_all)?;
     let stopped = stops.clone();
     let told = board.clone();

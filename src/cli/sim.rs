@@ -16,6 +16,7 @@ use crate::output::is_standard_output;
 use gauge_bus::GAUGE_ADDRESS;
 use gauge_bus::clock::{Clock, RealClock};
 use gauge_owner::{Script, Source};
+use gaugefs_host::signals;
 use ti_gauge::chip::Chip;
 use ti_gauge::text;
 
@@ -95,7 +96,7 @@ pub(super) struct Inside {
 impl Sim {
     pub(super) fn run(self) -> Result<ExitCode> {
         let (chips, path) = self.parts()?;
-        let signals = bus::block()?;
+        let signals = signals::block()?;
         let cuse = self.cuse.as_ref().map(|name| Cuse::open(name, self.state.as_deref())).transpose()?;
         let vhci = self.device.then(|| Vhci::plug(self.state.as_deref())).transpose()?;
         let gauges = self.gauges(&chips)?;

@@ -11,6 +11,7 @@ use std::fs;
 use std::io::{self, Read};
 use std::os::fd::AsFd;
 use std::os::unix::ffi::OsStrExt;
+use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf, absolute};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
@@ -149,7 +150,9 @@ pub(crate) fn answer(path: &Path, gauges: bool) -> Result<()> {
 /// limit.
 pub(super) fn run(command: &mut Command, limit: Duration) -> io::Result<Option<(bool, String)>> {
     let end = Instant::now() + limit;
-    let mut child = command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped()).spawn()?;
+    let command = command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped());
+    // A terminal that is closed sends signals to the whole group, and again while the mount is being removed.
+    let mut child = command.process_group(0).spawn()?;
     let (bytes, late) = child.stderr.take().map(|err| read(err, end)).unwrap_or_default();
     if late {
         stop(&mut child, late);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! Ending a mount by SIGTERM or SIGINT, according to how far it has come.
+//! Ending a mount by a signal, according to how far it has come.
 
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError, mpsc};
@@ -37,7 +37,7 @@ pub(super) struct Shutdown(Arc<Mutex<Phase>>);
 impl Shutdown {
     /// Starts the thread that handles signals. To be called before any other thread is started.
     pub(super) fn watch() -> Result<Self> {
-        let signals = signals::block(&[Signal::SIGTERM, Signal::SIGINT])?;
+        let signals = signals::block()?;
         let phase = Arc::new(Mutex::default());
         let watched = Arc::clone(&phase);
         let watch = move || {

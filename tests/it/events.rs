@@ -116,8 +116,8 @@ impl Events {
         within(LONG, words, || fs::read_to_string(&self.err).expect("text").contains(words));
     }
 
-    fn ends(mut self) -> Option<i32> {
-        kill(Pid::from_raw(self.child.id() as i32), Signal::SIGTERM).expect("it runs");
+    fn ends(mut self, signal: Signal) -> Option<i32> {
+        kill(Pid::from_raw(self.child.id() as i32), signal).expect("it runs");
         self.child.wait().expect("a child").code()
     }
 }
@@ -189,7 +189,7 @@ fn listeners_hear_of_changes_and_of_each_way_in_which_a_mount_ends() {
     daemon.send(Signal::SIGCONT);
     listener.hears(ADDED);
     // The command itself ends.
-    assert_eq!(events.ends(), Some(0));
+    assert_eq!(events.ends(Signal::SIGHUP), Some(0));
     listener.hears(REMOVED);
     gaugefs(&["umount", SUPPLIES]).done();
 }
@@ -213,7 +213,7 @@ fn a_supply_is_told_twice_a_second_at_most() {
         }
     }
     assert!((1..=2 * start.elapsed().as_secs() + 2).contains(&heard), "{heard} in {:?}", start.elapsed());
-    assert_eq!(events.ends(), Some(0));
+    assert_eq!(events.ends(Signal::SIGTERM), Some(0));
     drop(daemon);
     gaugefs(&["umount", SUPPLIES]).done();
 }

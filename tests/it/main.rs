@@ -18,6 +18,7 @@ mod events;
 #[path = "../../crates/ti-gauge/tests/it/firmware.rs"]
 mod firmware;
 mod forgetful;
+mod hangup;
 mod house;
 mod input;
 mod keys;

@@ -16,7 +16,6 @@ use std::time::{Duration, Instant};
 
 use clap::Args;
 use nix::errno::Errno;
-use nix::sys::signal::Signal;
 use nix::sys::socket::{
     AddressFamily, MsgFlags, NetlinkAddr, SockFlag, SockProtocol, SockType, connect, send, socket,
 };
@@ -95,7 +94,7 @@ impl From<Look> for Event {
 
 /// Reports the signals that end the process.
 fn await_end(sender: Sender<Event>) -> Result<()> {
-    let ends = signals::block(&[Signal::SIGTERM, Signal::SIGINT, Signal::SIGHUP])?;
+    let ends = signals::block()?;
     let wait = move || {
         // It cannot fail: the set is valid.
         let _ = ends.wait();

@@ -45,6 +45,10 @@ pub(super) fn start(
             }
         };
         let outcome = show(terminal, &board, &lines, &ends, leaves);
+        // A terminal that is gone may also fail while it is drawn to, and nobody would hear a question.
+        if outcome.is_err() {
+            board.stops.store(true, Ordering::SeqCst);
+        }
         ratatui::try_restore().map_err(|error| failed(&error))?;
         outcome
     };

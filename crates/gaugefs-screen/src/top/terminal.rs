@@ -17,7 +17,7 @@ use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use nix::sys::signal::{Signal, raise};
 use ratatui::backend::CrosstermBackend;
 use ratatui::{DefaultTerminal, Terminal};
-use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM, SIGTSTP};
+use signal_hook::consts::SIGTSTP;
 
 use super::draw;
 use super::history::seconds;
@@ -25,6 +25,7 @@ use super::model::{Action, Model};
 use gauge_bus::clock::{Clock, RealClock};
 use gaugefs_client::watch::Watch;
 use gaugefs_host::error::{Error, Result};
+use gaugefs_host::signals;
 
 /// The longest delay until a report or a signal is noticed.
 pub(crate) const STEP: Duration = Duration::from_millis(100);
@@ -40,8 +41,8 @@ pub(crate) fn failed(error: &io::Error) -> Error {
 pub(super) fn run(watch: Watch, every: Duration) -> Result<()> {
     let ends = Arc::new(AtomicBool::new(false));
     let stops = Arc::new(AtomicBool::new(false));
-    for signal in [SIGTERM, SIGINT, SIGHUP] {
-        signal_hook::flag::register(signal, ends.clone()).map_err(|error| failed(&error))?;
+    for signal in signals::ends() {
+        signal_hook::flag::register(signal as i32, ends.clone()).map_err(|error| failed(&error))?;
     }
     signal_hook::flag::register(SIGTSTP, stops.clone()).map_err(|error| failed(&error))?;
     let left = watch_terminal(ends.clone())?;
