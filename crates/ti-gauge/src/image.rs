@@ -164,7 +164,7 @@ fn check_count(text: &str, written: Option<usize>, found: usize, what: &str) -> 
         Some(count) if count != found => {
             Err(cut_short(format_args!("its first lines announce {count} {what}, but it has {found}")))
         }
-        Some(_) if !text.ends_with('\n') => Err(cut_short("its last line has no end")),
+        Some(_) if !text.ends_with(['\r', '\n']) => Err(cut_short("its last line has no end")),
         _ => Ok(()),
     }
 }

@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 
 use ti_gauge::chip::{CHIPS, Kind, Subclass};
 use ti_gauge::codec;
-use ti_gauge::image::{Format, Image, Raw, flashstream, ggcsv, toml};
+use ti_gauge::image::{Entry, Format, Image, Raw, flashstream, ggcsv, toml};
 use ti_gauge::value::Value;
 
 pub(crate) fn toml(input: &[u8]) {
@@ -15,6 +15,15 @@ pub(crate) fn toml(input: &[u8]) {
 
 pub(crate) fn ggcsv(input: &[u8]) {
     check(input, Format::GgCsv);
+    let Some(image) = Image::examine("pack.gg.csv", input, Some(CHIPS[0])).image else { return };
+    let is_enclosed = |text: &[u8]| text.len() > 1 && text.starts_with(b"\"") && text.ends_with(b"\"");
+    let has_bytes = input.to_ascii_lowercase().windows(3).any(|letters| letters == b"raw");
+    for Entry { value, .. } in &image.entries {
+        assert!(
+            has_bytes || !matches!(value, Value::Text(text) if is_enclosed(text)),
+            "quotes are in an image"
+        );
+    }
 }
 
 pub(crate) fn flashstream(input: &[u8]) {
@@ -55,7 +64,7 @@ fn reads_back(image: &Image, format: Format) {
         return;
     }
     // A character that a terminal could act on is written as `_`, and FlashStream leaves out what is unproven.
-    let is_compared = |entry: &&ti_gauge::image::Entry| {
+    let is_compared = |entry: &&Entry| {
         let plain = !matches!(&entry.value, Value::Text(_)) || entry.text() == plain(&entry.value);
         plain && !(format == Format::FlashStream && entry.parameter.unproven)
     };

@@ -3,6 +3,9 @@
 //! An image as bqStudio's gg.csv: header lines that begin with `*`, the last of which names the columns, then
 //! one line for each parameter.
 
+mod rows;
+mod spreadsheet;
+
 use super::{Entry, Faults, Group, Image, NAMED, Reading, at_line, check_count, chip_of, cut_short, word};
 use crate::chip::{Chip, FLAT, Kind, Parameter, Range, Subclass, kebab_case};
 use crate::codec;
@@ -34,6 +37,10 @@ const COLUMNS: [&str; 18] = [
 ];
 /// Where a flat address space begins, from which bqStudio counts its offsets.
 const FLAT_BASE: u16 = 0x4000;
+/// The header line that names the columns.
+const ORDER_LINE: &str = "Field Order:";
+/// The columns that every file has.
+const NEEDED: [&str; 4] = ["class-name", "subclass-name", "parameter-name", "parameter-value"];
 /// The header line that names the chip: bqStudio's own lines do not distinguish all chips.
 const CHIP_LINE: &str = "gaugefs chip";
 /// The header line with the number of rows: the format has no mark at its end.
@@ -43,7 +50,7 @@ const COUNT_LINE: &str = "gaugefs parameters";
 pub fn write(image: &Image) -> String {
     let rows: Vec<[String; 18]> =
         image.entries.iter().map(|entry| row(entry.subclass, entry.parameter, &entry.value)).collect();
-    // The format has no quoting; if a value contains a comma, the columns are separated by tabs.
+    // Not every reader knows quotes: if a value contains a comma, the columns are separated by tabs.
     let tabs = rows.iter().flatten().any(|field| field.contains(','));
     let (comma, gap) = if tabs { ("\t", "\t") } else { (",", ", ") };
     let chip = image.chip;
@@ -56,7 +63,7 @@ pub fn write(image: &Image) -> String {
     text += &format!("* {COUNT_LINE} {}\n", rows.len());
     text += &format!("*\n* Field Order: {}\n", COLUMNS.join(gap));
     for row in rows {
-        text += &(row.join(comma) + "\n");
+        text += &(row.map(|field| rows::quoted(&field)).join(comma) + "\n");
     }
     text
 }
@@ -121,17 +128,24 @@ pub fn parse(text: &str, told: Option<&'static Chip>) -> Result<Image> {
 /// Reads a gg.csv as far as it goes, and lists all its mistakes.
 pub(super) fn read(text: &str, told: Option<&'static Chip>, faults: &mut Faults) -> Option<Image> {
     let (mut named, mut device_type, mut firmware, mut count) = (None, None, None, None);
-    let mut order: Option<(char, Vec<String>)> = None;
+    let mut order: Option<Vec<String>> = None;
     let mut rows = Vec::new();
-    for (number, line) in (1..).zip(text.lines()) {
-        let Some(head) = line.trim_start().strip_prefix('*').map(str::trim) else {
-            if order.is_none() && line.trim_start().starts_with('[') {
+    let comma = rows::separator(text.split_once(ORDER_LINE).map_or("", |(_, names)| names));
+    for row in rows::rows(text, comma) {
+        let number = row.number;
+        let fields = match row.fields {
+            Ok(fields) => fields,
+            Err(why) => {
+                faults.at(number, why);
+                continue;
+            }
+        };
+        let Some(head) = fields[0].trim().strip_prefix('*').map(str::trim) else {
+            if order.is_none() && fields[0].starts_with('[') {
                 let why = "a .gg file in sections has neither units nor formats; export it as .gg.csv";
                 return faults.stop(number, at_line(number, why));
             }
-            if !line.trim().is_empty() {
-                rows.push((number, line));
-            }
+            rows.push((number, fields));
             continue;
         };
         if let Some(name) = head.strip_prefix(CHIP_LINE) {
@@ -156,9 +170,19 @@ pub(super) fn read(text: &str, told: Option<&'static Chip>, faults: &mut Faults)
                 Some([high, low] | [high, low, _]) => firmware = Some(u16::from_be_bytes([*high, *low])),
                 _ => faults.at(number, "Firmware Version: not two or three numbers"),
             }
-        } else if let Some(fields) = head.strip_prefix("Field Order:") {
-            let comma = if fields.contains('\t') { '\t' } else { ',' };
-            order = Some((comma, fields.split(comma).map(kebab_case).collect()));
+        } else if let Some(first) = head.strip_prefix(ORDER_LINE) {
+            let names = std::iter::once(first).chain(fields[1..].iter().map(String::as_str));
+            let mut names: Vec<String> = names.map(kebab_case).collect();
+            // A spreadsheet makes all rows as long as the longest.
+            while names.pop_if(|name| name.is_empty()).is_some() {}
+            if let Some(missing) = NEEDED.iter().find(|name| !names.iter().any(|known| known == *name)) {
+                let why = format!(
+                    "no column `{missing}`; `* {ORDER_LINE}` names the columns, with commas, semicolons or tabs \
+                     between them"
+                );
+                return faults.stop(number, at_line(number, why));
+            }
+            order = Some(names);
         }
     }
     if let (Some(named), Some(told)) = (named, told)
@@ -170,14 +194,12 @@ pub(super) fn read(text: &str, told: Option<&'static Chip>, faults: &mut Faults)
     let chip = chip_of(named.or(told), device_type, firmware);
     // What is wrong with a line that names it is said already.
     let chip = if faults.is_empty() { faults.keep(0, chip) } else { chip.ok() }?;
-    let Some((comma, order)) = order else {
-        let why = "no line `* Field Order:`, which names the columns";
+    let Some(order) = order else {
+        let why = format!("no line `* {ORDER_LINE}`, which names the columns");
         return faults.stop(1, at_line(1, why));
     };
     faults.keep(0, check_count(text, count, rows.len(), "parameters"));
-    let cut = rows
-        .last()
-        .filter(|(_, line)| !text.ends_with(['\n', '\r']) && line.split(comma).count() < order.len());
+    let cut = rows.last().filter(|(_, fields)| !text.ends_with(['\n', '\r']) && fields.len() < order.len());
     let cut = cut.map(|(number, _)| *number);
     if let Some(number) = cut {
         let why = format!("the last line has fewer fields than the header names ({})", order.len());
@@ -186,16 +208,15 @@ pub(super) fn read(text: &str, told: Option<&'static Chip>, faults: &mut Faults)
     let mut image = Image::new(chip, firmware);
     image.names_chip = named.is_some() || device_type.is_some();
     let mut unknown = Vec::new();
-    for (number, line) in rows.into_iter().filter(|(number, _)| cut != Some(*number)) {
-        let fields: Vec<&str> = line.split(comma).map(str::trim).collect();
-        if fields.iter().skip(order.len()).any(|field| !field.is_empty()) {
+    for (number, fields) in rows.into_iter().filter(|(number, _)| cut != Some(*number)) {
+        if fields.iter().skip(order.len()).any(|field| !field.trim().is_empty()) {
             let why = format!("{} fields, but the header names {}", fields.len(), order.len());
             faults.at(number, why);
             continue;
         }
         let field = |name: &str| {
             let at = order.iter().position(|column| column == name)?;
-            fields.get(at).copied()
+            fields.get(at).map(String::as_str)
         };
         match add_row(&mut image, number, &field) {
             Ok(None) => {}
@@ -240,17 +261,20 @@ fn add_row<'a>(
         image.leave_out(number, format_args!("{}: a key; left out", parameter.name), Some(Group::Keys));
         return Ok(None);
     }
-    if shown.is_empty() && !matches!(parameter.kind, Type::S(_)) {
+    let is_string = matches!(parameter.kind, Type::S(_));
+    if shown.trim().is_empty() && !is_string {
         return Ok(None);
     }
     let bad = |why: String| at_line(number, format!("{}: {why}", parameter.name));
-    if let Some(formula) = field("write-formula").filter(|formula| !matches!(*formula, "" | "x" | "X")) {
+    let formula = field("write-formula").map(str::trim);
+    if let Some(formula) = formula.filter(|formula| !matches!(*formula, "" | "x" | "X")) {
         return Err(bad(format!(
             "its value is converted by the formula {formula}, which gaugefs does not support"
         )));
     }
-    let format = field("display-format").unwrap_or_default();
-    let unit = field("display-units").or(field("units")).filter(|_| field("display-format").is_none());
+    let format = field("display-format").unwrap_or_default().trim();
+    let unit = field("display-units").or(field("units")).map(str::trim);
+    let unit = unit.filter(|_| field("display-format").is_none());
     let Some(decimals) = unit.map_or_else(|| Some(decimals(format)), |unit| short_form(parameter, unit))
     else {
         let (name, unit, stored) = (parameter.name, unit.unwrap_or_default(), parameter.unit);
@@ -260,43 +284,87 @@ fn add_row<'a>(
         image.leave_out(number, format_args!("{name}: {why}"), None);
         return Ok(None);
     };
-    let hexadecimal = match parameter.kind {
-        Type::H(_) => !format.starts_with(['d', 'D']),
-        _ => format.starts_with(['h', 'H']),
-    };
-    if let Type::S(_) = parameter.kind {
-        let value = string(parameter, shown, field("data-flash-raw-value"));
+    let bytes = field("data-flash-raw-value").unwrap_or_default().trim();
+    let raw = text::unhex(bytes.as_bytes()).filter(|raw| raw.len() == parameter.kind.size());
+    let raw = raw.map(|raw| codec::decode(parameter.kind, &raw));
+    if is_string {
+        if shown.contains('_') && raw.is_none() && !bytes.is_empty() {
+            let why = "its bytes in Data Flash Raw Value are damaged, and _ may stand for any of them";
+            return Err(bad(why.into()));
+        }
+        let value = string(parameter, shown, raw);
         let value = value.map_err(|error| error.within(&format!("line {number}")))?;
         image.add(subclass, parameter, value, number);
         return Ok(None);
     }
-    let text = match parameter.kind {
-        Type::F4 => shown.to_string(),
-        _ if hexadecimal => format!("0x{}", shown.strip_prefix("0x").unwrap_or(shown)),
-        _ => unscaled(shown, decimals).ok_or_else(|| {
-            let format = if format.is_empty() { unit.unwrap_or_default() } else { format };
-            bad(format!("`{shown}` does not match the format {format}"))
-        })?,
+    let shown = shown.trim();
+    let is_raw = |value: &Value| raw.as_ref() == Some(value);
+    let value = match raw {
+        // The format shows fewer digits than are stored.
+        Some(Value::Float(stored)) if format!("{stored:.decimals$}") == shown => Value::Float(stored),
+        _ => {
+            let text = plain_number(parameter.kind, shown, format, decimals).map_err(|why| {
+                bad(why.unwrap_or_else(|| {
+                    let format = if format.is_empty() { unit.unwrap_or_default() } else { format };
+                    format!("`{shown}` does not match the format {format}")
+                }))
+            })?;
+            let value = notation::parse_stored(parameter, text.as_bytes());
+            value.map_err(|error| error.within(&format!("line {number}")))?
+        }
     };
-    let value = notation::parse_stored(parameter, text.as_bytes());
-    let value = value.map_err(|error| error.within(&format!("line {number}")))?;
+    let has_point = decimals > 0 || parameter.kind == Type::F4;
+    if let Some(stored) = raw.as_ref().filter(|_| has_point && !is_raw(&value))
+        && spreadsheet::has_lost_its_point(shown, &notation::render(parameter.kind, stored))
+    {
+        let why =
+            "a spreadsheet has removed the point from it; empty its Data Flash Raw Value if it is right";
+        return Err(bad(why.into()));
+    }
     image.add(subclass, parameter, value, number);
     Ok(None)
 }
 
+/// The text of a number as [`notation::parse_stored`] takes it, or why there is none, if that is not its format.
+fn plain_number(kind: Type, shown: &str, format: &str, decimals: usize) -> Result<String, Option<String>> {
+    if let Some(why) = spreadsheet::trace(shown) {
+        return Err(Some(why.into()));
+    }
+    if shown.contains(',') {
+        return Err(Some("a comma in a number; write a decimal point, and nothing between thousands".into()));
+    }
+    let hexadecimal = match kind {
+        Type::H(_) => !format.starts_with(['d', 'D']),
+        _ => format.starts_with(['h', 'H']),
+    };
+    match kind {
+        Type::F4 => Ok(shown.to_string()),
+        _ if hexadecimal => Ok(format!("0x{}", shown.strip_prefix("0x").unwrap_or(shown))),
+        _ => unscaled(shown, decimals).ok_or(None),
+    }
+}
+
 /// A string as it was written: by the bytes of the row where these are what is shown, otherwise by what is shown, which
-/// somebody has edited.
-fn string(parameter: &Parameter, shown: &str, raw: Option<&str>) -> Result<Value> {
-    let raw = raw.and_then(|raw| text::unhex(raw.as_bytes()));
-    let raw = raw.filter(|raw| raw.len() == parameter.kind.size());
-    if let Some(Value::Text(string)) = raw.map(|raw| codec::decode(parameter.kind, &raw))
-        && notation::shown(&string).trim() == shown
-    {
-        return Ok(Value::Text(string));
+/// somebody has edited. A spreadsheet has not edited it.
+fn string(parameter: &Parameter, shown: &str, raw: Option<Value>) -> Result<Value> {
+    let bad = |why: &'static str| Err(Error::new(parameter.name, Cause::Invalid, why));
+    if let Some(Value::Text(stored)) = raw {
+        let text = notation::shown(&stored);
+        if text.trim() == shown.trim() {
+            return Ok(Value::Text(stored));
+        }
+        if spreadsheet::is_number_of(shown, &text) {
+            return bad(
+                "a spreadsheet has made a number of it; empty its Data Flash Raw Value if it is right",
+            );
+        }
+    }
+    if let Some(why) = spreadsheet::trace(shown) {
+        return bad(why);
     }
     if !shown.bytes().all(|byte| (b' '..=b'~').contains(&byte)) {
         let why = "only printable ASCII is accepted here; other bytes are in the column Data Flash Raw Value";
-        return Err(Error::new(parameter.name, Cause::Invalid, why));
+        return bad(why);
     }
     notation::string(parameter, shown.into())
 }
@@ -429,6 +497,133 @@ mod tests {
             let values: Vec<_> = image.entries.iter().map(|entry| entry.text()).collect();
             assert_eq!((values, image.left_out.len()), (vec!["4173".to_string()], 0), "{unit}");
         }
+    }
+
+    const ORDER: &str = "* Field Order: Class name, SubClass name, Parameter name, Parameter Value, Data Type, Display \
+                         Format, Write Formula, Data Flash Raw Value";
+
+    #[test]
+    fn regression_a_quote_around_a_string_was_written_to_the_gauge() {
+        let rows = [
+            ["Configuration", "Data", "Manufacturer Name", "ACME", "S", "s", "x", ""],
+            ["Configuration", "Data", "Device Name", "Pack, \"7\"", "S", "s", "x", ""],
+            ["Gas Gauging", "IT Cfg", "Cell Terminate Voltage", "3100", "I", "dddd", "x", "0c1c"],
+        ];
+        let quoted = rows.map(|row| row.map(|field| format!("\"{}\"", field.replace('"', "\"\""))).join(","));
+        let names = ORDER.split(": ").nth(1).expect("names").replace(", ", "\",\"");
+        for order in [ORDER, &format!("\"* Field Order: {names}\""), &format!("* Field Order: \"{names}\"")] {
+            let (entries, _) = entries(&format!("{order}\n{}\n", quoted.join("\n"))).expect("an image");
+            let values: Vec<_> = entries.into_iter().map(|(_, value, _)| value).collect();
+            assert_eq!(values, ["ACME", "Pack, %227%22", "3100"], "{order}");
+        }
+    }
+
+    /// A file as another program saves it: how it quotes, separates, ends lines, and what it does to the header.
+    fn resaved(text: &str, quotes: csv::QuoteStyle, comma: char, end: &str, header_too: bool) -> String {
+        let rows = rows::rows(text, rows::separator(text.split_once(ORDER_LINE).expect("it has one").1));
+        let width = COLUMNS.len();
+        let mut saved = String::new();
+        for row in rows {
+            let mut fields = row.fields.expect("a row");
+            if fields[0].starts_with('*') && !header_too {
+                saved += &(fields.join(&comma.to_string()) + end);
+                continue;
+            }
+            // All rows of a spreadsheet have the same length.
+            fields.resize(width, String::new());
+            let mut writer = csv::WriterBuilder::new();
+            let mut writer = writer.quote_style(quotes).delimiter(comma as u8).from_writer(Vec::new());
+            writer.write_record(&fields).expect("memory is written to");
+            let bytes = writer.into_inner().expect("memory is written to");
+            saved += &(String::from_utf8(bytes).expect("text").trim_end_matches('\n').to_string() + end);
+        }
+        saved
+    }
+
+    #[test]
+    fn a_file_is_read_however_another_program_has_saved_it() {
+        for chip in crate::chip::CHIPS {
+            let image = super::super::tests::defaults(chip);
+            let text = write(&image);
+            for (quotes, comma, end, header_too) in [
+                (csv::QuoteStyle::Always, ',', "\r\n", false),
+                (csv::QuoteStyle::Always, ',', "\n", true),
+                (csv::QuoteStyle::Necessary, ';', "\r\n", true),
+                (csv::QuoteStyle::Always, '\t', "\r", true),
+                (csv::QuoteStyle::Necessary, '\t', "\n", true),
+                (csv::QuoteStyle::Necessary, ',', "\r", true),
+            ] {
+                let saved = resaved(&text, quotes, comma, end, header_too);
+                let marked = format!("\u{feff}{saved}");
+                let wide: Vec<u8> = marked.encode_utf16().flat_map(u16::to_le_bytes).collect();
+                let swapped: Vec<u8> = marked.encode_utf16().flat_map(u16::to_be_bytes).collect();
+                for bytes in [saved.as_bytes(), marked.as_bytes(), &wide, &swapped] {
+                    let again = Image::read("pack.gg.csv", bytes, None);
+                    let again = again.unwrap_or_else(|error| panic!("{}: {error}\n{saved}", chip.name));
+                    assert!(again.left_out.is_empty(), "{:?}", again.left_out);
+                    let compared = image.compare(&again, &[]).expect("one chip");
+                    let differences: Vec<_> = compared.differences.iter().map(ToString::to_string).collect();
+                    assert!(differences.is_empty() && compared.only_first.is_empty(), "{differences:?}");
+                }
+            }
+        }
+    }
+
+    /// A value of a row, or why there is none.
+    fn value_of(row: &str) -> String {
+        match entries(&format!("{ORDER}\n{row}\n")) {
+            Ok((entries, _)) => entries.into_iter().map(|(_, value, _)| value).collect(),
+            Err(error) => error.to_string(),
+        }
+    }
+
+    #[test]
+    fn what_a_spreadsheet_has_changed_is_refused_with_the_cause() {
+        let gain = codec::encode(Type::F4, &Value::Float(5.006)).expect("it fits");
+        let gain = format!("Calibration,Data,CC Gain,5006,F,f.fff,x,{}", text::hex(&gain));
+        for (row, says) in [
+            ("Configuration,Data,Device Name,\"ACME", "line 2: a quote that is opened is never closed"),
+            ("Configuration,Data,Device Name,\"AC\"ME,S,s,x,", "line 2: text behind a closing quote"),
+            ("Configuration,Data,Device Name,\"\"\"ACME\"\"\",S,s,x,", "it is in quotes"),
+            ("Configuration,Data,Device Name,'ACME',S,s,x,", "it is in quotes"),
+            ("Configuration,Data,Device Name,1-Mar,S,s,x,", "made a date of it"),
+            ("Configuration,Data,Device Name,1.00E+10,S,s,x,", "rounded it"),
+            ("Configuration,Data,Device Name,7,S,s,x,033030370000000000000000", "made a number of it"),
+            ("Configuration,Data,Device Name,_CME,S,s,x,4.41E+10", "_ may stand for any of them"),
+            ("Configuration,Registers,Pack Configuration,1.20E+04,H,hhhh,x,12e3", "rounded it"),
+            ("Configuration,Registers,Pack Configuration,####,H,hhhh,x,12e3", "column is too narrow"),
+            ("Gas Gauging,IT Cfg,Cell Terminate Voltage,\"3,100\",I,dddd,x,", "a comma in a number"),
+            ("Gas Gauging,IT Cfg,Cell Terminate Voltage,311,I,dd.d,x,0137", "removed the point"),
+            (&gain, "removed the point"),
+            ("Calibration,Data,CC Delta,5.60E+05,F,f.fff,x,", "rounded it"),
+        ] {
+            let told = value_of(row);
+            assert!(told.contains(says) && told.starts_with("line 2: "), "{row}: {told}");
+        }
+        // A person has edited these.
+        for (row, value) in [
+            ("Configuration,Data,Device Name,ACME 2,S,s,x,0441434d4500000000000000", "ACME 2"),
+            ("Configuration,Data,Device Name,\"\"\"A\"\"\",S,s,x,032241220000000000000000", "%22A%22"),
+            ("Gas Gauging,IT Cfg,Cell Terminate Voltage,310,I,dddd,x,0c1c", "310"),
+            ("Gas Gauging,IT Cfg,Cell Terminate Voltage,3.2,I,d.ddd,x,0c1c", "3200"),
+        ] {
+            assert_eq!(value_of(row), value, "{row}");
+        }
+        let whole = format!("\"{ORDER}\"\n\"Gas Gauging,IT Cfg,Cell Terminate Voltage,3100\"\n");
+        let error = entries(&whole).expect_err("a line in one field").to_string();
+        assert!(error.starts_with("line 1: no column `class-name`; `* Field Order:` names"), "{error}");
+    }
+
+    /// A format shows three decimals, and the gauge stores more.
+    #[test]
+    fn a_number_that_is_shown_rounded_is_read_from_its_bytes() {
+        let gain = 0.010_123_4_f64;
+        let bytes = codec::encode(Type::F4, &Value::Float(gain)).expect("it fits");
+        let row = |shown: &str| {
+            value_of(&format!("Calibration,Data,CC Gain,{shown},F,f.fff,x,{}", text::hex(&bytes)))
+        };
+        assert_eq!(row("0.010"), notation::render(Type::F4, &codec::decode(Type::F4, &bytes)));
+        assert_eq!(row("0.011"), "0.011");
     }
 
     #[test]

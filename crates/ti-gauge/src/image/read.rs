@@ -2,6 +2,7 @@
 
 //! Reads a file of any format, which its first line shows.
 
+use std::borrow::Cow;
 use std::path::Path;
 
 use gauge_bus::regular;
@@ -36,8 +37,7 @@ impl Image {
             faults.add(0, Error::new("", Cause::Invalid, why));
             return Reading { image: None, faults };
         }
-        // Tools use other encodings in comments and units, which are not needed here.
-        Self::examine_text(&String::from_utf8_lossy(bytes), chip)
+        Self::examine_text(&decoded(bytes), chip)
     }
 
     /// Reads the text of a file. Its first line shows which format it has. A file without any parameter is refused,
@@ -89,6 +89,19 @@ impl Image {
     }
 }
 
+/// The text of a file. Tools use other encodings in comments and units, which are not needed here; a spreadsheet also saves
+/// UTF-16.
+fn decoded(bytes: &[u8]) -> Cow<'_, str> {
+    let units = |word: fn([u8; 2]) -> u16| -> Vec<u16> {
+        bytes[2..].chunks_exact(2).map(|pair| word([pair[0], pair[1]])).collect()
+    };
+    match bytes {
+        [0xff, 0xfe, ..] => String::from_utf16_lossy(&units(u16::from_le_bytes)).into(),
+        [0xfe, 0xff, ..] => String::from_utf16_lossy(&units(u16::from_be_bytes)).into(),
+        _ => String::from_utf8_lossy(bytes),
+    }
+}
+
 /// Whether these bytes are no text in any encoding that tools write, as those of a .dfi. UTF-16 begins with a mark.
 fn is_binary(bytes: &[u8]) -> bool {
     let is_utf16 = bytes.starts_with(&[0xff, 0xfe]) || bytes.starts_with(&[0xfe, 0xff]);
@@ -101,7 +114,7 @@ fn format_of(text: &str) -> Format {
     let mut letters = first.chars();
     match (letters.next(), letters.next()) {
         _ if flashstream::is_meant(first) => Format::FlashStream,
-        (Some('*'), _) => Format::GgCsv,
+        (Some('*'), _) | (Some('"'), Some('*')) => Format::GgCsv,
         (Some(';' | ':'), _) | (Some('A'..='Z' | 'a'..='z'), Some(':')) => Format::FlashStream,
         _ => Format::Toml,
     }
