@@ -170,7 +170,8 @@ fn cost_of_the_thread() -> Duration {
         }
     }
     const TRANSFERS: u32 = 10_000;
-    let mut bus = Bounded::new(Nothing, 0, Duration::from_secs(1), Arc::new(RealClock::new()));
+    let mut bus =
+        Bounded::new(Nothing, (0, "none".into()), Duration::from_secs(1), Arc::new(RealClock::new()));
     let begun = Instant::now();
     for _ in 0..TRANSFERS {
         bus.transfer(&[8], &mut [0; 18]).expect("it does nothing");

@@ -560,3 +560,23 @@ fn ioctls_by_chance_end_and_harm_nobody() {
     assert!(ioctls::funcs(&server.open()), "it answers I2C_FUNCS");
     server.ends(Signal::SIGTERM);
 }
+
+/// Its number is larger than that of any adapter.
+#[test]
+fn regression_a_bus_file_that_hangs_was_shown_as_an_adapter_that_does_not_exist() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let server = Server::start(&folder, &[CHIP]);
+    let at = folder.file("m");
+    let log = folder.file("log");
+    gaugefs(&["mount", "--bus", &server.path, "--poll", "0.5", "--log", &log, &at]).done();
+    kill(Pid::from_raw(server.child.id() as i32), Signal::SIGSTOP).expect("it runs");
+    let said = || fs::read_to_string(&log).expect("a log");
+    within(Duration::from_secs(120), "the bus hangs", || said().contains("hangs"));
+    kill(Pid::from_raw(server.child.id() as i32), Signal::SIGCONT).expect("it runs");
+    within(Duration::from_secs(120), "it is back", || said().contains("is used again"));
+    gaugefs(&["umount", &at]).done();
+    assert!(said().contains(&format!("{} hangs: ", server.path)) && !said().contains("i2c-4"), "{}", said());
+}

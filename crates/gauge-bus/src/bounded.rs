@@ -6,7 +6,7 @@
 //! each bus has a thread of its own for its transfers, and whoever has asked for one can give up waiting. Until the
 //! transfer has returned, nothing else is sent on that adapter, for this target or another one.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::panic::{self, AssertUnwindSafe};
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender, TryRecvError};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -26,6 +26,18 @@ static HUNG: Mutex<BTreeSet<u64>> = Mutex::new(BTreeSet::new());
 
 fn hung() -> MutexGuard<'static, BTreeSet<u64>> {
     HUNG.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// What the adapters are called: a bus that is a file has a number that nobody knows.
+static NAMES: Mutex<BTreeMap<u64, String>> = Mutex::new(BTreeMap::new());
+
+fn names() -> MutexGuard<'static, BTreeMap<u64, String>> {
+    NAMES.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// What an adapter is called in messages.
+pub(crate) fn name(adapter: u64) -> String {
+    names().get(&adapter).cloned().unwrap_or_else(|| format!("/dev/i2c-{adapter}"))
 }
 
 /// A task for the thread.
@@ -54,16 +66,22 @@ pub struct Bounded {
 }
 
 impl Bounded {
-    /// Transfers on `bus`, a target of the adapter of that number, in a thread of its own.
-    pub fn new(bus: impl Bus + 'static, adapter: u64, patience: Duration, clock: Arc<dyn Clock>) -> Self {
+    /// Transfers on `bus`, a target of the adapter of that number and name, in a thread of its own.
+    pub fn new(
+        bus: impl Bus + 'static,
+        (adapter, name): (u64, String),
+        patience: Duration,
+        clock: Arc<dyn Clock>,
+    ) -> Self {
         let (jobs, queue) = mpsc::channel();
         let (sender, outcomes) = mpsc::channel();
-        let thread = thread::Builder::new().name(format!("i2c-{adapter}")).stack_size(64 * 1024);
+        let thread = thread::Builder::new().name("bus".into()).stack_size(64 * 1024);
         // Without a thread each transfer reports the adapter as gone.
         let started = thread.spawn(move || run(bus, &queue, &sender));
         let started = started.inspect_err(|error| {
-            log::error!("/dev/i2c-{adapter}: cannot start a thread: {error}");
+            log::error!("{name}: cannot start a thread: {error}");
         });
+        names().insert(adapter, name);
         let (jobs, thread) = (Some(jobs), started.ok());
         Self { adapter, patience, clock, jobs, outcomes, thread, overdue: false, latest: None }
     }
@@ -76,10 +94,8 @@ impl Bounded {
                 Ok(_) | Err(TryRecvError::Disconnected) => {
                     self.overdue = false;
                     hung().remove(&self.adapter);
-                    log::warn!(
-                        "/dev/i2c-{}: the transfer has returned; the adapter is used again",
-                        self.adapter
-                    );
+                    let name = name(self.adapter);
+                    log::warn!("{name}: the transfer has returned; the adapter is used again");
                 }
             }
         }
@@ -197,7 +213,8 @@ mod tests {
     fn rig(adapter: u64, patience: Duration) -> Rig {
         let ((begin, begun), (returns, returned)) = (mpsc::channel(), mpsc::channel());
         let driver = Driver { begun: begin, returns: returned };
-        Rig { bus: Bounded::new(driver, adapter, patience, Arc::new(RealClock::new())), begun, returns }
+        let named = (adapter, format!("/tmp/bus-{adapter}"));
+        Rig { bus: Bounded::new(driver, named, patience, Arc::new(RealClock::new())), begun, returns }
     }
 
     /// Nobody waits for as long as that.
@@ -254,7 +271,9 @@ mod tests {
     fn a_caller_without_time_waits_no_longer_than_it_can() {
         let mut rig = rig(903, LONG);
         rig.bus.limit(Some(Duration::ZERO));
-        assert_eq!(rig.bus.transfer(&[1], &mut []), Err(BusError::Hung(903)));
+        let error = rig.bus.transfer(&[1], &mut []).expect_err("it hangs");
+        assert_eq!(error, BusError::Hung(903));
+        assert!(error.to_string().starts_with("/tmp/bus-903 hangs: "), "{error}");
     }
 
     #[test]

@@ -121,8 +121,9 @@ impl BusError {
             BusError::NotRecorded => ("the recording has no answer to this", Errno::NODATA, false),
             BusError::Hung(adapter) => {
                 let text = format!(
-                    "/dev/i2c-{adapter} hangs: a transfer has not returned, and nothing is sent on this adapter until \
-                     it does; reset or reconnect the adapter"
+                    "{} hangs: a transfer has not returned, and nothing is sent on this adapter until it does; reset or \
+                     reconnect the adapter",
+                    bounded::name(adapter)
                 );
                 return (text.into(), Errno::TIMEDOUT.raw_os_error(), false);
             }

@@ -233,7 +233,8 @@ impl LinuxBus {
         let name = format!("{adapter} 0x{address:02x}");
         let last = clock.now().saturating_sub(BUS_FREE);
         let target = Target { adapter, address, clock: clock.clone(), device, last };
-        Self { target: Bounded::new(target, number, PATIENCE, clock), name }
+        let named = (number, target.adapter.to_string());
+        Self { target: Bounded::new(target, named, PATIENCE, clock), name }
     }
 }
 
