@@ -14,6 +14,7 @@ use std::os::unix::ffi::OsStrExt;
 use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf, absolute};
 use std::process::{Child, Command, Stdio};
+use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
 use nix::errno::Errno;
@@ -23,11 +24,15 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result};
 use crate::output::print_file;
+use gauge_bus::regular;
 use gaugefs_client::{Gauge, mounts};
 
-/// Time limit for a look. A look needs no gauge, so a daemon that works answers at once; a slow machine that is
-/// busy needs some seconds to start the process.
-const LIMIT: Duration = Duration::from_secs(5);
+/// How long a process may wait in one call: 5 s. A look needs no gauge, so a daemon that works answers at once.
+const LIMIT: u32 = 20;
+/// Time between two looks at the process, of which `LIMIT` have to find it in the same wait.
+const STEP: Duration = Duration::from_millis(250);
+/// Time limit for a process that goes on. A machine that is busy may take most of it to start one.
+const PATIENCE: Duration = Duration::from_secs(60);
 /// Longest output of a child, even with very many gauges.
 const LONGEST: usize = 4 << 20;
 
@@ -72,7 +77,7 @@ impl Listed {
 }
 
 /// A look that has begun.
-pub(crate) struct Look(Child, Instant);
+pub(crate) struct Look(JoinHandle<Found>);
 
 impl Look {
     /// Begins to look at a path.
@@ -91,23 +96,65 @@ impl Look {
             Err(_) => path.to_path_buf(),
         };
         command.arg("look").args(options).arg("--").arg(&path).stdin(Stdio::null()).stdout(Stdio::piped());
-        let child = command.stderr(Stdio::null()).spawn().map_err(|error| {
-            Error::io(path.display().to_string(), "cannot start a process to examine it", &error)
-        })?;
-        Ok(Self(child, Instant::now()))
+        let failed =
+            |error| Error::io(path.display().to_string(), "cannot start a process to examine it", &error);
+        let mut child = command.stderr(Stdio::null()).spawn().map_err(failed)?;
+        // Looks that were begun together are waited for together.
+        let wait = thread::Builder::new().stack_size(128 * 1024).spawn(move || {
+            let (bytes, late) = child.stdout.take().map(|out| read(out, child.id())).unwrap_or_default();
+            stop(&mut child, late);
+            Found::read(&bytes, late)
+        });
+        wait.map(Self).map_err(failed)
     }
 
     /// Waits for its end, or for its time limit.
-    pub(crate) fn end(mut self) -> Found {
-        let answer = self.0.stdout.take().map(|out| read(out, self.1 + LIMIT));
-        let (bytes, late) = answer.unwrap_or_default();
-        stop(&mut self.0, late);
+    pub(crate) fn end(self) -> Found {
+        self.0.join().unwrap_or_default()
+    }
+}
+
+impl Found {
+    /// From what the child has printed.
+    fn read(bytes: &[u8], late: bool) -> Self {
         let mut words = bytes.split_inclusive(|&byte| byte == 0).filter_map(|word| word.strip_suffix(&[0]));
         let path = words.next().map(|path| PathBuf::from(OsStr::from_bytes(path)));
         let dead = words.next().map(|word| word == b"dead");
         let gauges = words.filter_map(|word| serde_json::from_slice(word).ok()).collect();
-        Found { path, dead, late, gauges }
+        Self { path, dead, late, gauges }
     }
+}
+
+/// Whether a process goes on, as /proc shows it from time to time.
+struct Pulse {
+    process: u32,
+    begun: Instant,
+    /// The wait in which it was seen last, and how often it was seen there again.
+    seen: Option<String>,
+    again: u32,
+}
+
+impl Pulse {
+    fn new(process: u32) -> Self {
+        Self { process, begun: Instant::now(), seen: None, again: 0 }
+    }
+
+    /// Whether it has been waiting in one call for too long. Time in which it could run and the machine does not let it is
+    /// no such time.
+    fn is_stuck(&mut self) -> bool {
+        let path = format!("/proc/{}/status", self.process);
+        let now = waits(&regular::read_text(Path::new(&path), regular::SYSTEM).unwrap_or_default());
+        self.again = if now.is_some() && now == self.seen { self.again + 1 } else { 0 };
+        self.seen = now;
+        self.again >= LIMIT || self.begun.elapsed() > PATIENCE
+    }
+}
+
+/// What distinguishes the wait of a process from its other ones, by its status in /proc; `None` if it can run.
+fn waits(status: &str) -> Option<String> {
+    let state = status.lines().find_map(|line| line.strip_prefix("State:\t"))?;
+    let switches = status.lines().filter(|line| line.contains("ctxt_switches"));
+    (!state.starts_with('R')).then(|| switches.collect())
 }
 
 /// The gauges that are mounted at each of these paths, or that are at it. All are looked at together, so it takes no longer
@@ -146,14 +193,12 @@ pub(crate) fn answer(path: &Path, gauges: bool) -> Result<()> {
     Ok(())
 }
 
-/// Runs a program and returns whether it succeeded and what it printed to standard error; `None` after a time
-/// limit.
-pub(super) fn run(command: &mut Command, limit: Duration) -> io::Result<Option<(bool, String)>> {
-    let end = Instant::now() + limit;
+/// Runs a program and returns whether it succeeded and what it printed to standard error; `None` if it waits for too long.
+pub(super) fn run(command: &mut Command) -> io::Result<Option<(bool, String)>> {
     let command = command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped());
     // A terminal that is closed sends signals to the whole group, and again while the mount is being removed.
     let mut child = command.process_group(0).spawn()?;
-    let (bytes, late) = child.stderr.take().map(|err| read(err, end)).unwrap_or_default();
+    let (bytes, late) = child.stderr.take().map(|err| read(err, child.id())).unwrap_or_default();
     if late {
         stop(&mut child, late);
         return Ok(None);
@@ -161,16 +206,16 @@ pub(super) fn run(command: &mut Command, limit: Duration) -> io::Result<Option<(
     Ok(Some((child.wait()?.success(), String::from_utf8_lossy(&bytes).into_owned())))
 }
 
-/// Reads a pipe until its end, until the deadline, or until the text is too long. Returns the bytes, and whether it
-/// stopped before the end.
-fn read(mut pipe: impl Read + AsFd, deadline: Instant) -> (Vec<u8>, bool) {
+/// Reads a pipe until its end, until the process at its other end waits for too long, or until the text is too long. Returns
+/// the bytes, and whether it stopped before the end.
+fn read(mut pipe: impl Read + AsFd, process: u32) -> (Vec<u8>, bool) {
     let (mut bytes, mut piece) = (Vec::new(), [0; 4096]);
+    let mut pulse = Pulse::new(process);
+    let step = PollTimeout::try_from(STEP).unwrap_or(PollTimeout::MAX);
     loop {
-        let left = deadline.saturating_duration_since(Instant::now());
-        let mut polled = [PollFd::new(pipe.as_fd(), PollFlags::POLLIN)];
-        let timeout = PollTimeout::try_from(left).unwrap_or(PollTimeout::MAX);
-        match poll(&mut polled, timeout) {
-            Ok(0) => return (bytes, true),
+        match poll(&mut [PollFd::new(pipe.as_fd(), PollFlags::POLLIN)], step) {
+            Ok(0) if pulse.is_stuck() => return (bytes, true),
+            Ok(0) | Err(Errno::EINTR) => {}
             Ok(_) => match pipe.read(&mut piece) {
                 Ok(0) => return (bytes, false),
                 Ok(_) if bytes.len() > LONGEST => return (bytes, true),
@@ -178,7 +223,6 @@ fn read(mut pipe: impl Read + AsFd, deadline: Instant) -> (Vec<u8>, bool) {
                 Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
                 Err(_) => return (bytes, false),
             },
-            Err(Errno::EINTR) => {}
             Err(_) => return (bytes, false),
         }
     }
@@ -211,5 +255,42 @@ pub(super) fn resolve(path: &Path) -> Result<PathBuf> {
     match fs::read_link(&path) {
         Ok(_) => fs::canonicalize(&path).map_err(failed),
         Err(_) => Ok(path),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A machine that is busy does not let it run: `mount` said that a plain folder was in a mount whose process is stopped.
+    #[test]
+    fn regression_a_process_that_could_run_was_taken_for_one_that_waits() {
+        let mut busy = Command::new("sh").args(["-c", "while :; do :; done"]).spawn().expect("a shell");
+        let mut pulse = Pulse::new(busy.id());
+        assert!((0..5 * LIMIT).all(|_| !pulse.is_stuck()));
+        stop(&mut busy, true);
+        let mut waits = Command::new("sleep").arg("600").spawn().expect("sleep runs");
+        let mut pulse = Pulse::new(waits.id());
+        let start = Instant::now();
+        // It has to come to its wait first.
+        while !pulse.is_stuck() {
+            assert!(start.elapsed() < PATIENCE / 2);
+            thread::sleep(Duration::from_millis(1));
+        }
+        stop(&mut waits, true);
+    }
+
+    #[test]
+    fn a_wait_is_told_from_the_next_one() {
+        let status = |state: &str, switches: u32| {
+            format!(
+                "Name:\tx\nState:\t{state}\nvoluntary_ctxt_switches:\t{switches}\nnonvoluntary_ctxt_switches:\t0\n"
+            )
+        };
+        assert_eq!(waits(&status("R (running)", 1)), None);
+        assert_eq!(waits(""), None);
+        let wait = waits(&status("S (sleeping)", 1));
+        assert!(wait.is_some() && wait == waits(&status("S (sleeping)", 1)));
+        assert_ne!(wait, waits(&status("D (disk sleep)", 2)));
     }
 }
