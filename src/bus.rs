@@ -170,6 +170,7 @@ impl Place {
         {
             path = whole.0.join(whole.1);
         }
+        mountpoint::keeps_its_mount(&path)?;
         let all = mounts::all().map_err(|error| failed(&error))?;
         if mounts::topmost(all, &path).is_some() {
             return Err(Error::new(subject, Cause::Busy, "something is mounted there; choose another path"));

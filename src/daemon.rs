@@ -30,6 +30,7 @@ pub mod service;
 mod shutdown;
 
 use knobs::SimKnobs;
+use mountpoint::Hiding;
 pub(crate) use report::report;
 use shutdown::{Phase, Shutdown, finish};
 
@@ -54,9 +55,18 @@ pub(crate) fn run(setup: Setup, mode: Mode) -> Result<()> {
         None => self::log::Destination::Stderr,
     })?;
 
+    let warn = |line: &str| {
+        ::log::warn!("{line}");
+        if mode == Mode::Background {
+            say(format_args!("warning: {line}"));
+        }
+    };
     let (mountpoint, device) = match mode {
         Mode::Service => (setup.mountpoint().to_path_buf(), Some(service::device()?)),
-        Mode::Background | Mode::Foreground => (mountpoint::prepare(setup.mountpoint())?, None),
+        Mode::Background | Mode::Foreground => {
+            let hiding = Hiding::by(&setup.mount, false, &warn);
+            (mountpoint::prepare(setup.mountpoint(), &hiding)?, None)
+        }
     };
     let covered = mountpoint::covered(&mountpoint)?;
     let taken = covered.as_ref().map(Covered::names).unwrap_or_default();
@@ -78,12 +88,6 @@ pub(crate) fn run(setup: Setup, mode: Mode) -> Result<()> {
         no_backup: mount.no_backup,
         state_dir: mount.state_dir.clone(),
         ..Opening::new(mountpoint.clone(), clock.clone())
-    };
-    let warn = |line: &str| {
-        ::log::warn!("{line}");
-        if mode == Mode::Background {
-            say(format_args!("warning: {line}"));
-        }
     };
     let Gauges { entries, handles, nodes, batteries, locks, places } =
         Gauges::open(&opening, names, &gauges, configured, &warn)?;

@@ -401,6 +401,8 @@ const OF_SCALES: &str = "The factor is from 0.001 to 1000, and comes on top of t
 #[derive(Clone, Debug, Default)]
 pub(crate) struct MountOptions {
     pub(crate) mountpoint: Option<PathBuf>,
+    /// Also over a folder that is not empty.
+    pub(crate) over: bool,
     /// Shown, and perhaps its name.
     pub(crate) ac: Option<Option<String>>,
     pub(crate) read_only: bool,
@@ -482,6 +484,13 @@ impl Options for MountOptions {
             name: "no-backup",
             effect: Effect::Switch(|to, on| to.no_backup = on),
             doc: "Do not save a gauge's configuration before the first write to it",
+            heading: RUNNING,
+            ..Opt::NEW
+        },
+        Opt {
+            name: "over",
+            effect: Effect::Switch(|to, on| to.over = on),
+            doc: "Mount also over a folder that is not empty, and hide what is in it; not needed over power_supply",
             heading: RUNNING,
             ..Opt::NEW
         },

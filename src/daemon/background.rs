@@ -17,7 +17,7 @@ use std::path::Path;
 use std::process::{Command, ExitCode, Stdio};
 
 use gauge_bus::regular;
-use nix::unistd::{chdir, close, dup2_stderr, dup2_stdin, dup2_stdout, setsid};
+use nix::unistd::{chdir, close, dup2_stderr, dup2_stdin, dup2_stdout, getpid, getppid, setsid};
 
 use crate::error::{Error, Result};
 use crate::output::{self, print_file};
@@ -35,6 +35,13 @@ const READY: &[u8] = b"ready\n";
 /// Whether this process is the child.
 pub fn is_child() -> bool {
     env::var_os(CHILD).is_some()
+}
+
+/// Whether systemd has started this process, or its parent, which waits until this one is ready.
+pub(super) fn is_of_a_unit() -> bool {
+    let started = env::var("SYSTEMD_EXEC_PID").ok().and_then(|process| process.parse().ok());
+    let is_ours = |process: i32| process == getpid().as_raw() || process == getppid().as_raw();
+    env::var_os("NOTIFY_SOCKET").is_some() || started.is_some_and(is_ours)
 }
 
 /// In the parent: starts the same command line again and waits until it is ready.

@@ -9,17 +9,20 @@
 
 use std::io::ErrorKind;
 use std::os::unix::ffi::OsStrExt;
+use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
-use std::{fmt, fs};
+use std::{fmt, fs, io};
 
 use nix::errno::Errno;
 use nix::mount::{MntFlags, umount2};
 use nix::unistd::{AccessFlags, Uid, User, access, geteuid, getppid};
 
+use super::background;
 use super::look::{self, Found, Look};
+use crate::config::MountOptions;
 use crate::error::{Cause, Error, Result, shown};
 use crate::folders;
 use crate::fs::Covered;
@@ -48,21 +51,141 @@ pub(super) enum Mounted {
     Other(String),
 }
 
+/// What is done about a folder that is not empty, which a mount hides.
+pub(crate) enum Hiding<'a> {
+    Refused,
+    /// A line says so: for units that were written before it was refused.
+    Told(&'a dyn Fn(&str)),
+    Wanted,
+}
+
+impl<'a> Hiding<'a> {
+    /// As the options have it; what systemd has started goes on.
+    pub(crate) fn by(options: &MountOptions, is_unit: bool, tell: &'a dyn Fn(&str)) -> Self {
+        match options.over {
+            true => Self::Wanted,
+            false if is_unit || background::is_of_a_unit() => Self::Told(tell),
+            false => Self::Refused,
+        }
+    }
+
+    /// Checks a folder in which nothing is mounted.
+    fn check(&self, path: &Path) -> Result<()> {
+        if matches!(self, Self::Wanted) || path.ends_with("power_supply") {
+            return Ok(());
+        }
+        let failed = |error: io::Error| {
+            forbidden(path, "cannot be examined", Errno::from_raw(error.raw_os_error().unwrap_or_default()))
+        };
+        let first = match fs::read_dir(path) {
+            Ok(mut entries) => entries.next().transpose().map_err(failed)?,
+            Err(error) if error.kind() == ErrorKind::NotFound => None,
+            Err(error) => return Err(failed(error)),
+        };
+        let Some(first) = first else { return Ok(()) };
+        let what = format!("not empty, it has {}, and a mount hides what is in it", shown(&first.path()));
+        let subject = path.display().to_string();
+        if let Self::Told(tell) = self {
+            tell(&format!(
+                "{subject}: {what}; write `over = true` below [mount], or --over: a later version refuses this"
+            ));
+            return Ok(());
+        }
+        let why =
+            format!("{what}; choose another folder, or add --over (in a file, `over = true` below [mount])");
+        Err(Error::new(subject, Cause::Busy, why))
+    }
+}
+
 /// Checks that something can be mounted at the path, and returns the full path. A dead gaugefs there is
 /// detached first.
-pub fn prepare(path: &Path) -> Result<PathBuf> {
+pub(crate) fn prepare(path: &Path, hiding: &Hiding<'_>) -> Result<PathBuf> {
     let (path, mounted) = clear(path)?;
-    usable(&path, &mounted).map(|()| path)
+    usable(&path, &mounted)?;
+    hiding.check(&path)?;
+    Ok(path)
 }
 
 /// Checks a mount point without changing it, and returns the full path. A dead gaugefs may be there.
-pub fn check(path: &Path) -> Result<PathBuf> {
+pub(crate) fn check(path: &Path, hiding: &Hiding<'_>) -> Result<PathBuf> {
     let (path, mounted) = examine(path)?;
     usable(&path, &mounted)?;
     if mounted == Mounted::Nothing {
         may_be_made(&path)?;
+        hiding.check(&path)?;
     }
     Ok(path)
+}
+
+/// The accounts that root trusts with a folder in which it mounts: itself, who has called it by sudo, and accounts that this
+/// user namespace does not have.
+struct Trusted {
+    sudo: [Option<u32>; 2],
+    maps: [String; 2],
+}
+
+impl Trusted {
+    fn read() -> Self {
+        let sudo = ["SUDO_UID", "SUDO_GID"].map(|name| std::env::var(name).ok()?.parse().ok());
+        let map = |name: &str| regular::read_text(&Path::new("/proc/self").join(name), regular::SYSTEM);
+        Self { sudo, maps: ["uid_map", "gid_map"].map(|name| map(name).unwrap_or_default()) }
+    }
+
+    fn has_user(&self, uid: u32) -> bool {
+        self.has(0, uid)
+    }
+
+    fn has_group(&self, gid: u32) -> bool {
+        self.has(1, gid)
+    }
+
+    fn has(&self, kind: usize, id: u32) -> bool {
+        id == 0 || self.sudo[kind] == Some(id) || !is_mapped(&self.maps[kind], id)
+    }
+}
+
+/// Whether a user namespace has an account, by its uid_map or gid_map.
+fn is_mapped(map: &str, id: u32) -> bool {
+    let mut ranges = map.lines().map(|line| line.split_ascii_whitespace().map(str::parse::<u64>));
+    map.is_empty()
+        || ranges.any(|mut range| match (range.next(), range.nth(1)) {
+            (Some(Ok(first)), Some(Ok(count))) => (first..first + count).contains(&u64::from(id)),
+            _ => true,
+        })
+}
+
+/// Checks that only root can take away what root mounts. Who may remove or rename a folder on the way can do that in a mount
+/// namespace of his own, where nothing is mounted, and the kernel then detaches the mount in all of them.
+pub fn keeps_its_mount(path: &Path) -> Result<()> {
+    if !geteuid().is_root() {
+        return Ok(());
+    }
+    let trusted = Trusted::read();
+    for folder in path.ancestors() {
+        // What is missing root makes.
+        let Ok(status) = fs::symlink_metadata(folder) else { continue };
+        let others =
+            status.mode() & 0o002 != 0 || status.mode() & 0o020 != 0 && !trusted.has_group(status.gid());
+        // In a sticky folder only the owner of an entry can.
+        let is_open = folder != path && others && status.mode() & 0o1000 == 0;
+        let who = match trusted.has_user(status.uid()) {
+            false => format!("belongs to user {}, who", name_of(status.uid())),
+            true if is_open => "can be written to by other users, who".into(),
+            true => continue,
+        };
+        let what = if folder == path { String::new() } else { format!("the folder {} ", shown(folder)) };
+        let why = format!(
+            "{what}{who} could take away what root mounts there; choose a folder that root alone can replace, such as \
+             /run/gauges"
+        );
+        return Err(Error::new(path.display().to_string(), Cause::NotPermitted, why));
+    }
+    Ok(())
+}
+
+/// A user's name, or number.
+fn name_of(uid: u32) -> String {
+    User::from_uid(Uid::from_raw(uid)).ok().flatten().map_or_else(|| uid.to_string(), |user| user.name)
 }
 
 fn usable(path: &Path, mounted: &Mounted) -> Result<()> {
@@ -91,6 +214,7 @@ fn usable(path: &Path, mounted: &Mounted) -> Result<()> {
         }
         Mounted::Nothing | Mounted::Dead => {}
     }
+    keeps_its_mount(path)?;
     if *mounted == Mounted::Dead {
         return Ok(());
     }
@@ -208,7 +332,9 @@ pub fn make(path: &Path) -> Result<()> {
     MADE.lock().unwrap_or_else(PoisonError::into_inner).extend(missing.iter().rev().map(PathBuf::from));
     fs::create_dir_all(path).map_err(|error| {
         forbidden(path, CANNOT_CREATE, Errno::from_raw(error.raw_os_error().unwrap_or_default()))
-    })
+    })?;
+    // Somebody else may have made one of them meanwhile.
+    keeps_its_mount(path).inspect_err(|_| unmake())
 }
 
 /// Removes the folders that [`make`] has made, as far as they are empty and nothing is mounted there again.
@@ -257,10 +383,7 @@ pub fn unmount(path: &Path) -> Result<Unmounted> {
     let (owner, connection) = mount.map(|mount| (mount.owner, mount.connection)).unwrap_or_default();
     let elsewhere = connection.map_or_else(Vec::new, |connection| Elsewhere::all(connection, &path));
     if let Some(owner) = owner.filter(|owner| !geteuid().is_root() && *owner != geteuid().as_raw()) {
-        let name = User::from_uid(Uid::from_raw(owner))
-            .ok()
-            .flatten()
-            .map_or_else(|| owner.to_string(), |user| user.name);
+        let name = name_of(owner);
         let why =
             format!("mounted by user {name}, who may unmount it, as root may: sudo gaugefs umount {subject}");
         return Err(Error::new(subject, Cause::NotPermitted, why));

@@ -10,7 +10,8 @@ use std::sync::Arc;
 
 use nix::unistd::{Gid, Group, User, getegid, geteuid, getgroups};
 
-use super::{log, mountpoint, node};
+use super::mountpoint::{self, Hiding};
+use super::{log, node};
 use crate::config::{GaugeOptions, MountOptions, Setup};
 use crate::error::{Cause, Error, Result};
 use crate::fs::Covered;
@@ -54,7 +55,8 @@ pub(super) fn mount(
 /// All problems of a setup, and the names of its gauges. Nothing is mounted, written or sent on a bus.
 pub(crate) fn check(setup: &Setup) -> (Vec<String>, Vec<Error>) {
     let mut found: Vec<Error> = Vec::new();
-    let mountpoint = mountpoint::check(setup.mountpoint()).unwrap_or_else(|error| {
+    let checked = mountpoint::check(setup.mountpoint(), &Hiding::by(&setup.mount, false, &|_| ()));
+    let mountpoint = checked.unwrap_or_else(|error| {
         found.push(error);
         setup.mountpoint().to_path_buf()
     });

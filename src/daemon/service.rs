@@ -22,9 +22,10 @@ use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use nix::sys::stat::{Mode, makedev, umask};
 use rustix::process::{Pid, PidfdFlags, PidfdGetfdFlags, pidfd_getfd, pidfd_open};
 
-use super::mountpoint;
+use super::mountpoint::{self, Hiding};
 use crate::config::Setup;
 use crate::error::{Error, Result};
+use crate::output::say;
 use gauge_bus::clock::Clock;
 use gaugefs_client::mounts;
 
@@ -68,7 +69,8 @@ pub(crate) fn attach(pid: i32, setup: &Setup) -> Result<()> {
     let device = device_of(pid)?;
     // Everybody may enter the folders that are created, whatever umask the unit sets.
     umask(Mode::S_IWGRP | Mode::S_IWOTH);
-    let mountpoint = mountpoint::prepare(setup.mountpoint())?;
+    let tell = |line: &str| say(format_args!("warning: {line}"));
+    let mountpoint = mountpoint::prepare(setup.mountpoint(), &Hiding::by(&setup.mount, true, &tell))?;
     mountpoint::make(&mountpoint)?;
     // The options that fuser uses for a daemon of root. The mount belongs to root, whoever serves it.
     let others = if setup.mount.private { "" } else { ",allow_other" };

@@ -4,10 +4,11 @@
 //! machine allows it.
 
 use std::fs::{self, OpenOptions};
-use std::io::ErrorKind;
-use std::os::unix::fs::symlink;
+use std::io::{ErrorKind, Read};
+use std::os::unix::fs::{PermissionsExt, chown, symlink};
+use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::process::{Child, Command, Stdio};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -16,7 +17,11 @@ use gauge_owner::{self as owner, Settings, Signal};
 use gauge_sim::{Options, Sim};
 use gaugefs::fs::{Access, Covered, Fs, MountedGauge, Node, Scales, free_name};
 use gaugefs::fuse::{self, Mounted};
+use nix::sys::signal::Signal as Kill;
+use nix::unistd::geteuid;
 use ti_gauge::chip::Chip;
+
+use crate::room::{CHIP, Folder, Foreground, Ran, apart, can_mount, command, gaugefs, run};
 
 /// A folder that resembles `/sys`; each supply is a folder below `devices` and a link to it.
 struct Tree(PathBuf);
@@ -236,4 +241,147 @@ fn the_real_folder_can_be_mounted_over() {
 fn names_of_links(folder: &Path) -> Vec<String> {
     let entries = fs::read_dir(folder).expect("a folder").map(|entry| entry.expect("an entry"));
     entries.map(|entry| entry.file_name().into_string().expect("text")).collect()
+}
+
+/// `gaugefs mount` of a simulated gauge there, with more options and variables.
+fn mounts(at: &str, more: &[&str], variables: &[(&str, &str)]) -> Ran {
+    let mut mount = command(&[&["mount", "--sim", CHIP, at], more].concat());
+    run({
+        mount.envs(variables.iter().copied());
+        mount
+    })
+}
+
+#[test]
+fn regression_a_mount_hid_what_was_in_its_folder() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let full = |name: &str| {
+        let at = folder.file(name);
+        fs::create_dir(&at).expect("a folder");
+        fs::write(format!("{at}/precious"), "").expect("a file");
+        at
+    };
+    let at = full("tree");
+    let words = ["not empty", "/precious", "--over", "over = true"];
+    mounts(&at, &[], &[]).failed(&words);
+    // A dead mount is looked through.
+    let dead = Foreground::new(&at, &["--over"]);
+    dead.send(Kill::SIGKILL);
+    drop(dead);
+    mounts(&at, &[], &[]).failed(&words);
+    assert!(Path::new(&at).join("precious").exists());
+    let unmounts = |at: &str| {
+        assert!(Path::new(at).join("BAT0").exists() && !Path::new(at).join("precious").exists(), "{at}");
+        gaugefs(&["umount", at]).done();
+        assert!(Path::new(at).join("precious").exists(), "{at}");
+    };
+    mounts(&at, &["--over"], &[]).done();
+    unmounts(&at);
+    let config = |over: &str| {
+        let path = folder.file("packs.toml");
+        fs::write(&path, format!("[mount]\nmountpoint = '{at}'\n{over}\n[[gauge]]\nsim = '{CHIP}'\n"))
+            .expect("a file");
+        path
+    };
+    let path = config("");
+    gaugefs(&["mount", "--config", &path]).failed(&words);
+    let checked = gaugefs(&["mount", "--config", &path, "--check"]);
+    assert!(
+        checked.code == Some(1) && words.iter().all(|word| checked.err.contains(word)),
+        "{}",
+        checked.err
+    );
+    gaugefs(&["mount", "--config", &config("over = true")]).done();
+    unmounts(&at);
+    let supplies = full("power_supply");
+    mounts(&supplies, &[], &[]).done();
+    unmounts(&supplies);
+    // A unit of systemd that was written before goes on, and is told what to write.
+    let mut unit = Command::new("sh");
+    unit.args(["-c", "SYSTEMD_EXEC_PID=$$ exec \"$@\"", "sh", env!("CARGO_BIN_EXE_gaugefs")]);
+    let ran = run({
+        unit.args(["mount", "--sim", CHIP, &at]);
+        unit
+    });
+    assert!(
+        ran.code == Some(0) && ran.err.contains("warning: ") && ran.err.contains("over = true"),
+        "{}",
+        ran.err
+    );
+    unmounts(&at);
+    mounts(&at, &[], &[("SYSTEMD_EXEC_PID", "1")]).failed(&words);
+}
+
+/// A process of another user, with a mount namespace that was made before the mount, which removes that folder when told to.
+fn attacker(folder: &str) -> Child {
+    let mut child = Command::new("unshare");
+    child.args([
+        "--user",
+        "--map-root-user",
+        "--mount",
+        "sh",
+        "-c",
+        "echo ready; read -r _; rmdir -- \"$0\"",
+        folder,
+    ]);
+    child.uid(NOBODY).gid(NOBODY).stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::null());
+    let mut child = child.spawn().expect("unshare runs");
+    let mut ready = [0; 5];
+    let _ = child.stdout.as_mut().expect("a pipe").read_exact(&mut ready);
+    child
+}
+
+const NOBODY: u32 = 65534;
+
+#[test]
+fn regression_another_user_took_roots_mount_away() {
+    if !can_mount() || !geteuid().is_root() {
+        eprintln!("SKIPPED: only root's mounts are kept from other users");
+        return;
+    }
+    // The namespaces of the attackers are copies of this one.
+    apart();
+    let folder = Folder::new();
+    let made = |name: &str, mode: u32, owner: u32| {
+        let path = folder.file(name);
+        fs::create_dir(&path).expect("a folder");
+        fs::set_permissions(&path, fs::Permissions::from_mode(mode)).expect("its mode");
+        chown(&path, Some(owner), Some(owner)).expect("root may");
+        path
+    };
+    fs::set_permissions(folder.file(""), fs::Permissions::from_mode(0o755)).expect("its mode");
+    let theirs = made("theirs", 0o755, NOBODY);
+    let (open, shared) = (made("open", 0o777, 0), made("shared", 0o1777, 0));
+    let inside = |folder: &str| format!("{folder}/tree");
+    for at in [theirs.clone(), inside(&theirs)] {
+        mounts(&at, &[], &[]).failed(&["belongs to user ", "take away", "/run/gauges"]);
+    }
+    mounts(&inside(&open), &[], &[]).failed(&[
+        "can be written to by other users",
+        "take away",
+        "/run/gauges",
+    ]);
+    run(command(&["sim", CHIP, &inside(&theirs)])).failed(&["belongs to user "]);
+    assert!(!Path::new(&inside(&theirs)).exists() && !Path::new(&inside(&open)).exists());
+
+    let is_mounted = |at: &str| Path::new(at).join("BAT0").exists();
+    let attack = |at: &str, variables: &[(&str, &str)]| {
+        let mut attacker = attacker(at);
+        mounts(at, &[], variables).done();
+        assert!(is_mounted(at));
+        drop(attacker.stdin.take());
+        attacker.wait().expect("a child").success()
+    };
+    // Nothing but a folder in which others may remove only what is theirs.
+    assert!(!attack(&inside(&shared), &[]) && is_mounted(&inside(&shared)));
+    gaugefs(&["umount", &inside(&shared)]).done();
+    // Who has called root by sudo may have it in a folder of his own, and then he can do this.
+    let sudo = [("SUDO_UID", "65534"), ("SUDO_GID", "65534")];
+    if !attack(&inside(&theirs), &sudo) {
+        eprintln!("SKIPPED in part: users have no namespaces here, so that there is no attack");
+        gaugefs(&["umount", &inside(&theirs)]).done();
+    }
 }
