@@ -86,7 +86,7 @@ impl Desk {
         what: &str,
         accept: impl Fn(&str) -> std::result::Result<T, String>,
     ) -> Result<T> {
-        self.sign(slot, Sign::Wait, what);
+        self.sign(slot, Sign::Wait, "another slot is asked about");
         let mut scanner = self.scanner.lock().unwrap_or_else(PoisonError::into_inner);
         self.held().get_or_insert_default();
         let mut asked = format!("{slot}: {what}");
@@ -133,7 +133,8 @@ impl Desk {
 
 #[cfg(test)]
 mod tests {
-    use std::sync::{Arc, Mutex};
+    use std::sync::{Arc, Condvar, Mutex};
+    use std::thread;
 
     use super::*;
 
@@ -189,5 +190,71 @@ mod tests {
         ];
         assert_eq!(*said.0.lock().expect("nobody panics"), asked);
         late.lock().expect("nobody panics").take();
+    }
+
+    type Shown = Vec<(String, Sign, String)>;
+
+    /// What each slot shows.
+    #[derive(Clone, Default)]
+    struct Signs(Arc<(Mutex<Shown>, Condvar)>);
+
+    impl Signs {
+        /// Waits until a slot shows a sign. Returns all slots that name a scan then.
+        fn scans_when(&self, slot: &str, sign: Sign) -> Vec<String> {
+            let (shown, changed) = &*self.0;
+            let is_there =
+                |shown: &Shown| shown.iter().any(|(name, shows, _)| name == slot && *shows == sign);
+            let shown = shown.lock().expect("nobody panics");
+            let shown = changed.wait_while(shown, |shown| !is_there(shown)).expect("nobody panics");
+            let scans = |(_, sign, text): &&(String, Sign, String)| *sign == Sign::Scan || text.contains("scan");
+            shown.iter().filter(scans).map(|(name, ..)| name.clone()).collect()
+        }
+    }
+
+    impl Screen for Signs {
+        fn outcome(&self, _: &str) {}
+
+        fn prompt(&self, _: &str) {}
+
+        fn sign(&self, slot: &str, sign: Sign, what: &str) {
+            let (shown, changed) = &*self.0;
+            let mut shown = shown.lock().expect("nobody panics");
+            shown.retain(|(name, ..)| name != slot);
+            shown.push((slot.into(), sign, what.into()));
+            changed.notify_all();
+        }
+    }
+
+    /// Answers as soon as the other slot waits.
+    struct Patient(Signs, Vec<&'static str>);
+
+    impl Scanner for Patient {
+        fn line(&mut self, what: &str) -> Option<String> {
+            let slot = what.split(':').next().unwrap_or_default();
+            if let Some(other) = self.1.pop() {
+                assert_eq!(self.0.scans_when(other, Sign::Wait), [slot]);
+            }
+            Some("8".into())
+        }
+    }
+
+    #[test]
+    fn regression_a_slot_that_waited_for_another_one_said_scan_too() {
+        let signs = Signs::default();
+        for (first, second) in [("LEFT", "RIGHT"), ("RIGHT", "LEFT")] {
+            let scanner = Patient(signs.clone(), vec![second]);
+            let slots = ["LEFT", "RIGHT"].map(String::from).to_vec();
+            let desk = Desk::new(Box::new(signs.clone()), Box::new(scanner), slots);
+            let accept = |line: &str| Ok(line.to_string());
+            let ask = |slot| desk.ask(slot, "scan the serial number", accept).is_ok();
+            thread::scope(|scope| {
+                scope.spawn(|| ask(first));
+                signs.scans_when(first, Sign::Scan);
+                scope.spawn(|| ask(second));
+            });
+            for slot in [first, second] {
+                signs.sign(slot, Sign::Busy, "");
+            }
+        }
     }
 }

@@ -281,6 +281,9 @@ impl Task<'_> {
     fn at(&mut self, step: Step) {
         self.step = step;
         let (desk, name) = (&self.station.desk, &self.bench.name);
+        if step == Step::Scan {
+            return;
+        }
         match self.busy.iter().position(|busy| *busy == step) {
             Some(at) => {
                 let progress = Progress { step: at + 1, steps: self.busy.len(), name: step.name() };

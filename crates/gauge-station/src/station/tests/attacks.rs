@@ -297,37 +297,56 @@ impl Slot for Quick {
     }
 }
 
+/// What a slot has shown, one after the other.
+#[derive(Clone, Default)]
+struct Signs(Arc<Mutex<Vec<(Sign, String)>>>);
+
+impl Screen for Signs {
+    fn outcome(&self, _: &str) {}
+
+    fn prompt(&self, line: &str) {
+        self.0.lock().expect("nobody panics").push((Sign::Connect, line.into()));
+    }
+
+    fn sign(&self, _: &str, sign: Sign, what: &str) {
+        self.0.lock().expect("nobody panics").push((sign, what.into()));
+    }
+}
+
+/// What a slot shows of a pack that is there, and of what is found there after that.
+fn shown(name: &str, lines: &str, typed: &[&str], after: &[bool]) -> Vec<(Sign, String)> {
+    let folder = Folder::new(name);
+    let plan = folder.plan(lines);
+    let clock = Arc::new(SimClock::new());
+    let sim = new_pack(&clock, 1, None);
+    clock.sleep(Duration::from_secs(3));
+    let signs = Signs::default();
+    let bench = plan.bench(0, "a bus".into(), false, Some(KEY.into())).expect("a bench");
+    let stops = Arc::new(AtomicBool::new(false));
+    let screen = Box::new(signs.clone());
+    let station =
+        Station::start(plan, Arc::new(Host), screen, Lines::of(typed), None, stops).expect("a record");
+    let looks = std::iter::repeat_n(true, STEADY as usize).chain(after.iter().copied()).collect();
+    station.run(&bench, &mut Quick(clock, sim, looks));
+    signs.0.lock().expect("nobody panics").clone()
+}
+
+#[test]
+fn regression_a_slot_at_which_nothing_is_scanned_said_scan() {
+    let scans = |lines: &str| {
+        let shown = shown("scans", lines, &["SN7"], &[]);
+        assert!(shown.iter().any(|(sign, _)| *sign == Sign::Pass), "{shown:?}");
+        shown.into_iter().filter(|(_, what)| what.contains("scan")).collect::<Vec<_>>()
+    };
+    assert_eq!(scans(PLAIN), []);
+    assert_eq!(scans(&format!("{PLAIN}\nlabel = true")), [(Sign::Scan, "BAT0: scan the label".into())]);
+}
+
 /// The station waited for the pack to be taken off, and went on showing the outcome of the one before.
 #[test]
 fn regression_pass_was_shown_over_a_pack_that_was_connected_quickly() {
-    #[derive(Clone, Default)]
-    struct Signs(Arc<Mutex<Vec<(Sign, String)>>>);
-    impl Screen for Signs {
-        fn outcome(&self, _: &str) {}
-
-        fn prompt(&self, line: &str) {
-            self.0.lock().expect("nobody panics").push((Sign::Connect, line.into()));
-        }
-
-        fn sign(&self, _: &str, sign: Sign, what: &str) {
-            self.0.lock().expect("nobody panics").push((sign, what.into()));
-        }
-    }
     let run = |after: &[bool]| {
-        let folder = Folder::new("quick");
-        let plan = folder.plan(PLAIN);
-        let clock = Arc::new(SimClock::new());
-        let sim = new_pack(&clock, 1, None);
-        clock.sleep(Duration::from_secs(3));
-        let signs = Signs::default();
-        let bench = plan.bench(0, "a bus".into(), false, Some(KEY.into())).expect("a bench");
-        let stops = Arc::new(AtomicBool::new(false));
-        let station =
-            Station::start(plan, Arc::new(Host), Box::new(signs.clone()), Lines::of(&[]), None, stops)
-                .expect("a record");
-        let looks = std::iter::repeat_n(true, STEADY as usize).chain(after.iter().copied()).collect();
-        station.run(&bench, &mut Quick(clock, sim, looks));
-        let signs = signs.0.lock().expect("nobody panics").clone();
+        let signs = shown("quick", PLAIN, &[], after);
         let pass = signs.iter().position(|(sign, _)| *sign == Sign::Pass).expect("it passes");
         signs[pass + 1..].to_vec()
     };
