@@ -65,7 +65,7 @@ pub(super) struct Program {
     /// TOML file that describes the station
     #[arg(long, value_name = "FILE")]
     station: PathBuf,
-    /// Check both files, without touching a bus
+    /// Check both files, and whether the buses can be used; nothing is sent to a gauge
     #[arg(long)]
     check: bool,
     /// End after that many packs
@@ -100,8 +100,7 @@ impl Program {
         }
         let plan = Plan::read(&self.image, setup)?;
         if self.check {
-            print(&plan.describe())?;
-            return Ok(ExitCode::SUCCESS);
+            return check(&plan);
         }
         let stops = Arc::new(AtomicBool::new(false));
         let names: Vec<String> = plan.slots().map(String::from).collect();
@@ -123,6 +122,14 @@ impl Program {
         let passed = passed && !failed.load(Ordering::SeqCst);
         Ok(if passed { ExitCode::SUCCESS } else { ExitCode::FAILURE })
     }
+}
+
+fn check(plan: &Plan) -> Result<ExitCode> {
+    let clock: Arc<dyn Clock> = Arc::new(RealClock::new());
+    let found = plan.check(&clock);
+    print(&plan.describe())?;
+    found.iter().for_each(say);
+    Ok(if found.is_empty() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
 /// A signal ends the station when the present packs are done. A second one ends it at once, but for a hangup: a terminal that

@@ -59,6 +59,20 @@ fn a_station_is_checked_without_touching_anything() {
 }
 
 #[test]
+fn regression_a_check_of_a_station_did_not_look_for_its_buses() {
+    let folder = Folder::new();
+    let files = station(&folder, "");
+    let text = fs::read_to_string(&files[1]).expect("the station");
+    let text = text.replace(&format!("sim = '{CHIP}'\nsim-state = 'RIGHT-%.flash'"), "bus = '/dev/i2c-4077'");
+    fs::write(&files[1], text).expect("a file");
+    let arguments = run(&files, &["--check"]);
+    let ran = gaugefs(&arguments.iter().map(String::as_str).collect::<Vec<_>>());
+    assert!(ran.code == Some(1) && ran.out.contains("\nRIGHT: /dev/i2c-4077 address 0x55\n"), "{}", ran.out);
+    assert!(ran.err.contains("RIGHT: /dev/i2c-4077: no such bus"), "{}", ran.err);
+    assert_eq!(ran.err.lines().count(), 1, "LEFT has its pack: {}", ran.err);
+}
+
+#[test]
 fn packs_on_two_buses_are_programmed_and_recognised() {
     let folder = Folder::new();
     let files = station(&folder, "");

@@ -315,6 +315,14 @@ impl Plan {
         text
     }
 
+    /// What stands in the way at the station's places, as far as that can be seen without a transfer.
+    pub fn check(&self, clock: &Arc<dyn Clock>) -> Vec<Error> {
+        let check = |(name, gauge): &(String, GaugeSetup)| {
+            gauge.source.check(Path::new(""), clock).err().map(|error| error.within(name))
+        };
+        self.setup.gauges.iter().filter_map(check).collect()
+    }
+
     /// Refuses to begin a record where images of these gauges are: their record is missing, and with it the serial
     /// numbers that were given.
     fn check_images(&self) -> Result<()> {
