@@ -626,6 +626,17 @@ const fn text(name: &'static str, set: SetText, sample: &'static str) -> Opt<Sta
     Opt { name, effect: Effect::Text("TEXT", set), sample, ..OF_STATION }
 }
 
+/// A bound of the counter, in the base in which its numbers are shown.
+fn serial(
+    to: &mut StationOptions,
+    field: fn(&mut StationOptions) -> &mut Option<i64>,
+    text: &str,
+) -> Result<(), String> {
+    put(field(to), values::integer(text))?;
+    to.serial_is_hex |= text.starts_with("0x");
+    Ok(())
+}
+
 impl Options for StationOptions {
     const TABLE: &'static [Opt<Self>] = &[
         text("name", |to, text| put(&mut to.name, Ok(text.into())), "'line 1'"),
@@ -642,8 +653,8 @@ impl Options for StationOptions {
         switch("data-flash", |to, on| to.data_flash = on),
         switch("same-chemistry", |to, on| to.same_chemistry = on),
         text("serial", |to, text| put(&mut to.serial, values::one_of(text, SERIAL_FROM)), "'counter'"),
-        number("first-serial", |to, text| put(&mut to.first_serial, values::integer(text)), "1000"),
-        number("last-serial", |to, text| put(&mut to.last_serial, values::integer(text)), "2000"),
+        number("first-serial", |to, text| serial(to, |to| &mut to.first_serial, text), "1000"),
+        number("last-serial", |to, text| serial(to, |to| &mut to.last_serial, text), "2000"),
         file("serial-list", |to| &mut to.serial_list),
         text("serial-parameter", |to, text| put(&mut to.serial_parameter, Ok(text.into())), "'48/1'"),
         text("date", |to, text| put(&mut to.date, Ok(text.into())), "'today'"),

@@ -101,5 +101,9 @@ mod tests {
             manual.split("```toml\n").nth(1).and_then(|rest| rest.split("```").next()).expect("an example");
         let setup = read("manual", example).expect("a station");
         assert_eq!((setup.gauges.len(), setup.options.first_serial), (2, Some(1000)));
+        assert!(!setup.options.serial_is_hex);
+        let example = example.replace("first-serial = 1000", "first-serial = 0x03e8");
+        let options = read("manual", &example).expect("a station").options;
+        assert_eq!((options.first_serial, options.serial_is_hex), (Some(1000), true));
     }
 }

@@ -84,7 +84,7 @@ fn packs_on_two_buses_are_programmed_and_recognised() {
     };
     let said = run(0);
     assert_eq!(said.lines().filter(|line| line.starts_with("PASS ")).count(), 2, "{said}");
-    assert!(said.contains("serial 0x0001") && said.contains("serial 0x0002"), "{said}");
+    assert!(said.contains("serial 1 (") && said.contains("serial 2 ("), "{said}");
     let found = lines(&folder);
     assert_eq!(found.len(), 4);
     for line in found.iter().filter(|line| line["event"] == "pass") {
@@ -104,7 +104,7 @@ fn packs_on_two_buses_are_programmed_and_recognised() {
     let said = run(1);
     let reasons = gaugefs(&["records", "--by", "reason", &record]).done();
     assert!(reasons.lines().any(|line| line.starts_with("2 ") && line.contains("  reading  ")), "{reasons}");
-    assert_eq!(said.matches("it was programmed before as serial number 0x000").count(), 2, "{said}");
+    assert_eq!(said.matches("it was programmed before as serial number ").count(), 2, "{said}");
 }
 
 /// Killed in the middle, as by a loss of power.
@@ -130,8 +130,8 @@ fn a_station_that_was_killed_records_the_failure_when_it_starts_again() {
     }
     assert_eq!(ran.out.matches("the station was stopped while it programmed this pack").count(), 2 - ended);
     // The packs pass now, with new numbers.
-    assert!(ended > 0 || ran.out.contains("PASS LEFT serial 0x000"), "{}{}", ran.out, ran.err);
-    assert!(!ran.out.contains("PASS LEFT serial 0x0001") && !ran.out.contains("PASS RIGHT serial 0x0001"));
+    assert!(ended > 0 || ran.out.contains("PASS LEFT serial "), "{}{}", ran.out, ran.err);
+    assert!(!ran.out.contains("PASS LEFT serial 1 ") && !ran.out.contains("PASS RIGHT serial 1 "));
 }
 
 #[test]

@@ -34,6 +34,8 @@ pub struct Options {
     pub serial: Option<SerialFrom>,
     /// First number of the counter; by default 1.
     pub first_serial: Option<i64>,
+    /// The counter's numbers are shown in hexadecimal: the station's file has them so.
+    pub serial_is_hex: bool,
     /// Last number of the counter; by default the largest that fits.
     pub last_serial: Option<i64>,
     /// File with one serial number a line.

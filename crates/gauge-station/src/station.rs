@@ -479,7 +479,7 @@ impl Station {
             self.hand_over(&mut entry);
             record.append(&entry)?;
             self.failures.fetch_add(1, Ordering::SeqCst);
-            self.desk.outcome(&entry.gauge, false, &line(&entry), &self.tally().totals);
+            self.desk.outcome(&entry.gauge, false, &self.line(&entry), &self.tally().totals);
         }
         Ok(())
     }
@@ -506,6 +506,34 @@ impl Station {
 
     fn seals(&self) -> bool {
         self.plan.setup.options.seal.unwrap_or(true)
+    }
+
+    /// A serial number of the record as people know it.
+    fn told_serial(&self, recorded: &str) -> String {
+        let row = self.plan.serial_row;
+        row.map_or_else(|| recorded.into(), |row| self.serials.as_written(row, recorded))
+    }
+
+    /// The line that people see.
+    fn line(&self, entry: &Entry) -> String {
+        let serial = match (&entry.serial, &entry.scanned) {
+            (Some(serial), Some(scanned)) => format!(" serial {scanned} ({serial})"),
+            (Some(serial), None) => format!(" serial {}", self.told_serial(serial)),
+            (None, _) => String::new(),
+        };
+        let label = entry.label.as_ref().map_or(String::new(), |label| format!(" {label}"));
+        let number = entry.number;
+        let line = match (&entry.event, &entry.reason) {
+            (Event::Pass, _) => {
+                let seconds = entry.seconds.unwrap_or_default();
+                format!("PASS {}{label}{serial} (pack {number}, {seconds:.1} s)", entry.gauge)
+            }
+            (_, reason) => {
+                let reason = reason.as_deref().unwrap_or("unknown");
+                format!("FAIL {}{label}{serial} (pack {number}): {reason}", entry.gauge)
+            }
+        };
+        text::printable(&line)
     }
 
     fn gives_serials(&self) -> bool {
@@ -568,7 +596,7 @@ impl Station {
         tally.count(&entry);
         let totals = tally.totals.clone();
         drop(tally);
-        self.desk.outcome(&entry.gauge, has_passed, &line(&entry), &totals);
+        self.desk.outcome(&entry.gauge, has_passed, &self.line(&entry), &totals);
         if self.plan.setup.options.stop_after_failures.is_some_and(|most| totals.in_a_row >= most)
             && !self.halted.swap(true, Ordering::SeqCst)
         {
@@ -584,7 +612,11 @@ impl Station {
     /// Returns whether it has taken a PASS.
     fn hand_over(&self, entry: &mut Entry) -> bool {
         let has_passed = entry.event == Event::Pass;
-        let Err(error) = exec::run(&self.plan.setup.options.exec, entry) else { return has_passed };
+        let known = || Some(self.told_serial(entry.serial.as_ref()?));
+        let serial = entry.scanned.clone().or_else(known);
+        let Err(error) = exec::run(&self.plan.setup.options.exec, entry, serial.as_deref()) else {
+            return has_passed;
+        };
         let reason = entry.reason.take().map_or(String::new(), |reason| format!("{reason}; "));
         entry.event = Event::Fail;
         entry.step.get_or_insert_with(|| exec::EXEC.into());
@@ -733,26 +765,4 @@ fn take(left: &AtomicU64) -> bool {
         }
     }
     false
-}
-
-/// The line that people see.
-fn line(entry: &Entry) -> String {
-    let serial = match (&entry.serial, &entry.scanned) {
-        (Some(serial), Some(scanned)) => format!(" serial {scanned} ({serial})"),
-        (Some(serial), None) => format!(" serial {serial}"),
-        (None, _) => String::new(),
-    };
-    let label = entry.label.as_ref().map_or(String::new(), |label| format!(" {label}"));
-    let number = entry.number;
-    let line = match (&entry.event, &entry.reason) {
-        (Event::Pass, _) => {
-            let seconds = entry.seconds.unwrap_or_default();
-            format!("PASS {}{label}{serial} (pack {number}, {seconds:.1} s)", entry.gauge)
-        }
-        (_, reason) => {
-            let reason = reason.as_deref().unwrap_or("unknown");
-            format!("FAIL {}{label}{serial} (pack {number}): {reason}", entry.gauge)
-        }
-    };
-    text::printable(&line)
 }

@@ -28,19 +28,19 @@ const LAST_WORDS: Duration = Duration::from_secs(1);
 /// Longest line of its last words, in bytes.
 const MOST: u64 = 64 << 10;
 
-/// Runs the program with an outcome as JSON on its standard input, and waits for its end.
-pub(super) fn run(words: &[String], entry: &Entry) -> Result<()> {
-    run_within(PATIENCE, words, entry)
+/// Runs the program with an outcome as JSON on its standard input, and waits for its end. `serial` is for people.
+pub(super) fn run(words: &[String], entry: &Entry, serial: Option<&str>) -> Result<()> {
+    run_within(PATIENCE, words, entry, serial)
 }
 
-fn run_within(patience: Duration, words: &[String], entry: &Entry) -> Result<()> {
+fn run_within(patience: Duration, words: &[String], entry: &Entry, serial: Option<&str>) -> Result<()> {
     let Some((program, arguments)) = words.split_first() else { return Ok(()) };
     let failed = |error: &std::io::Error| Error::io(program, "cannot be run", error).within(EXEC);
     let event = if entry.event == Event::Pass { "pass" } else { "fail" };
     let facts = [
         ("EVENT", Some(event)),
         ("GAUGE", Some(&*entry.gauge)),
-        ("SERIAL", entry.serial.as_deref()),
+        ("SERIAL", serial),
         ("LABEL", entry.label.as_deref()),
         ("REASON", entry.reason.as_deref()),
     ];
@@ -106,7 +106,7 @@ mod tests {
         let late = std::env::temp_dir().join(format!("gaugefs-exec-{}", std::process::id()));
         let script = format!("sh -c 'sleep 1; echo label > {}; sleep 60'; true", late.display());
         let entry = Entry { event: Event::Pass, ..Entry::default() };
-        let error = run_within(Duration::from_millis(300), &["sh", "-c", &script].map(String::from), &entry);
+        let error = run_within(Duration::from_millis(300), &["sh", "-c", &script].map(String::from), &entry, None);
         let error = error.expect_err("it takes too long").to_string();
         assert!(error.contains("it did not end within") && error.contains("was killed"), "{error}");
         RealClock::new().sleep(Duration::from_millis(1500));

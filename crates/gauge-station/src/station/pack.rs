@@ -277,13 +277,14 @@ impl Task<'_> {
         Ok(())
     }
 
-    /// Goes to a step, and shows it where the pack must not be removed.
+    /// Goes to a step, and shows it where the pack must not be removed. Who has to scan something is shown when it is asked
+    /// for.
     fn at(&mut self, step: Step) {
         self.step = step;
-        let (desk, name) = (&self.station.desk, &self.bench.name);
         if step == Step::Scan {
             return;
         }
+        let (desk, name) = (&self.station.desk, &self.bench.name);
         match self.busy.iter().position(|busy| *busy == step) {
             Some(at) => {
                 let progress = Progress { step: at + 1, steps: self.busy.len(), name: step.name() };
@@ -421,7 +422,7 @@ impl Task<'_> {
                 let serial = seen
                     .serial
                     .as_ref()
-                    .map_or(String::new(), |serial| format!(" as serial number {serial}"));
+                    .map_or(String::new(), |serial| format!(" as serial number {}", self.station.told_serial(serial)));
                 let why = format!(
                     "it was programmed before{serial}, at {} (number {} of the record); nothing was changed. seen = \
                      \"redo\" in the station's file programs it again",
@@ -482,7 +483,8 @@ impl Task<'_> {
             let register = chip.register_at(chip.serial_register()?)?;
             let number = self.gauge.handle.published().snapshot.as_ref()?.value(register)?;
             let shown = serial::shown(self.station.plan.serial_row?, &Value::Int(number));
-            self.station.record().passed(&shown).map(|pack| (shown, pack))
+            let pack = self.station.record().passed(&shown)?;
+            Some((self.station.told_serial(&shown), pack))
         };
         match number() {
             Some((serial, pack)) => refuse(
@@ -603,7 +605,7 @@ impl Task<'_> {
             let shown = serial::shown(row, &value);
             // Another bench may have taken it meanwhile.
             if let Some(pack) = record.taken(&shown).filter(|_| given.own.is_none()) {
-                return Err(refuse("serial number", taken_by(&shown, pack)));
+                return Err(refuse("serial number", taken_by(&station.told_serial(&shown), pack)));
             }
             asked.set(row.0, row.1, value);
             entry.serial = Some(shown);

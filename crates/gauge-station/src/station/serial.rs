@@ -24,8 +24,10 @@ pub(super) enum Serials {
     Counter {
         first: i64,
         last: i64,
+        is_hex: bool,
     },
-    List(Vec<Value>),
+    /// Each with its text in the list.
+    List(Vec<(Value, String)>),
     /// Somebody types or scans them.
     Input,
 }
@@ -76,7 +78,7 @@ pub(super) fn label_row(chip: &'static Chip, station: &Options) -> Result<Option
     }
 }
 
-/// A serial number as it is shown and compared.
+/// A serial number as the record has it, and as it is compared.
 pub(super) fn shown(row: Row, value: &Value) -> String {
     notation::render(row.1.kind, value)
 }
@@ -98,7 +100,7 @@ impl Serials {
                     notation::parse(row.1, number.to_string().as_bytes())
                         .map_err(|error| error.within(key))?;
                 }
-                Ok(Self::Counter { first, last: last.min(most) })
+                Ok(Self::Counter { first, last: last.min(most), is_hex: station.serial_is_hex })
             }
             SerialFrom::List => {
                 let path = station.serial_list.as_deref().unwrap_or(Path::new(""));
@@ -126,7 +128,7 @@ impl Serials {
         };
         match self {
             Self::None | Self::Input => Ok(None),
-            Self::Counter { first, last } => {
+            Self::Counter { first, last, .. } => {
                 let given =
                     record.given().filter_map(|text| match notation::parse_stored(row.1, text.as_bytes()) {
                         Ok(Value::Int(number)) if (*first..=*last).contains(&number) => Some(number),
@@ -137,11 +139,27 @@ impl Serials {
                     next => Ok(Some(Value::Int(next))),
                 }
             }
-            Self::List(list) => match list.iter().find(|value| !record.is_given(&shown(row, value))) {
-                Some(value) => Ok(Some(value.clone())),
+            Self::List(list) => match list.iter().find(|(value, _)| !record.is_given(&shown(row, value))) {
+                Some((value, _)) => Ok(Some(value.clone())),
                 None => used_up("the end of serial-list"),
             },
         }
+    }
+
+    /// A serial number of the record as the station's file or its list writes it, which is what people look for.
+    pub(super) fn as_written(&self, row: Row, recorded: &str) -> String {
+        let value = notation::parse_stored(row.1, recorded.as_bytes()).ok();
+        let text = match (self, &value) {
+            (Self::Counter { is_hex: false, .. }, Some(Value::Int(number))) => Some(number.to_string()),
+            (Self::Counter { is_hex: true, .. }, Some(Value::Int(number))) => {
+                Some(notation::render(Type::H(row.1.kind.size() as u8), &Value::Int(*number)))
+            }
+            (Self::List(list), Some(value)) => {
+                list.iter().find(|(listed, _)| listed == value).map(|(_, text)| text.clone())
+            }
+            _ => None,
+        };
+        text.unwrap_or_else(|| recorded.into())
     }
 }
 
@@ -149,7 +167,7 @@ impl Serials {
 const LONGEST: u64 = 16 << 20;
 
 /// The serial numbers of a file, one a line.
-fn list(path: &Path, row: Row) -> Result<Vec<Value>> {
+fn list(path: &Path, row: Row) -> Result<Vec<(Value, String)>> {
     let name = path.display().to_string();
     let text = regular::read_text(path, LONGEST)
         .map_err(|error| Error::io(&name, "cannot read the list", &error))?;
@@ -165,7 +183,7 @@ fn list(path: &Path, row: Row) -> Result<Vec<Value>> {
             let why = format!("the serial number is also in line {first}; remove one of the two");
             return Err(at(Error::new("", Cause::Invalid, why)));
         }
-        values.push(value);
+        values.push((value, line.into()));
     }
     if values.is_empty() {
         return Err(Error::new(name, Cause::Invalid, "the list has no serial number"));

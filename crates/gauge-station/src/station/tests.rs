@@ -550,7 +550,7 @@ fn a_pack_without_faults_passes_and_is_documented() {
     let line = Line::start(plan, &[], None).expect("a record");
     let sim = new_pack(&clock, 1, None);
     let said = line.run(&clock, [(sim.clone(), "none".into())]);
-    assert!(said[0].starts_with("PASS BAT0 serial 0x03e8 (pack 1, "), "{said:?}");
+    assert!(said[0].starts_with("PASS BAT0 serial 1000 (pack 1, "), "{said:?}");
     let lines = folder.lines();
     let [begun, pass] = &lines[..] else { panic!("{lines:?}") };
     assert_eq!((begun.event, pass.event), (Event::Begun, Event::Pass));
@@ -577,13 +577,13 @@ fn a_pack_without_faults_passes_and_is_documented() {
 
     // It is recognised, and refused or programmed again.
     let said = line.run(&clock, [(sim.clone(), "none".into())]);
-    assert!(said[1].contains("it was programmed before as serial number 0x03e8"), "{said:?}");
+    assert!(said[1].contains("it was programmed before as serial number 1000"), "{said:?}");
     drop(line);
     let plan = folder.plan(&format!("{PLAIN}\ndate = '2026-11-22'\npack-lot = 0x12\nseen = 'redo'"));
     let line = Line::start(plan, &[], None).expect("a record");
     let said = line.run(&clock, [(sim, "none".into()), (new_pack(&clock, 2, None), "none".into())]);
-    assert!(said[0].starts_with("PASS BAT0 serial 0x03e8 (pack 3"), "{said:?}");
-    assert!(said[1].starts_with("PASS BAT0 serial 0x03e9 (pack 4"), "{said:?}");
+    assert!(said[0].starts_with("PASS BAT0 serial 1000 (pack 3"), "{said:?}");
+    assert!(said[1].starts_with("PASS BAT0 serial 1001 (pack 4"), "{said:?}");
 }
 
 #[test]
@@ -842,6 +842,34 @@ fn a_scanned_number_is_asked_for_until_it_is_right() {
 }
 
 #[test]
+fn regression_a_serial_number_was_shown_in_another_base_than_in_the_file() {
+    let list = PLAIN.replace("'counter'\nfirst-serial = 1000", "'list'\nserial-list = 'serials.txt'");
+    for (name, lines, serials) in [
+        ("base-10", PLAIN.to_string(), ["1000", "1001"]),
+        ("base-16", format!("{PLAIN}\nserial-is-hex = true"), ["0x03e8", "0x03e9"]),
+        ("base-list", list, ["258", "0x1F"]),
+    ] {
+        let folder = Folder::new(name);
+        fs::write(folder.file("serials.txt"), "258\n0x1F\n").expect("a file");
+        let told = folder.file("told");
+        let exec = format!("exec = ['sh', '-c', 'echo $GAUGEFS_SERIAL >> {}']", told.display());
+        let clock = Arc::new(SimClock::new());
+        let line = Line::start(folder.plan(&format!("{lines}\n{exec}")), &[], None).expect("a record");
+        let packs = [1, 2].map(|seed| new_pack(&clock, seed, None));
+        let again = packs[0].clone();
+        let said = line.run(&clock, packs.into_iter().chain([again]).map(|pack| (pack, "none".into())));
+        for (said, serial) in said.iter().zip(serials) {
+            assert!(said.starts_with(&format!("PASS BAT0 serial {serial} (pack ")), "{said}");
+        }
+        let seen = format!("it was programmed before as serial number {},", serials[0]);
+        assert!(said[2].contains(&seen), "{}", said[2]);
+        let told = fs::read_to_string(told).expect("it was told");
+        assert!(told.starts_with(&format!("{}\n{}\n", serials[0], serials[1])), "{told}");
+        check_record(&folder);
+    }
+}
+
+#[test]
 fn a_list_is_given_once_and_has_no_number_twice() {
     let folder = Folder::new("list");
     let lines = PLAIN.replace("'counter'\nfirst-serial = 1000", "'list'\nserial-list = 'serials.txt'");
@@ -917,7 +945,7 @@ fn a_pack_that_is_pulled_out_fails_and_the_next_waits_for_a_decision() {
     };
     let (folder, line, pulled, said) = (150..400).step_by(10).find_map(pull).expect("a write");
     assert!(
-        said[0].starts_with("FAIL BAT0 serial 0x03e8") && said[0].contains("its journal is "),
+        said[0].starts_with("FAIL BAT0 serial 1000") && said[0].contains("its journal is "),
         "{said:?}"
     );
     // A pack whose values the interrupted write does not explain.
@@ -1005,11 +1033,11 @@ fn keys_are_changed_and_are_nowhere_in_the_record() {
 
     // It is recognised with its new keys.
     let said = line.run(&clock, [(sim.clone(), "none".into())]);
-    assert!(said[1].contains("it was programmed before as serial number 0x03e8"), "{said:?}");
+    assert!(said[1].contains("it was programmed before as serial number 1000"), "{said:?}");
     drop(line);
     let line = Line::start(folder.plan(&format!("{lines}\nseen = 'redo'")), &[], None).expect("a record");
     let said = line.run(&clock, [(sim.clone(), "none".into())]);
-    assert!(said[0].starts_with("PASS BAT0 serial 0x03e8"), "{said:?}");
+    assert!(said[0].starts_with("PASS BAT0 serial 1000"), "{said:?}");
     assert_eq!(sim.get("seal").as_deref(), Some("sealed"));
 }
 
@@ -1048,7 +1076,7 @@ fn keys_of_which_one_was_changed_before_are_completed() {
         fs::set_permissions(folder.file("new.keys"), fs::Permissions::from_mode(0o600)).expect("its mode");
         let line = Line::start(folder.plan(&lines), &[], None).expect("a record");
         let said = line.run(&clock, [(sim.clone(), "none".into())]);
-        assert!(said[0].starts_with("PASS BAT0 serial 0x03e8"), "{said:?}");
+        assert!(said[0].starts_with("PASS BAT0 serial 1000"), "{said:?}");
         assert_eq!(sim.get("seal").as_deref(), Some("sealed"));
     }
     let new = ti_gauge::keys::Keys::parse("new.keys", keys.as_bytes(), "BAT0").expect("keys");
@@ -1148,7 +1176,7 @@ fn regression_a_record_that_cannot_be_synced_says_pass_and_the_screen_says_fail(
         let packs = [1, 2].map(|seed| (new_pack(&clock, seed, None), "none".to_string()));
         let said = line.run(&clock, packs);
         // It does not go on.
-        assert!(said.len() == 1 && said[0].starts_with("FAIL BAT0 serial 0x03e8"), "{times}: {said:?}");
+        assert!(said.len() == 1 && said[0].starts_with("FAIL BAT0 serial 1000"), "{times}: {said:?}");
         assert!(said[0].contains("the record cannot be written"), "{times}: {said:?}");
         assert!(folder.lines().iter().all(|line| line.event != Event::Pass), "{times}: {:?}", folder.lines());
         assert!(!line.station.all_passed());
@@ -1156,7 +1184,7 @@ fn regression_a_record_that_cannot_be_synced_says_pass_and_the_screen_says_fail(
         let line = Line::start(folder.plan(PLAIN), &[], None).expect("a record");
         check_record(&folder);
         let said = line.run(&clock, [(new_pack(&clock, 3, None), "none".into())]);
-        assert!(said.last().is_some_and(|line| line.starts_with("PASS BAT0 serial 0x03e9")), "{said:?}");
+        assert!(said.last().is_some_and(|line| line.starts_with("PASS BAT0 serial 1001")), "{said:?}");
     }
 }
 
@@ -1291,7 +1319,7 @@ fn a_wrong_image_stops_the_station_and_takes_no_serial_number() {
     let said = line.run(&clock, packs.into_iter().zip(faults).map(|(sim, fault)| (sim, fault.to_string())));
     assert_eq!(said.len(), 6, "{said:?}");
     let passed: Vec<_> = said.iter().filter(|line| line.starts_with("PASS")).collect();
-    assert!(passed.len() == 3 && passed[2].starts_with("PASS BAT0 serial 0x03ea"), "{said:?}");
+    assert!(passed.len() == 3 && passed[2].starts_with("PASS BAT0 serial 1002"), "{said:?}");
     let totals = line.station.tally().totals.clone();
     assert_eq!((totals.passed, totals.failures(), totals.in_a_row), (3, 3, 0));
     assert_eq!(totals.failed.get("identification"), Some(&3), "{totals:?}");
@@ -1365,8 +1393,8 @@ fn a_label_is_kept_in_the_record_and_in_the_pack() {
     let line = Line::start(folder.plan(&lines), &typed, None).expect("a record");
     let packs = [1, 2].map(|seed| (new_pack(&clock, seed, None), "none".to_string()));
     let said = line.run(&clock, packs);
-    assert!(said[0].starts_with("PASS BAT0 SN00123 serial 0x03e8 (pack 1") && said.len() == 2, "{said:?}");
-    assert!(said[1].starts_with("PASS BAT0 SN00124 serial 0x03e9"), "{said:?}");
+    assert!(said[0].starts_with("PASS BAT0 SN00123 serial 1000 (pack 1") && said.len() == 2, "{said:?}");
+    assert!(said[1].starts_with("PASS BAT0 SN00124 serial 1001"), "{said:?}");
     let pass = folder.lines().pop().expect("a line");
     assert_eq!(pass.label.as_deref(), Some("SN00124"));
     let name = pass.changes.iter().find(|change| change.name == "configuration-data/device-name");
@@ -1380,7 +1408,7 @@ fn a_label_is_kept_in_the_record_and_in_the_pack() {
     assert!(said[0].starts_with("FAIL BAT0 SN7"), "{said:?}");
     clock.sleep(Duration::from_secs(1000));
     let said = line.run(&clock, [(sim, "none".into()), (new_pack(&clock, 4, None), "none".into())]);
-    assert!(said[1].starts_with("PASS BAT0 SN7 serial 0x03eb") && said[2].starts_with("FAIL"), "{said:?}");
+    assert!(said[1].starts_with("PASS BAT0 SN7 serial 1003") && said[2].starts_with("FAIL"), "{said:?}");
     check_record(&folder);
     for (lines, says) in [
         ("label-parameter = 'configuration-data/device-name'", "label-parameter: set label = true too"),
@@ -1412,14 +1440,14 @@ fn a_program_gets_every_outcome_and_its_failure_is_one() {
     let [pass, pass_facts, fail, fail_facts] = lines_of[..] else { panic!("{text}") };
     let record = fs::read_to_string(folder.file("line1.jsonl")).expect("a record");
     assert!(record.lines().any(|line| line == pass) && record.lines().any(|line| line == fail), "{text}");
-    assert_eq!((pass_facts, fail_facts), ("pass 0x03e8", "fail"));
+    assert_eq!((pass_facts, fail_facts), ("pass 1000", "fail"));
     // The label was not printed: the pack has not passed.
     fs::write(&refuses, "").expect("a file");
     let said = line.run(&clock, [(new_pack(&clock, 2, None), "none".into())]);
     let last = said.last().expect("an outcome");
     assert!(
         last.starts_with(
-            "FAIL BAT0 serial 0x03e9 (pack 3): exec: sh has failed: exit status: 3; it says: no paper"
+            "FAIL BAT0 serial 1001 (pack 3): exec: sh has failed: exit status: 3; it says: no paper"
         ),
         "{last}"
     );
@@ -1517,7 +1545,7 @@ fn an_older_record_is_read() {
     let clock = Arc::new(SimClock::new());
     let line = Line::start(folder.plan(PLAIN), &[], None).expect("a record");
     let said = line.run(&clock, [(new_pack(&clock, 1, None), "none".into())]);
-    assert!(said[0].starts_with("PASS BAT0 serial 0x03e9 (pack 2"), "{said:?}");
+    assert!(said[0].starts_with("PASS BAT0 serial 1001 (pack 2"), "{said:?}");
 }
 
 /// Each pack has files of its own, so a full disk was as many reasons as it had failures.
