@@ -43,6 +43,7 @@ mod thin;
 mod ticks;
 mod top;
 mod wait;
+mod wrap;
 
 /// The commands of this crate.
 #[derive(Debug, Subcommand)]

@@ -48,6 +48,8 @@ struct Model {
     colour: bool,
     /// Line drawing characters are there.
     unicode: bool,
+    /// Which part of a text is shown that has no room as a whole.
+    turn: usize,
     changed: bool,
 }
 
@@ -191,6 +193,7 @@ impl Model {
             last: VecDeque::new(),
             colour,
             unicode,
+            turn: 0,
             changed: true,
         }
     }
@@ -250,8 +253,13 @@ mod tests {
 
     fn drawn(model: &Model, width: u16, height: u16) -> Buffer {
         let mut terminal = Terminal::new(TestBackend::new(width, height)).expect("a terminal");
-        terminal.draw(|frame| draw::screen(frame, model)).expect("it is drawn");
+        terminal.draw(|frame| has_parts(draw::screen(frame, model), model)).expect("it is drawn");
         terminal.backend().buffer().clone()
+    }
+
+    /// Only a screen on which something has no room at all goes on by itself.
+    fn has_parts(has_parts: bool, model: &Model) {
+        assert!(!has_parts || model.fields.iter().any(|field| field.text.len() > 40));
     }
 
     fn text(buffer: &Buffer) -> String {
@@ -307,8 +315,62 @@ mod tests {
         model.asked = None;
         let shown = text(&drawn(&model, 80, 24));
         assert!(shown.split_whitespace().collect::<Vec<_>>().join(" ").ends_with(reason), "{shown}");
-        // And the words are as large as they were.
-        assert_eq!(shown.matches('[').count(), 0, "{shown}");
+        // And the words of the others are as large as they were.
+        assert_eq!(shown.matches('[').count(), 1, "{shown}");
+    }
+
+    const REASON: &str = "FAIL FOURTH SN00124 serial 1003 (pack 4): bring-up: Voltage(): verify: 0.0 mV (8 readings, 0 to 0) with \
+                          the new divider, and it should be 13878 to 16962 mV: is the divider right, and the number of \
+                          cells?; the old value was restored and verified";
+
+    /// The text of the field with that name, put together from its lines and its parts.
+    fn text_of(model: &mut Model, name: &str, width: u16, height: u16) -> String {
+        let mut whole = String::new();
+        for turn in 0.. {
+            model.turn = turn;
+            let shown = text(&drawn(model, width, height));
+            let lines: Vec<Vec<char>> = shown.lines().map(|line| line.chars().collect()).collect();
+            let title = format!("] {name} ").chars().collect::<Vec<_>>();
+            let find = |line: &[char]| line.windows(title.len()).position(|part| part == title);
+            let (top, at) =
+                (0..).zip(&lines).find_map(|(row, line)| Some((row, find(line)?))).expect("its frame");
+            let left = lines[top][..at].iter().rposition(|&letter| letter == '+').expect("a corner");
+            let right = lines[top][at..].iter().position(|&letter| letter == '+').expect("a corner") + at;
+            let inner = lines[top + 1..].iter().take_while(|line| line[left] == '|');
+            let inner: Vec<String> = inner.map(|line| line[left + 1..right].iter().collect()).collect();
+            whole = whole + " " + &inner.join(" ").replace('#', " ");
+            let head: String = lines[top][at..right].iter().collect();
+            let parts = head.split(' ').find_map(|word| word.split_once('/')?.1.parse::<usize>().ok());
+            if turn + 1 >= parts.unwrap_or(1) {
+                return whole.split_whitespace().collect::<Vec<_>>().join(" ");
+            }
+        }
+        unreachable!("there is a last part")
+    }
+
+    #[test]
+    fn regression_the_reason_of_a_failure_was_cut_off_in_its_field_and_lost_with_the_next_message() {
+        let names: Vec<String> = (1..=8).map(|number| format!("S{number}")).collect();
+        let mut names: Vec<&str> = names.iter().map(String::as_str).collect();
+        names[3] = "FOURTH";
+        for (count, width, height) in [(4, 80, 24), (4, 120, 40), (8, 80, 24), (8, 40, 24), (4, 60, 15)] {
+            let mut model = model(&names[..count], false);
+            model.fields[3].text = REASON.into();
+            model.last.push_front("S2: take the pack off".into());
+            assert_eq!(text_of(&mut model, "FOURTH", width, height), REASON, "{count} on {width} x {height}");
+            // Two of them, in different rows.
+            model.fields[0].sign = Sign::Fail;
+            model.fields[0].text = REASON.replace("FOURTH", "S1");
+            assert_eq!(text_of(&mut model, "FOURTH", width, height), REASON);
+            assert_eq!(text_of(&mut model, "S1", width, height), REASON.replace("FOURTH", "S1"));
+        }
+        // One of usual length has its sign, and as it has room beside that, the others keep their words.
+        let mut model = model(&names[..4], false);
+        let (reason, _) = REASON.split_once(": is the divider").expect("a question");
+        model.fields[3].text = reason.into();
+        let shown = text(&drawn(&model, 80, 24));
+        assert!(shown.contains("[FAIL] FOURTH --") && shown.contains("| #   #  FAIL FOURTH"), "{shown}");
+        assert_eq!(shown.matches('[').count(), 1, "{shown}");
     }
 
     /// docs/line.svg and the texts of it.

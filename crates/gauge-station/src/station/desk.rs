@@ -206,7 +206,8 @@ mod tests {
                 |shown: &Shown| shown.iter().any(|(name, shows, _)| name == slot && *shows == sign);
             let shown = shown.lock().expect("nobody panics");
             let shown = changed.wait_while(shown, |shown| !is_there(shown)).expect("nobody panics");
-            let scans = |(_, sign, text): &&(String, Sign, String)| *sign == Sign::Scan || text.contains("scan");
+            let scans =
+                |(_, sign, text): &&(String, Sign, String)| *sign == Sign::Scan || text.contains("scan");
             shown.iter().filter(scans).map(|(name, ..)| name.clone()).collect()
         }
     }

@@ -106,7 +106,8 @@ mod tests {
         let late = std::env::temp_dir().join(format!("gaugefs-exec-{}", std::process::id()));
         let script = format!("sh -c 'sleep 1; echo label > {}; sleep 60'; true", late.display());
         let entry = Entry { event: Event::Pass, ..Entry::default() };
-        let error = run_within(Duration::from_millis(300), &["sh", "-c", &script].map(String::from), &entry, None);
+        let error =
+            run_within(Duration::from_millis(300), &["sh", "-c", &script].map(String::from), &entry, None);
         let error = error.expect_err("it takes too long").to_string();
         assert!(error.contains("it did not end within") && error.contains("was killed"), "{error}");
         RealClock::new().sleep(Duration::from_millis(1500));

@@ -419,10 +419,9 @@ impl Task<'_> {
         if let Some(seen) = record.seen(&fingerprint) {
             self.entry.seen = Some(seen.number);
             if self.station.plan.setup.options.seen.unwrap_or_default() == Seen::Refuse {
-                let serial = seen
-                    .serial
-                    .as_ref()
-                    .map_or(String::new(), |serial| format!(" as serial number {}", self.station.told_serial(serial)));
+                let serial = seen.serial.as_ref().map_or(String::new(), |serial| {
+                    format!(" as serial number {}", self.station.told_serial(serial))
+                });
                 let why = format!(
                     "it was programmed before{serial}, at {} (number {} of the record); nothing was changed. seen = \
                      \"redo\" in the station's file programs it again",

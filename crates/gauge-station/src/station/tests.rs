@@ -944,10 +944,7 @@ fn a_pack_that_is_pulled_out_fails_and_the_next_waits_for_a_decision() {
         said[0].contains("contents unknown").then_some((folder, line, pack, said))
     };
     let (folder, line, pulled, said) = (150..400).step_by(10).find_map(pull).expect("a write");
-    assert!(
-        said[0].starts_with("FAIL BAT0 serial 1000") && said[0].contains("its journal is "),
-        "{said:?}"
-    );
+    assert!(said[0].starts_with("FAIL BAT0 serial 1000") && said[0].contains("its journal is "), "{said:?}");
     // A pack whose values the interrupted write does not explain.
     let other = new_pack(&clock, 2, None);
     other.set_flash(48, 11, &[0x12, 0x34]);

@@ -10,6 +10,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{self, Sender};
 use std::thread::{self, JoinHandle};
+use std::time::{Duration, Instant};
 
 use crossterm::event::{self, Event, KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
@@ -21,6 +22,8 @@ use super::{Board, Key, draw};
 use crate::top::terminal::{STEP, failed};
 use gaugefs_host::error::Result;
 
+/// How long a part of a text is shown.
+const TURN: Duration = Duration::from_secs(4);
 /// The size of a serial console, which tells none.
 const SERIAL: Rect = Rect { x: 0, y: 0, width: 80, height: 24 };
 
@@ -74,11 +77,15 @@ fn show(
     ends: &AtomicBool,
     leaves: fn(),
 ) -> Result<()> {
+    let (mut has_parts, mut turned) = (false, Instant::now());
     loop {
         let is_over = ends.load(Ordering::SeqCst);
         let mut model = board.model.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        if has_parts && turned.elapsed() >= TURN {
+            (model.turn, model.changed, turned) = (model.turn + 1, true, Instant::now());
+        }
         if std::mem::take(&mut model.changed) {
-            terminal.draw(|frame| draw::screen(frame, &model)).map_err(|error| failed(&error))?;
+            terminal.draw(|frame| has_parts = draw::screen(frame, &model)).map_err(|error| failed(&error))?;
         }
         drop(model);
         if is_over {

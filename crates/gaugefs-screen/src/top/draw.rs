@@ -14,6 +14,7 @@ use ratatui::widgets::{
 use super::super::decimal::decimal;
 use super::super::learning::line;
 use super::super::ticks;
+use super::super::wrap::wrapped;
 use super::model::{Gauge, Model};
 use gaugefs_client::sample::Sample;
 use gaugefs_client::watch::learned_parameters;
@@ -282,12 +283,12 @@ fn details(model: &Model, gauge: &Gauge, now: f64, width: u16) -> Vec<Line<'stat
     let mut lines = Vec::new();
     if let Some(silent) = model.silence(gauge, now) {
         let why = format!("{}: no answer for {silent:.0} s", gauge.folder.display());
-        lines.extend(wrapped(&why, width).into_iter().map(|line| Line::styled(line, warn)));
+        lines.extend(wrapped(&why, width.into()).into_iter().map(|line| Line::styled(line, warn)));
         return lines;
     }
     if let Some(why) = &gauge.trouble {
         let why = format!("{}: {why}", gauge.folder.display());
-        lines.extend(wrapped(&why, width).into_iter().map(|line| Line::styled(line, warn)));
+        lines.extend(wrapped(&why, width.into()).into_iter().map(|line| Line::styled(line, warn)));
     }
     let Some(sample) = &gauge.shown else { return lines };
     let mut facts = Vec::new();
@@ -314,27 +315,10 @@ fn details(model: &Model, gauge: &Gauge, now: f64, width: u16) -> Vec<Line<'stat
         lines.push(Line::from(vec![name, Span::raw(bits.to_string())]));
     }
     if !sample.last_error.is_empty() {
-        let text = wrapped(&format!("last error: {}", sample.last_error), width);
+        let text = wrapped(&format!("last error: {}", sample.last_error), width.into());
         let at = usize::from(lines.len() > 1);
         for line in text.into_iter().take(2).rev() {
             lines.insert(at, Line::styled(line, coloured(model, Color::Red)));
-        }
-    }
-    lines
-}
-
-/// Breaks a text into lines of the width of the screen.
-fn wrapped(text: &str, width: u16) -> Vec<String> {
-    let mut lines = vec![String::new()];
-    for word in text.split(' ') {
-        let line = lines.last_mut().expect("there is at least one line");
-        if !line.is_empty() && line.chars().count() + 1 + word.chars().count() > usize::from(width) {
-            lines.push(word.to_string());
-        } else {
-            if !line.is_empty() {
-                line.push(' ');
-            }
-            line.push_str(word);
         }
     }
     lines
@@ -423,7 +407,7 @@ fn learning(frame: &mut Frame<'_>, gauge: &Gauge, now: f64, area: Rect) {
     let heading = |text: String| Line::styled(text, bold());
     if let Some(state) = gauge.shown_state.as_ref().filter(|_| area.height >= 8) {
         lines.push(heading("Cycle".into()));
-        lines.extend(wrapped(&line(state), area.width).into_iter().map(Line::raw));
+        lines.extend(wrapped(&line(state), area.width.into()).into_iter().map(Line::raw));
     }
     let model_name = sample.attribute("model_name").unwrap_or_default();
     let known = !learned_parameters(model_name).is_empty();
@@ -440,7 +424,7 @@ fn learning(frame: &mut Frame<'_>, gauge: &Gauge, now: f64, area: Rect) {
     lines.push(heading(format!("Learned (data flash){age}")));
     // On a low screen the values need the line.
     if area.height >= 8 || !matches!(gauge.learned, Some(Ok(_))) {
-        lines.extend(wrapped(why, area.width).into_iter().map(Line::raw));
+        lines.extend(wrapped(why, area.width.into()).into_iter().map(Line::raw));
     }
     let mut cells = Vec::new();
     if let Some(Ok(rows)) = &gauge.learned {

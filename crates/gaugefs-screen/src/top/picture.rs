@@ -99,12 +99,17 @@ fn dots(cell: &Cell) -> Option<u32> {
     (0x2801..=0x28ff).contains(&letter).then(|| letter - 0x2800)
 }
 
-fn behind(paper: Color) -> &'static str {
-    if paper == Color::Reset { PAPER } else { colour(paper) }
+pub(crate) fn behind(paper: Color) -> String {
+    if paper == Color::Reset { PAPER.into() } else { colour(paper) }
 }
 
-fn colour(colour: Color) -> &'static str {
-    match colour {
+pub(crate) fn colour(colour: Color) -> String {
+    let of_theme = match colour {
+        // The cube of xterm: six steps of each colour.
+        Color::Indexed(index @ 16..=231) => {
+            let step = |place: u8| [0, 95, 135, 175, 215, 255][usize::from((index - 16) / place % 6)];
+            return format!("#{:02x}{:02x}{:02x}", step(36), step(6), step(1));
+        }
         Color::Red => "#ff7b72",
         Color::Green => "#7ee787",
         Color::Yellow => "#e3b341",
@@ -112,5 +117,6 @@ fn colour(colour: Color) -> &'static str {
         Color::DarkGray => "#7d8590",
         Color::Black => PAPER,
         _ => INK,
-    }
+    };
+    of_theme.into()
 }
