@@ -13,7 +13,7 @@
 //! | `root`, `covered` | the mount point, and the kernel's supplies underneath it |
 //! | `mains` | the folder of the Mains supply |
 //! | `supply` | the folder of a gauge; `attribute` has one row for each power_supply attribute |
-//! | `df` | data flash; `transaction` and `raw` parse what is written to `df/transaction` |
+//! | `df` | data flash; `transaction` and `raw` parse what is written to `df/transaction`, `caller` is who writes it |
 //! | `gauge_dir` | `gauge/`, one row for each file |
 //! | `sim_dir` | `sim/` |
 //!
@@ -27,6 +27,7 @@ use crate::error::{Error, Result};
 use gauge_owner::{Attempt, Done, Handle};
 
 mod attribute;
+mod caller;
 mod covered;
 mod df;
 mod gauge_dir;
@@ -41,6 +42,7 @@ mod transaction;
 
 pub use attribute::Attribute;
 use attribute::{Kind, Reading};
+pub use caller::{Caller, Process};
 pub use covered::Covered;
 use covered::CoveredLink;
 pub use df::DfItem;
@@ -307,9 +309,17 @@ trait Operations {
     }
 
     /// Writes to a file.
-    fn write(&self, _data: &[u8], done: Done<()>) {
+    fn write(&self, _: Caller, _data: &[u8], done: Done<()>) {
         done(Err(not_writable()));
     }
+
+    /// See [`Fs::awaits_close`].
+    fn awaits_close(&self, _: Caller) -> bool {
+        false
+    }
+
+    /// An open file was closed.
+    fn close(&self, _file: u64) {}
 
     /// Refuses a new file of that name in a folder.
     fn refuse_new(&self, _name: &str) -> Error {
@@ -492,10 +502,10 @@ impl Fs {
 
     /// Writes to a file. `offset` is where the data begins in the file. `done` is called with the outcome, either at
     /// once or from the thread that owns the gauge.
-    pub fn write(&self, node: Node, offset: u64, data: &[u8], done: Done<()>) {
+    pub fn write(&self, node: Node, caller: Caller, offset: u64, data: &[u8], done: Done<()>) {
         let is_cut = data.len() >= PAGE || (offset + data.len() as u64).is_multiple_of(PAGE as u64);
         if self.is_stream(node) || !is_cut {
-            return self.at(node).write(data, done);
+            return self.at(node).write(caller, data, done);
         }
         let why = "longer than any value, so it may not be whole; write the value alone, without padding";
         let error = Error::host(self.path(node), Errno::EFBIG, why);
@@ -505,6 +515,17 @@ impl Fs {
             }
             _ => done(Err(error)),
         }
+    }
+
+    /// Whether this write is answered otherwise when the open file through which the same process wrote before it has been
+    /// closed.
+    pub fn awaits_close(&self, node: Node, caller: Caller) -> bool {
+        self.at(node).awaits_close(caller)
+    }
+
+    /// An open file was closed.
+    pub fn close(&self, node: Node, file: u64) {
+        self.at(node).close(file);
     }
 
     /// The target of a symbolic link.

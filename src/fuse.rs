@@ -128,6 +128,7 @@ fn start(
         table: table.clone(),
         options,
         announcer: announcer.clone(),
+        waits: Arc::default(),
         _alive: alive,
     };
     let session = begin(adapter)?;

@@ -7,6 +7,7 @@ use std::sync::Arc;
 
 use nix::errno::Errno;
 
+use super::caller::Caller;
 use super::supply::Supply;
 use super::transaction::{self, Moment, Staged};
 use super::{Content, Item, Mode, Node, Operations, Shape};
@@ -171,17 +172,25 @@ impl Operations for Staging<'_> {
         true
     }
 
-    fn write(&self, data: &[u8], done: Done<()>) {
+    fn awaits_close(&self, caller: Caller) -> bool {
+        self.0.transaction.awaits_close(caller)
+    }
+
+    fn close(&self, file: u64) {
+        self.0.transaction.close(file);
+    }
+
+    fn write(&self, caller: Caller, data: &[u8], done: Done<()>) {
         // Reserved bits are compared with those of the gauge, which has to be read for that. If it cannot be, the
         // commit compares them.
         let handle = &self.0.handle;
         let mut unread: Vec<usize> = transaction::compared(self.0.chip(), data).into_iter().collect();
         unread.retain(|&at| handle.kept(at).is_none());
         if unread.is_empty() {
-            return self.0.stage(data, done);
+            return self.0.stage(caller, data, done);
         }
         let (supply, data) = (Arc::clone(self.0), data.to_vec());
-        handle.ask(&op::READ, unread, Box::new(move |_| supply.stage(&data, done)));
+        handle.ask(&op::READ, unread, Box::new(move |_| supply.stage(caller, &data, done)));
     }
 }
 
@@ -263,7 +272,7 @@ impl Operations for Field<'_> {
         self.supply.read(at, done, move |bytes| supply.parameter_text(at, row, bytes));
     }
 
-    fn write(&self, data: &[u8], done: Done<()>) {
+    fn write(&self, _: Caller, data: &[u8], done: Done<()>) {
         let (row, handle) = (self.supply.row(self.at, self.row), &self.supply.handle);
         let change = match self.supply.staged() {
             Some(_) => Err(transaction::busy().within(row.1.name)),
@@ -449,22 +458,22 @@ impl Supply {
     }
 
     /// Takes the lines of one write(2) to `df/transaction`.
-    fn stage(&self, data: &[u8], done: Done<()>) {
-        let handle = &self.handle;
+    fn stage(&self, caller: Caller, data: &[u8], done: Done<()>) {
+        let (handle, now) = (&self.handle, self.moment());
         let stored = |at| handle.kept(at);
         let rules = transaction::Rules {
             chip: self.chip(),
             allow_unproven: handle.allows_unproven(),
             stored: &stored,
-            presence: self.moment().presence,
+            presence: now.presence,
         };
-        let staged = self.transaction.write(&rules, self.moment(), data);
+        let staged = self.transaction.write(&rules, now, caller, data);
         if staged.is_ok() && !self.transaction.is_spoiled() {
             handle.succeeded(&Attempt::STAGE);
         }
         match staged {
             Ok(None) => done(Ok(())),
-            Ok(Some(changes)) => handle.ask(&op::WRITE, changes, done),
+            Ok(Some(changes)) => handle.ask(&op::COMMIT, (now.presence, changes), done),
             Err(error) => handle.refuse(Attempt::STAGE, error, done),
         }
     }

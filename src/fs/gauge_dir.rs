@@ -11,6 +11,7 @@ use std::sync::Arc;
 use jiff::Timestamp;
 
 use super::attribute::Kind;
+use super::caller::Caller;
 use super::supply::Supply;
 use super::{Content, Item, Mode, Node, Operations, Shape, find, not_writable};
 use crate::report;
@@ -191,7 +192,7 @@ impl Operations for Shown<'_> {
         (self.file.show)(self.supply).into()
     }
 
-    fn write(&self, data: &[u8], done: Done<()>) {
+    fn write(&self, _: Caller, data: &[u8], done: Done<()>) {
         match self.file.operation {
             Some(operation) => self.supply.ask(operation, data, done),
             None => done(Err(not_writable())),

@@ -6,6 +6,7 @@ use std::sync::Arc;
 
 use nix::errno::Errno;
 
+use super::caller::Caller;
 use super::supply::Supply;
 use super::{Content, Item, Knobs, Mode, Node, Operations, Shape, not_writable};
 use crate::error::Error;
@@ -78,7 +79,7 @@ impl Operations for Knob<'_> {
         text.map(|text| text + "\n").into()
     }
 
-    fn write(&self, data: &[u8], done: Done<()>) {
+    fn write(&self, _: Caller, data: &[u8], done: Done<()>) {
         let (knobs, name) = match self.find() {
             Some((knobs, name, true)) => (knobs, name),
             Some((_, _, false)) => return done(Err(not_writable())),

@@ -13,6 +13,7 @@ use std::time::Duration;
 
 use nix::errno::Errno;
 
+use super::caller::{Caller, Process};
 use super::raw;
 use crate::error::{Cause, Error, Result};
 use gauge_owner::Presence;
@@ -42,12 +43,38 @@ pub(super) struct Rules<'a> {
 #[derive(Default)]
 pub(super) struct Transaction(Mutex<State>);
 
+/// The last transaction, open or not, and the open files that have written to this file.
 #[derive(Default)]
 struct State {
+    /// How many were begun.
+    number: u64,
+    /// Who has begun it. Where each line opens the file anew, this process goes on with it.
+    process: Option<Process>,
     open: Option<Open>,
-    /// Why lines since the last `begin` or `abort` were refused; nothing is committed then. It outlives the transaction,
-    /// for whoever goes on after a commit that failed, or after a write that held the `begin` as well.
+    /// Why lines of it were refused since the last `begin` or `abort`; nothing is committed then. It outlives the
+    /// transaction, for whoever goes on after a commit that failed, or after a write that held the `begin` as well.
     spoiled: Option<Error>,
+    /// Why it was dropped, until that has been told.
+    dropped: Option<Dropped>,
+    files: BTreeMap<u64, Standing>,
+    has_ended: HasEnded,
+}
+
+/// An open file that has written.
+enum Standing {
+    /// To the transaction of that number.
+    Of(u64),
+    /// It was kept out, and nobody knows which of its lines are of a transaction.
+    Refused(Error),
+}
+
+/// Whether a process runs no more.
+struct HasEnded(fn(Process) -> bool);
+
+impl Default for HasEnded {
+    fn default() -> Self {
+        Self(Process::has_ended)
+    }
 }
 
 /// When something is asked of a transaction.
@@ -65,10 +92,12 @@ struct Open {
 }
 
 /// The reason why a transaction was dropped.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Dropped {
     Old,
     Left,
+    /// Nobody can go on with it: its open file is closed, and its process has ended or was never seen.
+    Abandoned,
 }
 
 impl Open {
@@ -168,6 +197,8 @@ struct Next {
     is_new: bool,
     /// A line that was refused earlier still counts.
     is_spoiled: bool,
+    /// A `begin` was refused.
+    is_kept_out: bool,
     commits: bool,
     added: Staged,
     /// Blocks that `added` has and the transaction did not have before.
@@ -181,6 +212,7 @@ impl Next {
             is_open,
             is_new: true,
             is_spoiled: false,
+            is_kept_out: false,
             commits: false,
             added: Staged::default(),
             new_blocks: 0,
@@ -196,12 +228,8 @@ impl Transaction {
     /// The staged changes; `None` while no transaction is open.
     pub(super) fn staged(&self, at: Moment) -> Option<Arc<Staged>> {
         let mut state = self.lock();
-        let open = state.open.as_mut()?;
-        if open.dropped(at).is_some() {
-            open.staged = Arc::default();
-            return None;
-        }
-        Some(open.staged.clone())
+        state.drop_if_due(at);
+        state.open.as_ref().map(|open| open.staged.clone())
     }
 
     /// Whether a line was refused, so that nothing is committed until `begin` or `abort`.
@@ -209,44 +237,140 @@ impl Transaction {
         self.lock().spoiled.is_some()
     }
 
+    /// Whether a process that goes on with its transaction through another open file is kept out by the one before,
+    /// which may just have been closed.
+    pub(super) fn awaits_close(&self, caller: Caller) -> bool {
+        let state = self.lock();
+        state.open.is_some()
+            && state.is_held()
+            && state.is_of_process(caller)
+            && !state.files.contains_key(&caller.file)
+    }
+
+    /// An open file was closed.
+    pub(super) fn close(&self, file: u64) {
+        self.lock().files.remove(&file);
+    }
+
     /// Takes the lines of one write(2). Returns the changes that are to be written now, if it commits.
-    pub(super) fn write(&self, rules: &Rules<'_>, at: Moment, data: &[u8]) -> Result<Option<Vec<Change>>> {
-        self.lock().write(rules, at, data).map_err(|error| error.within("df/transaction"))
+    pub(super) fn write(
+        &self,
+        rules: &Rules<'_>,
+        at: Moment,
+        caller: Caller,
+        data: &[u8],
+    ) -> Result<Option<Vec<Change>>> {
+        self.lock().write(rules, at, caller, data).map_err(|error| error.within("df/transaction"))
     }
 }
 
 impl State {
-    fn write(&mut self, rules: &Rules<'_>, at: Moment, data: &[u8]) -> Result<Option<Vec<Change>>> {
-        let dropped = self.open.as_ref().and_then(|open| open.dropped(at));
-        if dropped.is_some() {
-            self.spoiled = None;
+    /// Whether an open file has written to the last transaction.
+    fn is_held(&self) -> bool {
+        self.files.values().any(|file| matches!(file, Standing::Of(number) if *number == self.number))
+    }
+
+    fn is_of_process(&self, caller: Caller) -> bool {
+        caller.process.is_some() && caller.process == self.process
+    }
+
+    /// Whether the last transaction is this writer's: it was begun through this open file or, when that is closed, by this
+    /// process.
+    fn is_own(&self, caller: Caller) -> bool {
+        match self.files.get(&caller.file) {
+            Some(Standing::Of(number)) => *number == self.number,
+            Some(Standing::Refused(_)) => false,
+            None => self.is_of_process(caller) && !self.is_held(),
         }
-        let before = self.open.as_ref().filter(|_| dropped.is_none()).map(|open| &*open.staged);
+    }
+
+    fn drop_if_due(&mut self, at: Moment) {
+        let Some(open) = &self.open else { return };
+        let is_left = || !self.is_held() && self.process.is_none_or(self.has_ended.0);
+        let dropped = open.dropped(at).or_else(|| is_left().then_some(Dropped::Abandoned));
+        if dropped.is_some() {
+            (self.open, self.spoiled, self.dropped) = (None, None, dropped);
+        }
+    }
+
+    /// Whatever an open file writes is refused from now on. A transaction of its own has nobody to go on with it.
+    fn refuse(&mut self, file: u64, error: &Error) {
+        let before = self.files.insert(file, Standing::Refused(error.clone()));
+        if matches!(before, Some(Standing::Of(number)) if number == self.number) {
+            self.open = None;
+        }
+    }
+
+    /// A transaction begins, or would have begun with a write that was refused.
+    fn begin(&mut self, caller: Caller) {
+        self.number += 1;
+        self.process = caller.process;
+        (self.open, self.spoiled, self.dropped) = (None, None, None);
+        self.files.insert(caller.file, Standing::Of(self.number));
+    }
+
+    /// Lines of a writer's own transaction, or of one that it wants to begin, were refused: also a whole write that
+    /// begins with `begin`, and with `is_kept_out` the `begin` itself.
+    fn note_refused(&mut self, caller: Caller, begins: bool, is_kept_out: bool, error: &Error) {
+        let is_whole = self.open.is_some() && self.spoiled.is_none();
+        if self.open.is_none() && (begins || is_kept_out) {
+            self.begin(caller);
+            self.spoiled = Some(error.clone());
+        }
+        match self.open.is_some() {
+            true if begins && is_whole => self.refuse(caller.file, error),
+            true if begins => self.spoiled = Some(error.clone()),
+            true => {
+                self.files.insert(caller.file, Standing::Of(self.number));
+                self.spoiled.get_or_insert_with(|| error.clone());
+            }
+            false if is_kept_out => self.refuse(caller.file, error),
+            false => {}
+        }
+    }
+
+    fn write(
+        &mut self,
+        rules: &Rules<'_>,
+        at: Moment,
+        caller: Caller,
+        data: &[u8],
+    ) -> Result<Option<Vec<Change>>> {
+        self.drop_if_due(at);
+        if let Some(Standing::Refused(error)) = self.files.get(&caller.file) {
+            return Err(error.clone().within("refused until this open file is closed"));
+        }
+        let is_own = self.is_own(caller);
+        if self.open.is_some() && !is_own {
+            let error = occupied();
+            self.refuse(caller.file, &error);
+            return Err(error);
+        }
+        let dropped = self.dropped.filter(|dropped| is_own || *dropped == Dropped::Abandoned);
+        let before = self.open.as_ref().map(|open| &*open.staged);
         let was_open = before.is_some();
         let mut next = Next {
             is_open: was_open,
             is_new: false,
-            is_spoiled: self.spoiled.is_some(),
+            is_spoiled: is_own && self.spoiled.is_some(),
+            is_kept_out: false,
             commits: false,
             added: Staged::default(),
             new_blocks: 0,
         };
         let outcome = read_lines(&mut next, rules, before, dropped, data);
-        if dropped.is_some() || outcome.is_ok() && next.is_new {
-            self.open = None;
+        if is_own {
+            self.dropped = None;
         }
         if let Err(error) = outcome {
-            match begins(data) {
-                // One transaction is kept out by another, which goes on.
-                true if was_open && self.spoiled.is_none() => {}
-                true => self.spoiled = Some(error.clone()),
-                false if was_open => drop(self.spoiled.get_or_insert_with(|| error.clone())),
-                false => {}
-            }
+            self.note_refused(caller, begins(data), next.is_kept_out, &error);
             return Err(error);
         }
-        if !next.is_spoiled {
-            self.spoiled = None;
+        match next.is_new {
+            true if next.is_open || next.commits => self.begin(caller),
+            true => (self.open, self.spoiled) = (None, None),
+            false if is_own => drop(self.files.insert(caller.file, Standing::Of(self.number))),
+            false => {}
         }
         if next.is_open || next.commits {
             let now_open = self.open.get_or_insert_with(|| Open { since: at, staged: Arc::default() });
@@ -320,6 +444,7 @@ fn take(
     }
     let none = |why: &str| Error::host("", Errno::ENODATA, why);
     let dropped = dropped.filter(|_| !next.is_open && !next.is_new);
+    next.is_kept_out = split(line).0 == "begin";
     let begins = is_begin(line, rules.presence)?;
     match line {
         _ if begins && next.is_open && !next.is_spoiled => return Err(busy()),
@@ -333,6 +458,13 @@ fn take(
             let why = "the gauge has been away or is another one since `begin`, so the staged lines were dropped and \
                        nothing was written; check its values and write `begin` again";
             return Err(Error::new("", Cause::Gone, why));
+        }
+        _ if matches!(dropped, Some(Dropped::Abandoned)) => {
+            return Err(none(
+                "its open file was closed, and the process that had begun it cannot be seen or has ended; \
+                             a program for each line, as in `echo LINE | sudo tee`, needs one open file for all lines: \
+                             `printf 'begin\\nLINE\\ncommit\\n' | sudo tee`",
+            ));
         }
         _ if !next.is_open => return Err(none("no transaction is open; write `begin` first")),
         "abort" => next.restart(false),
@@ -409,6 +541,13 @@ fn change(rules: &Rules<'_>, line: &str) -> Result<Change> {
     Ok(change)
 }
 
+/// The answer to a writer whom another one's transaction keeps out.
+fn occupied() -> Error {
+    let why = "the transaction of another open file is open, and takes no lines but its own; close this one, and begin again \
+               when that has ended; all lines of a transaction go to one open file";
+    Error::new("", Cause::Busy, why)
+}
+
 /// The answer to whatever a transaction that is open keeps out.
 pub(super) fn busy() -> Error {
     let why = "a transaction is open; `commit` or `abort` ends it";
@@ -432,7 +571,261 @@ pub(super) fn unknown(chip: &Chip, place: &str) -> Error {
 
 #[cfg(test)]
 mod tests {
+    use std::cell::RefCell;
+
+    use proptest::prelude::*;
+
     use super::*;
+
+    thread_local! {
+        static ENDED: RefCell<Vec<Process>> = const { RefCell::new(Vec::new()) };
+    }
+
+    /// A program that writes to the file.
+    #[derive(Clone, Copy, Debug)]
+    struct Writer {
+        /// `None` of one that cannot be seen.
+        process: Option<u32>,
+        /// It keeps its file open, and does not open it anew for each line.
+        holds: bool,
+    }
+
+    /// Two of one process, one in another PID namespace with one open file, and one there with many.
+    const WRITERS: [Writer; 5] = [
+        Writer { process: Some(1), holds: false },
+        Writer { process: Some(2), holds: true },
+        Writer { process: Some(2), holds: false },
+        Writer { process: None, holds: true },
+        Writer { process: None, holds: false },
+    ];
+
+    #[derive(Clone, Copy, Debug)]
+    enum Does {
+        Begin,
+        Line,
+        Nonsense,
+        Commit,
+        Abort,
+        Close,
+        End,
+        Time,
+        Exchange,
+    }
+
+    fn does() -> impl Strategy<Value = Does> {
+        prop_oneof![
+            4 => Just(Does::Begin),
+            6 => Just(Does::Line),
+            1 => Just(Does::Nonsense),
+            4 => Just(Does::Commit),
+            1 => Just(Does::Abort),
+            2 => Just(Does::Close),
+            1 => Just(Does::End),
+            1 => Just(Does::Time),
+            1 => Just(Does::Exchange),
+        ]
+    }
+
+    /// What is true of the last transaction.
+    #[derive(Default)]
+    struct Truth {
+        is_open: bool,
+        is_spoiled: bool,
+        file: Option<u64>,
+        process: Option<Process>,
+        lines: BTreeMap<&'static str, u16>,
+    }
+
+    /// The model: what each writer is to be answered.
+    struct Model {
+        transaction: Transaction,
+        truth: Truth,
+        /// Open files that have begun one, and those that are refused.
+        begun: BTreeSet<u64>,
+        refused: BTreeSet<u64>,
+        held: [Option<u64>; WRITERS.len()],
+        generation: [u32; WRITERS.len()],
+        files: u64,
+        at: Moment,
+        values: u16,
+    }
+
+    impl Model {
+        fn new() -> Self {
+            ENDED.take();
+            let transaction = Transaction::default();
+            transaction.lock().has_ended =
+                HasEnded(|process| ENDED.with_borrow(|ended| ended.contains(&process)));
+            Self {
+                transaction,
+                truth: Truth::default(),
+                begun: BTreeSet::new(),
+                refused: BTreeSet::new(),
+                held: [None; WRITERS.len()],
+                generation: [0; WRITERS.len()],
+                files: 0,
+                at: Moment { now: Duration::ZERO, presence: Epoch::numbered(1) },
+                values: 0,
+            }
+        }
+
+        fn process(&self, writer: usize) -> Option<Process> {
+            Some(Process::numbered(10 * self.generation[writer] + WRITERS[writer].process?))
+        }
+
+        fn close(&mut self, file: u64) {
+            self.transaction.close(file);
+            self.begun.remove(&file);
+            self.refused.remove(&file);
+            if self.truth.file == Some(file) {
+                self.truth.file = None;
+            }
+        }
+
+        /// Nobody can go on with it.
+        fn is_abandoned(&self) -> bool {
+            let has_ended = |process| ENDED.with_borrow(|ended| ended.contains(&process));
+            self.truth.file.is_none() && self.truth.process.is_none_or(has_ended)
+        }
+
+        fn step(&mut self, writer: usize, does: Does, place: &'static str) {
+            match does {
+                Does::Close => {
+                    if let Some(file) = self.held[writer].take() {
+                        self.close(file);
+                    }
+                    return;
+                }
+                Does::End => {
+                    if let Some(process) = self.process(writer) {
+                        ENDED.with_borrow_mut(|ended| ended.push(process));
+                    }
+                    for (other, known) in WRITERS.iter().enumerate() {
+                        if known.process == WRITERS[writer].process {
+                            if let Some(file) = self.held[other].take() {
+                                self.close(file);
+                            }
+                            self.generation[other] += 1;
+                        }
+                    }
+                    return;
+                }
+                Does::Time => self.at.now += PATIENCE,
+                Does::Exchange => self.at.presence.next(),
+                Does::Begin | Does::Line | Does::Nonsense | Does::Commit | Does::Abort => {
+                    return self.write(writer, does, place);
+                }
+            }
+            // Either drops it.
+            self.truth.is_spoiled &= !self.truth.is_open;
+            self.truth.is_open = false;
+        }
+
+        fn write(&mut self, writer: usize, does: Does, place: &'static str) {
+            if self.truth.is_open && self.is_abandoned() {
+                (self.truth.is_open, self.truth.is_spoiled) = (false, false);
+            }
+            let process = self.process(writer);
+            let file = self.held[writer].unwrap_or_else(|| {
+                self.files += 1;
+                self.files
+            });
+            let caller = Caller { file, process };
+            let truth = &mut self.truth;
+            let is_new = !self.begun.contains(&file) && !self.refused.contains(&file);
+            let joins = is_new && truth.file.is_none() && process.is_some() && process == truth.process;
+            let is_own = !self.refused.contains(&file) && (truth.file == Some(file) || joins);
+            let is_refused = self.refused.contains(&file) || truth.is_open && !is_own;
+            self.values += 1;
+            let value = 3000 + self.values % 500;
+            let (line, accepted) = match does {
+                Does::Begin => ("begin".into(), !truth.is_open || truth.is_spoiled),
+                Does::Line => (format!("{place} {value}"), is_own && truth.is_open),
+                Does::Commit => ("commit".into(), is_own && truth.is_open && !truth.is_spoiled),
+                Does::Abort => ("abort".into(), is_own && (truth.is_open || truth.is_spoiled)),
+                _ => ("nonsense".into(), false),
+            };
+            let is_accepted = accepted && !is_refused;
+            let chip = Chip::by_name("bq34z100-g1").expect("it has a table");
+            let rules = Rules { chip, allow_unproven: false, stored: &|_| None, presence: self.at.presence };
+            let outcome = self.transaction.write(&rules, self.at, caller, format!("{line}\n").as_bytes());
+            let told = format!("{writer} {:?} through {file}, {line}: {outcome:?}", WRITERS[writer]);
+            assert_eq!(outcome.is_ok(), is_accepted, "{told}");
+            let written = outcome.ok().flatten();
+            let counts = match does {
+                Does::Line | Does::Nonsense => truth.is_open,
+                Does::Commit => truth.is_open || truth.is_spoiled,
+                _ => false,
+            };
+            if joins && counts && !is_refused {
+                truth.file = Some(file);
+                self.begun.insert(file);
+            }
+            match does {
+                _ if is_refused => drop(self.refused.insert(file)),
+                Does::Begin if is_accepted => {
+                    *truth = Truth { is_open: true, file: Some(file), process, ..Truth::default() };
+                    self.begun.insert(file);
+                }
+                // Its own second one: only the open file that has begun the first is in the way of that.
+                Does::Begin => {
+                    truth.is_open &= truth.file != Some(file);
+                    self.refused.insert(file);
+                }
+                Does::Line if is_accepted => drop(truth.lines.insert(place, value)),
+                Does::Commit if is_accepted => {
+                    let written = written.expect("changes").into_iter();
+                    let written: BTreeMap<_, _> = written
+                        .map(|change| {
+                            (
+                                change.place().to_string(),
+                                u16::from_be_bytes([change.bytes()[0], change.bytes()[1]]),
+                            )
+                        })
+                        .collect();
+                    let lines: BTreeMap<_, _> =
+                        truth.lines.iter().map(|(place, value)| (place.to_string(), *value)).collect();
+                    assert_eq!(written, lines, "{told}");
+                    truth.is_open = false;
+                }
+                Does::Commit if is_own => truth.is_open = false,
+                Does::Abort if is_accepted => (truth.is_open, truth.is_spoiled) = (false, false),
+                Does::Nonsense if is_own && truth.is_open => truth.is_spoiled = true,
+                _ => {}
+            }
+            if !WRITERS[writer].holds {
+                self.close(file);
+            } else {
+                self.held[writer] = Some(file);
+            }
+        }
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig { cases: 400, ..ProptestConfig::default() })]
+
+        /// Writers that know nothing of each other write lines in turn, each through an open file or many.
+        #[test]
+        fn no_writer_gets_a_line_of_another(
+            writers in proptest::sample::subsequence((0..WRITERS.len()).collect::<Vec<_>>(), 2..=3),
+            steps in proptest::collection::vec((0..3_usize, does(), any::<bool>()), 1..60),
+        ) {
+            let mut model = Model::new();
+            for (writer, does, first) in steps {
+                let place = if first { "80/53" } else { "48/11" };
+                model.step(writers[writer % writers.len()], does, place);
+            }
+            // Whatever they have left keeps nobody out for good.
+            for writer in writers {
+                model.step(writer, Does::Close, "");
+                model.step(writer, Does::End, "");
+            }
+            for does in [Does::Begin, Does::Line, Does::Commit] {
+                model.step(0, does, "80/53");
+            }
+            prop_assert!(!model.truth.lines.is_empty());
+        }
+    }
 
     /// The tables of the bq27520-G3's two packs are the same rows; one used to take the other's place.
     #[test]
@@ -442,8 +835,9 @@ mod tests {
         let lines = b"begin\n91/0 0x55\n92/0 0x55\n92/0 0x00\n";
         let presence = Epoch::default();
         let rules = Rules { chip, allow_unproven: true, stored: &|_| None, presence };
+        let caller = Caller { file: 1, process: None };
         let at = Moment { now: Duration::ZERO, presence: Epoch::default() };
-        assert!(transaction.write(&rules, at, lines).expect("lines").is_none());
+        assert!(transaction.write(&rules, at, caller, lines).expect("lines").is_none());
         let staged = transaction.staged(at).expect("open").changes(chip);
         let staged: Vec<_> =
             staged.iter().map(|change| (change.place().subclass, change.bytes()[0])).collect();

@@ -9,8 +9,10 @@
 use std::ffi::OsStr;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::Sender;
 use std::sync::{Arc, MutexGuard};
+use std::thread;
 use std::time::{Duration, Instant, SystemTime};
 
 use fuser::{
@@ -25,11 +27,14 @@ use super::inodes::{self, Inodes, Now, Sharing, Shown, Value};
 use super::notify::{Announcer, hash};
 use super::{Options, Table, lock, present};
 use crate::error::{Error, Result};
-use crate::fs::{Fs, Node, Shape};
+use crate::fs::{Caller, Fs, Node, Process, Shape};
 
 /// How long the kernel may keep a name without asking. This bounds how long a lost notification or a dead
 /// daemon goes unnoticed.
 const TTL: Duration = Duration::from_secs(2);
+
+/// How long a write waits until the kernel tells that the open file before it is closed.
+const CLOSES: Duration = Duration::from_secs(1);
 
 /// An extended attribute that the kernel asks for before each write, and removes if the file has it. Only then it copies
 /// what is written to the page cache, where everybody sees it before gaugefs gets it. A file that nobody may write
@@ -64,6 +69,8 @@ pub(super) struct Adapter {
     pub(super) table: Arc<Table>,
     pub(super) options: Options,
     pub(super) announcer: Announcer,
+    /// A write waits for the end of an open file.
+    pub(super) waits: Arc<AtomicBool>,
     /// Disconnects when the session has ended and drops its adapter.
     pub(super) _alive: Sender<()>,
 }
@@ -162,7 +169,60 @@ impl Adapter {
         }
     }
 
-    fn pass_on_write(&self, number: u64, node: Node, offset: u64, data: &[u8], reply: ReplyWrite) {
+    /// Passes a write on when the open file before it is closed. The kernel tells of that in its own time, and perhaps
+    /// after what a shell has written to the next one.
+    fn write_in_turn(
+        &self,
+        number: u64,
+        node: Node,
+        caller: Caller,
+        offset: u64,
+        data: &[u8],
+        reply: ReplyWrite,
+    ) {
+        // One at a time: whoever has several open files in use at once waits for none of them.
+        if !self.fs.awaits_close(node, caller) || self.waits.swap(true, Ordering::SeqCst) {
+            return self.begin_write(number, node, caller, offset, data, reply);
+        }
+        let (adapter, data, until) = (self.clone(), data.to_vec(), Instant::now() + CLOSES);
+        let later = move || {
+            while adapter.fs.awaits_close(node, caller) && Instant::now() < until {
+                thread::sleep(Duration::from_millis(1));
+            }
+            adapter.waits.store(false, Ordering::SeqCst);
+            adapter.begin_write(number, node, caller, offset, &data, reply);
+        };
+        // If there can be no thread, the reply is dropped, which answers EIO.
+        let started = thread::Builder::new().name("write".into()).stack_size(128 * 1024).spawn(later);
+        if started.is_err() {
+            self.waits.store(false, Ordering::SeqCst);
+        }
+    }
+
+    fn begin_write(
+        &self,
+        number: u64,
+        node: Node,
+        caller: Caller,
+        offset: u64,
+        data: &[u8],
+        reply: ReplyWrite,
+    ) {
+        self.announcer.pass_on(|refused| match refused {
+            Some(error) => reply.error(errno(&error)),
+            None => self.pass_on_write(number, node, caller, offset, data, reply),
+        });
+    }
+
+    fn pass_on_write(
+        &self,
+        number: u64,
+        node: Node,
+        caller: Caller,
+        offset: u64,
+        data: &[u8],
+        reply: ReplyWrite,
+    ) {
         self.using(number).write_begins(number, Now::read());
         let mut writing = Writing {
             fs: self.fs.clone(),
@@ -173,7 +233,7 @@ impl Adapter {
             length: u32::try_from(data.len()).unwrap_or(u32::MAX),
             reply: Some(reply),
         };
-        self.fs.write(node, offset, data, Box::new(move |outcome| writing.answer(outcome)));
+        self.fs.write(node, caller, offset, data, Box::new(move |outcome| writing.answer(outcome)));
     }
 
     /// Gives the kernel bytes of a nodeid's value.
@@ -324,6 +384,10 @@ impl Filesystem for Adapter {
 
     fn forget(&self, _: &Request, ino: INodeNo, lookups: u64) {
         self.inodes().forget(ino.into(), lookups);
+        // The nodeid of a file that may be written is of one open file.
+        if let Some(node) = self.node(ino) {
+            self.fs.close(node, ino.into());
+        }
     }
 
     /// The kernel sends this before a read if the attributes that it has are no longer valid, and drops the
@@ -461,7 +525,7 @@ impl Filesystem for Adapter {
 
     fn write(
         &self,
-        _: &Request,
+        request: &Request,
         ino: INodeNo,
         _: FileHandle,
         offset: u64,
@@ -478,10 +542,10 @@ impl Filesystem for Adapter {
             if offset != 0 && !appends && !self.fs.is_stream(node) {
                 return reply.error(Errno::EINVAL);
             }
-            self.announcer.pass_on(|refused| match refused {
-                Some(error) => reply.error(errno(&error)),
-                None => self.pass_on_write(number, node, offset, data, reply),
-            });
+            // Only of a stream does it matter who writes.
+            let process = self.fs.is_stream(node).then(|| Process::of_thread(request.pid()));
+            let caller = Caller { file: number, process: process.flatten() };
+            self.write_in_turn(number, node, caller, offset, data, reply);
         });
     }
 

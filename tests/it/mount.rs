@@ -7,7 +7,7 @@ use std::io::{ErrorKind, Read, Seek, SeekFrom, Write};
 use std::os::fd::AsRawFd;
 use std::os::unix::fs::{FileExt, MetadataExt, OpenOptionsExt, PermissionsExt};
 use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::process::{Command, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -901,6 +901,72 @@ fn regression_a_shell_does_not_commit_what_is_left_of_a_refused_transaction() {
         assert!(reason.contains("nothing is committed after a refused line"), "{reason}");
         assert!(reason.contains("Design Capacity"), "{reason}");
     }
+}
+
+/// Both scripts go on after what is refused, as a shell does.
+#[test]
+fn regression_two_shells_that_wrote_at_once_were_mixed() {
+    let Some(mount) = quiet("bq34z100-g1") else { return };
+    let shell = |script: &str| {
+        let mut bash = Command::new("bash");
+        bash.args(["-c", script]).current_dir(mount.path("")).stdin(Stdio::piped()).stdout(Stdio::piped());
+        bash.stderr(Stdio::null()).spawn().expect("bash runs")
+    };
+    let each = "for line in begin \"$1\" commit; do echo $line > df/transaction; done";
+    for (first, second) in [
+        (
+            "{ echo begin; echo 80/53 3100; echo; read; echo commit; } > df/transaction",
+            "{ echo begin; echo 48/11 2200; echo commit; } > df/transaction",
+        ),
+        (
+            "echo begin > df/transaction; echo 80/53 3100 > df/transaction; read; echo commit > df/transaction",
+            "set -- '48/11 2200'; ",
+        ),
+    ] {
+        let second = if second.starts_with("set") { format!("{second}{each}") } else { second.to_string() };
+        assert_eq!(mount.echo("3000", "df/80/53"), Ok(()));
+        let mut one = shell(first);
+        until("the line is staged", || mount.cat("df/transaction").contains("3100"));
+        let other = shell(&second).wait_with_output().expect("it ends");
+        assert!(!other.status.success(), "{second}");
+        assert_eq!(mount.cat("df/transaction"), "Cell Terminate Voltage: 3000 -> 3100", "{second}");
+        let mut waits =
+            shell("until echo begin > df/transaction; do sleep 0.1; done; echo abort > df/transaction");
+        drop(one.stdin.take());
+        assert!(one.wait().expect("it ends").success(), "{first}");
+        assert!(waits.wait().expect("it ends").success(), "it gets its turn");
+        assert_eq!((mount.cat("df/80/53").as_str(), mount.cat("df/48/11").as_str()), ("3100", "1000"));
+    }
+    // A program for each line.
+    let tee = "for line in begin '48/11 2200' commit; do echo $line | tee df/transaction; done";
+    assert!(!shell(tee).wait().expect("it ends").success());
+    assert!(mount.cat("gauge/last_error").contains("one open file for all lines"));
+    assert_eq!(mount.cat("df/48/11"), "1000");
+    let tee = "printf 'begin\\n48/11 2200\\ncommit\\n' | tee df/transaction";
+    assert!(shell(tee).wait().expect("it ends").success());
+    assert_eq!(mount.cat("df/48/11"), "2200");
+}
+
+/// The kernel tells of a closed file in its own time: a shell that opens the file for each line never notices.
+#[test]
+fn lines_through_one_open_file_after_the_other_are_taken_while_others_read() {
+    let Some(mount) = quiet("bq34z100-g1") else { return };
+    let (ends, held) = (AtomicBool::new(false), ["df/80/53", "gauge/seal"].map(|name| mount.path(name)));
+    std::thread::scope(|scope| {
+        for _ in 0..4 {
+            scope.spawn(|| {
+                while !ends.load(Ordering::SeqCst) {
+                    held.iter().for_each(|path| drop(fs::read(path).expect("readable")));
+                }
+            });
+        }
+        for turn in 0..100 {
+            for line in ["begin".to_string(), format!("80/53 {}", 3000 + turn), "abort".to_string()] {
+                assert_eq!(mount.echo(&line, "df/transaction"), Ok(()), "{turn}: {line}");
+            }
+        }
+        ends.store(true, Ordering::SeqCst);
+    });
 }
 
 /// The kernel passes a long write(2) on in pieces. None of them counts as the whole.

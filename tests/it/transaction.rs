@@ -8,7 +8,7 @@ use std::time::Duration;
 use gauge_bus::clock::{Clock, SimClock};
 use gauge_owner::{self as owner, Handle, Settings};
 use gauge_sim::{Options, Sim};
-use gaugefs::fs::{Access, Fs, MountedGauge, Node, Scales};
+use gaugefs::fs::{Access, Caller, Fs, MountedGauge, Node, Process, Scales};
 use nix::errno::Errno;
 use ti_gauge::chip::Chip;
 use ti_gauge::keys::Keys;
@@ -47,13 +47,24 @@ impl Tree {
     }
 
     fn write(&self, path: &str, text: &str) -> Result<(), Errno> {
+        let outcome = self.writes(own(1), path, text);
+        self.close(own(1));
+        outcome
+    }
+
+    /// Writes through an open file, which stays open.
+    fn writes(&self, caller: Caller, path: &str, text: &str) -> Result<(), Errno> {
         let (done, is_done) = mpsc::channel();
         let answer = Box::new(move |outcome| done.send(outcome).expect("somebody waits"));
-        self.fs.write(self.node(path), 0, text.as_bytes(), answer);
+        self.fs.write(self.node(path), caller, 0, text.as_bytes(), answer);
         is_done.recv().expect("an answer").map_err(|error| error.errno())
     }
 
-    /// Writes lines, the last of which gets its newline here.
+    fn close(&self, caller: Caller) {
+        self.fs.close(self.node("df/transaction"), caller.file);
+    }
+
+    /// Writes lines, the last of which gets its newline here, as a shell that opens the file for them.
     fn stage(&self, lines: &str) -> Result<(), Errno> {
         self.write("df/transaction", &format!("{}\n", lines.trim_end_matches('\n')))
     }
@@ -76,6 +87,16 @@ impl Tree {
     fn count(&self, wanted: &str) -> u64 {
         self.handle.statistics().iter().find(|(name, _)| *name == wanted).expect("it is counted").1
     }
+}
+
+/// An open file of this process.
+fn own(file: u64) -> Caller {
+    Caller { file, process: Process::of_thread(std::process::id()) }
+}
+
+/// An open file of nobody who can be seen.
+fn unseen(file: u64) -> Caller {
+    Caller { file, process: None }
 }
 
 fn tree(chip: &str) -> Tree {
@@ -377,7 +398,7 @@ fn a_piece_of_a_write_is_no_value() {
         {
             let (done, is_done) = mpsc::channel();
             let answer = Box::new(move |outcome| done.send(outcome).expect("somebody waits"));
-            tree.fs.write(tree.node(path), offset, padded(length, value).as_bytes(), answer);
+            tree.fs.write(tree.node(path), own(1), offset, padded(length, value).as_bytes(), answer);
             let error = is_done.recv().expect("an answer").expect_err("a piece");
             assert_eq!(error.errno(), Errno::EFBIG, "{path}: {length} bytes at {offset}");
             assert!(tree.handle.published().last_error.contains("may not be whole"), "{error}");
@@ -578,6 +599,7 @@ fn regression_the_next_pack_got_what_the_first_one_lacked() {
     assert_eq!(tree.write("gauge/refresh", "1"), Ok(()));
     let before = tree.sim.flash();
     assert_ne!(presence(), first);
+    assert!(presence().parse::<i64>().is_ok_and(|number| number >= 0), "63 bits");
     assert_eq!(begin(&first), Err(Errno::ENODEV));
     let why = tree.handle.published().last_error.to_string();
     assert!(why.contains("since its values were read") && why.contains("read them again"), "{why}");
@@ -588,4 +610,143 @@ fn regression_the_next_pack_got_what_the_first_one_lacked() {
     }
     assert_eq!(begin(&presence()), Ok(()));
     assert_eq!(tree.read("df/80/53").as_deref(), Ok("3100\n"));
+}
+
+/// A program that runs, and another one's open files.
+struct Other(std::process::Child);
+
+impl Other {
+    fn new() -> Self {
+        Self(std::process::Command::new("sleep").arg("600").spawn().expect("it runs"))
+    }
+
+    fn file(&self, file: u64) -> Caller {
+        Caller { file, process: Some(Process::of_thread(self.0.id()).expect("it is seen")) }
+    }
+}
+
+impl Drop for Other {
+    fn drop(&mut self) {
+        // It may have ended.
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+const FILE: &str = "df/transaction";
+
+/// The second writer's line was staged in the first one's transaction, and its `commit` wrote half of that.
+#[test]
+fn regression_two_writers_were_mixed() {
+    let other = Other::new();
+    for second in [other.file(2), unseen(2), own(2)] {
+        let tree = tree("bq34z100-g1");
+        let first = own(1);
+        assert_eq!(tree.writes(first, FILE, "begin\n"), Ok(()));
+        assert_eq!(tree.writes(first, FILE, "80/53 3100\n"), Ok(()));
+        for line in ["begin", "48/11 2200", "48/11 99999999", "abort", "commit", "begin\n48/11 2200\ncommit"]
+        {
+            assert_eq!(tree.writes(second, FILE, &format!("{line}\n")), Err(Errno::EBUSY), "{line}");
+        }
+        let told = tree.handle.published().last_error.clone();
+        assert!(
+            told.contains("until this open file is closed") && told.contains("another open file"),
+            "{told}"
+        );
+        assert_eq!(tree.read(FILE).as_deref(), Ok("Cell Terminate Voltage: 3000 -> 3100\n"));
+        assert_eq!(tree.writes(first, FILE, "commit\n"), Ok(()));
+        // It goes on to the end, whatever it was answered.
+        for line in ["48/11 2200\n", "commit\n", "begin\n"] {
+            assert_eq!(tree.writes(second, FILE, line), Err(Errno::EBUSY), "{line}");
+        }
+        assert_eq!(tree.read("df/80/53").as_deref(), Ok("3100\n"));
+        assert_eq!(tree.read("df/48/11").as_deref(), Ok("1000\n"));
+        tree.close(second);
+        assert_eq!(tree.writes(second, FILE, "begin\n48/11 2200\ncommit\n"), Ok(()));
+        assert_eq!(tree.read("df/48/11").as_deref(), Ok("2200\n"));
+    }
+}
+
+#[test]
+fn a_shell_that_opens_the_file_for_each_line_goes_on_with_its_own_transaction_only() {
+    let (tree, other) = (tree("bq34z100-g1"), Other::new());
+    let each = |caller: Caller, line: &str| {
+        let outcome = tree.writes(caller, FILE, &format!("{line}\n"));
+        tree.close(caller);
+        outcome
+    };
+    assert_eq!(each(own(1), "begin"), Ok(()));
+    for line in ["begin", "48/11 2200", "commit", "abort"] {
+        assert_eq!(each(other.file(2), line), Err(Errno::EBUSY), "{line}");
+        assert_eq!(each(unseen(3), line), Err(Errno::EBUSY), "{line}");
+    }
+    assert_eq!(each(own(4), "80/53 3100"), Ok(()));
+    assert_eq!(each(own(5), "begin"), Err(Errno::EBUSY), "it goes on");
+    assert_eq!(each(own(6), "commit"), Ok(()));
+    assert_eq!(tree.read("df/80/53").as_deref(), Ok("3100\n"));
+    assert_eq!(tree.read("df/48/11").as_deref(), Ok("1000\n"));
+    assert_eq!(each(other.file(7), "begin"), Ok(()), "it has ended");
+}
+
+/// `echo begin | sudo tee df/transaction`, and the same for each line.
+#[test]
+fn a_program_for_each_line_is_told_what_to_do() {
+    let tree = tree("bq34z100-g1");
+    let ended = Other::new().file(1);
+    for begins in [unseen(1), ended] {
+        assert_eq!(tree.writes(begins, FILE, "begin\n80/53 3100\n"), Ok(()), "one open file is enough");
+        tree.close(begins);
+        for line in ["48/11 2200\n", "commit\n"] {
+            assert_eq!(tree.writes(unseen(2), FILE, line), Err(Errno::ENODATA), "{line}");
+            let told = tree.handle.published().last_error.clone();
+            assert!(told.contains("one open file for all lines") && told.contains("sudo tee"), "{told}");
+            tree.close(unseen(2));
+        }
+        assert_eq!(tree.write("df/80/53", "3050"), Ok(()), "nobody is kept out by what is left of it");
+    }
+    assert_eq!(tree.writes(unseen(3), FILE, "begin\n80/53 3100\n"), Ok(()));
+    assert_eq!(tree.writes(unseen(3), FILE, "commit\n"), Ok(()));
+    assert_eq!(tree.read("df/80/53").as_deref(), Ok("3100\n"));
+}
+
+/// The late lines of a writer whose transaction was dropped were staged in the next one's.
+#[test]
+fn regression_late_lines_of_a_dropped_transaction_joined_the_next_one() {
+    let (tree, other) = (tree("bq34z100-g1"), Other::new());
+    for late in [own(1), unseen(1)] {
+        assert_eq!(tree.writes(late, FILE, "begin\n48/11 2200\n"), Ok(()));
+        tree.clock.sleep(Duration::from_secs(601));
+        assert_eq!(tree.writes(other.file(2), FILE, "begin\n80/53 3100\n"), Ok(()));
+        for line in ["48/13 8000\n", "commit\n"] {
+            assert_eq!(tree.writes(late, FILE, line), Err(Errno::EBUSY), "{line}");
+        }
+        assert_eq!(tree.writes(other.file(2), FILE, "commit\n"), Ok(()));
+        assert_eq!(tree.read("df/48/11").as_deref(), Ok("1000\n"));
+        assert_eq!(tree.read("df/48/13").as_deref(), Ok("5400\n"));
+        tree.close(late);
+        tree.close(other.file(2));
+    }
+}
+
+/// Two scripts one after the other, the first of which has stopped half-way: `{ one; two; } > df/transaction`.
+#[test]
+fn a_second_begin_through_one_open_file_ends_the_transaction() {
+    let tree = tree("bq34z100-g1");
+    assert_eq!(tree.writes(own(1), FILE, "begin\n48/11 2200\n"), Ok(()));
+    assert_eq!(tree.writes(own(1), FILE, "begin\n"), Err(Errno::EBUSY));
+    for line in ["80/53 3100\n", "commit\n"] {
+        assert_eq!(tree.writes(own(1), FILE, line), Err(Errno::EBUSY), "{line}");
+    }
+    assert_eq!(tree.read(FILE).as_deref(), Ok("idle\n"));
+    assert_eq!(tree.count("flash_writes"), 0);
+}
+
+/// The service was restarted with another pack in the bay, and its presence counted from 1 again.
+#[test]
+fn regression_what_one_daemon_had_read_was_written_by_the_next_one() {
+    let trees = [tree("bq34z100-g1"), tree("bq34z100-g1")];
+    let first = trees[0].read("gauge/presence").expect("a number");
+    assert_eq!(trees[1].stage(&format!("begin {}\n80/53 3100\ncommit", first.trim())), Err(Errno::ENODEV));
+    assert_eq!(trees[1].count("flash_writes"), 0);
+    assert_eq!(trees[0].stage(&format!("begin {}\n80/53 3100\ncommit", first.trim())), Ok(()));
 }

@@ -334,7 +334,7 @@ impl Owner {
         self.schedule.set_gone(self.gauge.clock.now());
         self.shared.publish(|published| {
             published.snapshot = None;
-            published.presence.next();
+            published.presence = now::presence();
             (published.owed, published.settling) = ("".into(), "".into());
         });
         self.shared.report(attempt, &error);

@@ -38,6 +38,11 @@ pub struct Epoch<Of> {
 }
 
 impl<Of> Epoch<Of> {
+    /// The one of that number, among others that are not counted but drawn.
+    pub fn numbered(number: u64) -> Self {
+        Self { number, of: PhantomData }
+    }
+
     /// Begins the next one: what was learned before does not count any more.
     pub fn next(&mut self) {
         self.number += 1;

@@ -10,7 +10,7 @@ use gauge_bus::clock::{Clock, SimClock};
 use gauge_owner::{self as owner, Settings, Signal, Startup};
 use gauge_sim::{Options, Sim};
 use gaugefs::error::{Cause, Error, Result};
-use gaugefs::fs::{Access, Content, Fs, MountedGauge, Node, Scales};
+use gaugefs::fs::{Access, Caller, Content, Fs, MountedGauge, Node, Process, Scales};
 use ti_gauge::chip::Chip;
 
 struct Tree {
@@ -24,6 +24,8 @@ static TREES: LazyLock<[Tree; 3]> = LazyLock::new(|| {
     ["bq34z100-g1", "bq27441-g1", "bq34110"]
         .map(|chip| Tree { present: tree(chip, true), absent: tree(chip, false) })
 });
+
+static OWN: LazyLock<Option<Process>> = LazyLock::new(|| Process::of_thread(std::process::id()));
 
 fn tree(chip: &str, present: bool) -> (Fs, Node) {
     let clock = Arc::new(SimClock::new());
@@ -71,8 +73,11 @@ pub(crate) fn run(input: &[u8]) {
 
 fn written(fs: &Fs, node: Node, data: &[u8]) -> Result<()> {
     let (sender, receiver) = mpsc::channel();
-    fs.write(node, 0, data, Box::new(move |outcome| drop(sender.send(outcome))));
-    receiver.recv().expect("every write is answered")
+    let caller = Caller { file: 1, process: *OWN };
+    fs.write(node, caller, 0, data, Box::new(move |outcome| drop(sender.send(outcome))));
+    let outcome = receiver.recv().expect("every write is answered");
+    fs.close(node, caller.file);
+    outcome
 }
 
 fn shown(fs: &Fs, node: Node) -> Vec<u8> {

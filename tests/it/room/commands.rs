@@ -225,8 +225,17 @@ pub(crate) fn read(mountpoint: &str, name: &str) -> String {
 
 /// Every file of a gauge's folder that does not depend on this test's own accesses.
 pub(crate) fn shown(gauge: &str) -> Vec<(String, String)> {
-    let own =
-        ["authenticate", "age_ms", "last_error", "last_error_facts", "control", "refresh", "report", "seal"];
+    let own = [
+        "authenticate",
+        "presence",
+        "age_ms",
+        "last_error",
+        "last_error_facts",
+        "control",
+        "refresh",
+        "report",
+        "seal",
+    ];
     let mut files = Vec::new();
     for folder in [".", "gauge", "gauge/registers"] {
         for entry in fs::read_dir(Path::new(gauge).join(folder)).expect("a folder") {

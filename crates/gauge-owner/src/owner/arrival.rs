@@ -5,7 +5,7 @@
 use std::ptr;
 use std::time::Duration;
 
-use super::{Answers, Attempt, Owner};
+use super::{Answers, Attempt, Owner, now};
 use crate::error::{Cause, Error, Result, Step};
 use ti_gauge::chip::{Chip, Limited, Recognised, recognise};
 use ti_gauge::dataflash::Place;
@@ -73,7 +73,7 @@ impl Owner {
         self.schedule.begin_anew();
         self.memory.arrives();
         self.shared.publish(|published| {
-            published.presence.next();
+            published.presence = now::presence();
             (published.answers, published.limited) = (answers, limited);
         });
         match self.limitation() {

@@ -11,7 +11,7 @@ use std::time::Duration;
 use jiff::Timestamp;
 
 use super::crew::Member;
-use super::now::{Content, Presence};
+use super::now::{self, Content, Presence};
 use super::operation::Request;
 use super::{Attempt, Done, Operation, Origin, Report, Settings};
 use crate::error::{Error, Result};
@@ -57,7 +57,7 @@ impl Snapshot {
 pub struct Published {
     /// The last poll; `None` while the gauge is gone.
     pub snapshot: Option<Arc<Snapshot>>,
-    /// Rises whenever the gauge goes away, or may be another one than before.
+    /// Another one whenever the gauge was away, or may be another one than before.
     pub presence: Epoch<Presence>,
     /// The answers of the gauge when it was identified.
     pub answers: Answers,
@@ -172,7 +172,7 @@ impl Shared {
     ) -> Self {
         let published = Published {
             snapshot: None,
-            presence: Epoch::default(),
+            presence: now::presence(),
             answers: Answers::default(),
             limited: (!gauge.chip.has_table()).then_some(Limited::NoTable),
             seal: Seal::Sealed,

@@ -9,14 +9,14 @@ use std::time::Duration;
 
 use super::attempt::Importance;
 use super::operation::{Asked, Operation};
-use super::{Attempt, Owner, Seal, Wish, words};
-use crate::error::{Error, Reason, Result};
+use super::{Attempt, Owner, Presence, Seal, Wish, words};
+use crate::error::{Cause, Error, Reason, Result};
 use ti_gauge::authentication::{self, Message};
 use ti_gauge::calibration::Job;
 use ti_gauge::chip::{Parameter, Subclass};
 use ti_gauge::codec;
 use ti_gauge::dataflash::{Change, Decision, Outcome, Place};
-use ti_gauge::epoch::Fact;
+use ti_gauge::epoch::{Epoch, Fact};
 use ti_gauge::keys;
 use ti_gauge::notation;
 use ti_gauge::text;
@@ -31,6 +31,10 @@ pub static READ: Operation<Vec<usize>, Vec<Arc<[u8]>>> =
 /// Writes parameters, all or none.
 pub static WRITE: Operation<Vec<Change>> =
     Operation::new("write", Owner::write).attempting(|changes| Attempt::Write(places(changes)));
+
+/// The same, for the gauge that was there in that presence only.
+pub static COMMIT: Operation<(Epoch<Presence>, Vec<Change>)> =
+    Operation::new("commit", Owner::commit).attempting(|(_, changes)| Attempt::Write(places(changes)));
 
 /// Makes every check of a write, and programs nothing.
 pub static CHECK: Operation<Vec<Change>> = Operation::new("check", |owner, changes: Vec<Change>, asked| {
@@ -272,6 +276,15 @@ impl Owner {
         })
     }
 
+    fn commit(&mut self, (presence, changes): (Epoch<Presence>, Vec<Change>), asked: Asked) -> Result<()> {
+        if self.shared.published().presence == presence {
+            return self.write(changes, asked);
+        }
+        let why = "the gauge has been away or is another one since the commit was written, so nothing of it was done; check \
+                   its values and begin again";
+        Err(Error::new("df/transaction", Cause::Gone, why))
+    }
+
     fn write_all(&mut self, changes: &[Change], waited: Duration) -> Result<()> {
         if changes.is_empty() {
             return Ok(());
@@ -380,7 +393,7 @@ impl Owner {
 mod tests {
     use super::super::Startup;
     use super::super::operation::QUEUE_LIMIT;
-    use super::super::rig::Rig;
+    use super::super::rig::{INTERVAL, Rig};
     use super::*;
     use crate::error::Cause;
     use gauge_bus::clock::Clock as _;
@@ -522,6 +535,27 @@ mod tests {
         refused(&mut rig, Duration::ZERO, |error| matches!(error.cause(), Cause::Gone));
         rig.owner.open().expect("it reads like a gauge");
         rig.ask(&CONTROL, 0x0002).expect("it is one");
+    }
+
+    /// What is committed waits in the queue.
+    #[test]
+    fn a_commit_is_for_the_gauge_that_was_there_when_it_was_written() {
+        let mut rig = Rig::open();
+        let (then, flash) = (rig.handle.published().presence, rig.sim.flash());
+        rig.sim.set("power", "off").expect("a knob");
+        (0..3).for_each(|_| rig.poll_after(INTERVAL));
+        rig.sim.set("power", "on").expect("a knob");
+        (0..2).for_each(|_| rig.poll_after(INTERVAL));
+        let changes = vec![change(&rig, "3100")];
+        let error = rig.ask(&COMMIT, (then, changes.clone())).expect_err("it was away");
+        assert!(
+            matches!(error.cause(), Cause::Gone) && error.to_string().contains("nothing of it"),
+            "{error}"
+        );
+        assert!(rig.sim.flash() == flash);
+        let now = rig.handle.published().presence;
+        rig.ask(&COMMIT, (now, changes)).expect("the default key");
+        assert!(rig.sim.flash() != flash);
     }
 
     #[test]

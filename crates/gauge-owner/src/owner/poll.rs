@@ -5,7 +5,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use super::{Attempt, Owner, Snapshot};
+use super::{Attempt, Owner, Snapshot, now};
 use crate::error::{Cause, Error, Result, Step};
 use gauge_bus::BusError;
 use ti_gauge::chip::{Chip, Role, Tier};
@@ -206,7 +206,7 @@ impl Owner {
             log::warn!("{}: the gauge is gone", self.shared.name());
             self.shared.publish(|published| {
                 published.snapshot = None;
-                published.presence.next();
+                published.presence = now::presence();
             });
         }
     }
