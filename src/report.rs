@@ -45,7 +45,13 @@ pub(crate) fn text(chip: &Chip, origin: &Origin, report: &Report) -> String {
         format!("Value {place} {} = {text} {}", row.1.name, row.1.unit).trim_end().to_string()
     }));
     about.extend(times(chip, report));
-    about.extend(report.calibration.lines().map(|line| format!("Last calibration: {}", printable(line))));
+    about.extend(
+        report
+            .calibration
+            .lines()
+            .filter(|line| !line.starts_with('#'))
+            .map(|line| format!("Last calibration: {}", printable(line))),
+    );
     about.push(match &report.data_flash {
         Ok(read) if read.is_empty() => format!("{DATA_FLASH}none is known of this part"),
         Ok(read) => {

@@ -12,8 +12,8 @@ use super::{mounted, trouble};
 use crate::error::{Cause, Error, Result};
 use crate::output::{print, say};
 use gauge_owner::key_file;
-use gaugefs_client::Gauge;
-use ti_gauge::authentication::{LENGTH, Order, fits, from_hex, to_hex};
+use gaugefs_client::{Gauge, Name as Request, TRIES};
+use ti_gauge::authentication::{LENGTH, Message, Order, fits, from_hex, to_hex};
 use ti_gauge::keys::Name;
 
 const AUTH: &str = "\
@@ -23,9 +23,6 @@ digest. Exit code 0: the pack is genuine, 1: it is not, 2: the gauge could not b
 
 Example:
   gaugefs auth /run/gauges/BAT0 --key-file ~/pack.keys";
-
-/// A second try, in case another program sent a challenge to the gauge at the same time.
-const TRIES: u32 = 2;
 
 /// Check whether the pack of a mounted gauge is genuine
 #[derive(Args, Debug)]
@@ -65,29 +62,17 @@ impl Auth {
         };
         let asked = order(gauge)?;
         mounted::poll(gauge)?;
-        for _ in 0..TRIES {
-            let mut challenge = [0; LENGTH];
-            getrandom::fill(&mut challenge)
-                .map_err(|error| Error::host("random numbers", Errno::EIO, error.to_string()))?;
-            let text = exchange(gauge, &to_hex(&challenge))?;
-            let digest = from_hex(text.as_bytes()).map_err(|_| {
-                let why = "the answer is not a digest";
-                Error::new(gauge.folder().display().to_string(), Cause::Protocol, why)
-            })?;
-            match fits(key, &challenge, &digest, asked) {
-                Some(order) if order == asked => {
-                    return Ok(Ok(format!("genuine, byte order {}\n", order.as_str())));
-                }
-                Some(order) => {
-                    let (order, asked) = (order.as_str(), asked.as_str());
-                    return Ok(Ok(format!(
-                        "genuine, byte order {order}; it is mounted with {asked}; mount it with --auth-order {order}\n"
-                    )));
-                }
-                None => {}
+        let (challenge, digest) = exchange(gauge)?;
+        Ok(match fits(key, &challenge, &digest, asked) {
+            Some(order) if order == asked => Ok(format!("genuine, byte order {}\n", order.as_str())),
+            Some(order) => {
+                let (order, asked) = (order.as_str(), asked.as_str());
+                Ok(format!(
+                    "genuine, byte order {order}; it is mounted with {asked}; mount it with --auth-order {order}\n"
+                ))
             }
-        }
-        Ok(Err("not genuine: its digest does not match this key, in either byte order"))
+            None => Err("not genuine: its digest does not match this key, in either byte order"),
+        })
     }
 }
 
@@ -102,10 +87,33 @@ fn order(gauge: &Gauge) -> Result<Order> {
     })
 }
 
-/// Writes the challenge and reads the digest.
-fn exchange(gauge: &Gauge, challenge: &str) -> Result<String> {
+/// Writes a challenge and reads its digest. The file may have the answer to another program's challenge.
+fn exchange(gauge: &Gauge) -> Result<(Message, Message)> {
     const FILE: &str = "gauge/authenticate";
     let failed = |error: gaugefs_client::Error| error.doing("the gauge does not answer the challenge");
-    gauge.send(FILE, challenge.as_bytes()).map_err(failed)?;
-    Ok(gauge.text(FILE).map_err(failed)?)
+    for _ in 0..TRIES {
+        let mut challenge = [0; LENGTH];
+        getrandom::fill(&mut challenge)
+            .map_err(|error| Error::host("random numbers", Errno::EIO, error.to_string()))?;
+        gauge.send(FILE, to_hex(&challenge).as_bytes()).map_err(failed)?;
+        let text = gauge.text(FILE).map_err(failed)?;
+        let answer = text.split_once(' ').map(|(asked, digest)| [asked, digest.trim_end()].map(hex));
+        match answer {
+            Some([Some(asked), Some(digest)]) if asked == challenge => return Ok((challenge, digest)),
+            // The other one has failed, and leaves nothing.
+            None if text.is_empty() => {}
+            Some([Some(_), Some(_)]) => {}
+            _ => {
+                let why = "the answer is not a digest";
+                return Err(Error::new(gauge.folder().display().to_string(), Cause::Protocol, why));
+            }
+        }
+        Request::draw().pause();
+    }
+    let why = "another program sends challenges to the gauge at the same time, so nothing is known of this pack; try again";
+    Err(Error::new(gauge.folder().join(FILE).display().to_string(), Cause::Busy, why))
+}
+
+fn hex(text: &str) -> Option<Message> {
+    from_hex(text.as_bytes()).ok()
 }

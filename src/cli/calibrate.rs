@@ -13,9 +13,11 @@ use clap::{Args, Subcommand};
 use super::mounted;
 use crate::config;
 use crate::error::Result;
-use crate::output::print;
-use gaugefs_client::Gauge;
+use crate::output::{print, say};
+use gaugefs_client::{Gauge, Name};
 
+/// Exit code of a calibration whose result could not be read.
+const UNKNOWN: u8 = 2;
 /// Time between two looks at the steps, which cause no bus traffic.
 const INTERVAL: Duration = Duration::from_millis(200);
 
@@ -23,7 +25,8 @@ const CALIBRATE: &str = "\
 Polls stop while the gauge is calibrated. It is read several times; a spread that is too large, or a
 correction that no tolerance explains, is refused. The new values go through one transaction, are kept in
 the journal until the gauge has been measured again, and are put back if the error has become larger.
-Takes up to half a minute. Exit code 0: calibrated; 1: refused, or put back.
+Takes up to half a minute. Exit code 0: calibrated; 1: refused, or put back; 2: calibrated, and
+another program has at once begun another calibration, so that the result is not shown.
 
 Examples:
   gaugefs calibrate /run/gauges/BAT0 board-offset               no load
@@ -81,39 +84,46 @@ impl Calibrate {
         };
         let gauge = Gauge::open(&self.gauge)?;
         mounted::poll(&gauge)?;
-        request(&gauge, &line, "cannot be calibrated").map(|()| ExitCode::SUCCESS)
+        request(&gauge, &line, "cannot be calibrated")
     }
 }
 
-/// Writes a line to `gauge/calibrate`, and prints the steps as the daemon tells them.
-pub(super) fn request(gauge: &Gauge, line: &str, failure: &str) -> Result<()> {
+/// Writes a line to `gauge/calibrate`, and prints the steps as the daemon tells them. Those of another request are left out.
+pub(super) fn request(gauge: &Gauge, line: &str, failure: &str) -> Result<ExitCode> {
     gauge.check_has("gauge/calibrate", "calibration")?;
     let asked = gauge.clone();
-    let told = move || asked.text("gauge/calibration").unwrap_or_default();
-    let before = told();
+    let name = Name::draw();
     let (end, ended) = mpsc::channel::<()>();
+    // Whether all steps were seen, and printed.
     let follow = thread::spawn(move || {
         let (mut shown, mut printed) = (String::new(), Ok(()));
         let mut last = false;
         loop {
-            let text = told();
-            // Until the daemon has begun, the file has the steps of the calibration before.
-            if (text != before || !shown.is_empty())
-                && let Some(rest) = text.strip_prefix(&shown)
-            {
+            let text = asked.text("gauge/calibration").unwrap_or_default();
+            let own = name.answer(&text);
+            if let Some(rest) = own.and_then(|steps| steps.strip_prefix(&*shown)) {
                 printed = printed.and_then(|()| print(rest));
-                shown.clone_from(&text);
+                shown += rest;
             }
             if last {
-                return printed;
+                return printed.map(|()| own.is_some());
             }
             last = ended.recv_timeout(INTERVAL) != Err(RecvTimeoutError::Timeout);
         }
     });
-    let sent = gauge.send("gauge/calibrate", line.as_bytes());
+    let sent = gauge.send("gauge/calibrate", name.on(line).as_bytes());
     drop(end);
-    let printed = follow.join();
+    let followed = follow.join();
     sent.map_err(|refused| refused.doing(failure))?;
     // A panic there was told by itself.
-    printed.unwrap_or(Ok(())).map_err(|error| error.within("done, but its steps were not printed"))
+    let is_whole =
+        followed.unwrap_or(Ok(true)).map_err(|error| error.within("done, but its steps were not printed"))?;
+    if is_whole {
+        return Ok(ExitCode::SUCCESS);
+    }
+    let folder = gauge.folder().display();
+    say(format_args!(
+        "{folder}: done, but another program calibrates now, and its steps have replaced the last of these"
+    ));
+    Ok(UNKNOWN.into())
 }

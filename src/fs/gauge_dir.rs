@@ -308,7 +308,9 @@ fn answered(gauge: &Supply) -> Option<String> {
 fn digest(gauge: &Supply) -> Option<String> {
     match gauge.published().digest() {
         _ if !can_authenticate(gauge) => None,
-        Some(digest) => line(authentication::to_hex(digest)),
+        Some((challenge, digest)) => {
+            line(format_args!("{} {}", authentication::to_hex(challenge), authentication::to_hex(digest)))
+        }
         None => empty(),
     }
 }

@@ -1202,6 +1202,40 @@ fn a_genuine_pack_is_recognised_and_its_keys_appear_nowhere() {
     }
 }
 
+/// Each took the other's digest for its own: up to 42 of 150 said that a genuine pack was not genuine.
+#[test]
+fn regression_a_genuine_pack_was_not_genuine_for_two_who_asked_at_once() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let (at, keys) = (folder.file("m"), folder.file("keys"));
+    fs::write(&keys, "authentication = 0123456789abcdeffedcba9876543210\n").expect("a key file");
+    fs::set_permissions(&keys, Permissions::from_mode(0o600)).expect("its mode");
+    gaugefs(&["mount", "--sim", CHIP, "--fast", &at]).done();
+    let gauge = folder.file("m/BAT0");
+    std::thread::scope(|scope| {
+        for _ in 0..4 {
+            scope.spawn(|| {
+                for _ in 0..5 {
+                    let ran = gaugefs(&["auth", &gauge, "--key-file", &keys]);
+                    match ran.code {
+                        Some(0) => assert_eq!(ran.out, "genuine, byte order lsb-first\n"),
+                        // A busy machine may not look in time, each time.
+                        code => assert!(
+                            code == Some(2) && ran.err.contains("another program"),
+                            "{code:?} {}",
+                            ran.err
+                        ),
+                    }
+                }
+            });
+        }
+    });
+    gaugefs(&["auth", &gauge, "--key-file", &keys]).done();
+    gaugefs(&["umount", &at]).done();
+}
+
 #[test]
 fn the_byte_order_is_chosen_with_the_mount() {
     if !can_mount() {

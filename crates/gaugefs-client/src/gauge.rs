@@ -15,6 +15,7 @@ use ti_gauge::error::Cause;
 use ti_gauge::image::{Difference, Entry, Image, LeftOut, RawDifference};
 use ti_gauge::text;
 
+use crate::asked::{Name, TRIES};
 use crate::error::{Error, Result};
 use crate::file::{self, GaugeFile, LONGEST, OWED, is_dead, is_set};
 use crate::hang;
@@ -168,8 +169,7 @@ impl Gauge {
     fn settling(&self, word: &str) -> Result<String> {
         const FILE: &str = "gauge/settle";
         self.check_has(FILE, "data flash")?;
-        self.send(FILE, word.as_bytes()).map_err(|error| error.doing("cannot be settled"))?;
-        let told = self.text(FILE).map_err(|error| error.doing("cannot read what is to settle"))?;
+        let told = self.answered(FILE, word, ["cannot be settled", "cannot read what is to settle"])?;
         Ok(with_path(&told, &self.folder))
     }
 
@@ -177,8 +177,34 @@ impl Gauge {
     pub fn learned(&self, wish: &str) -> Result<String> {
         const FILE: &str = "gauge/learned";
         self.check_has(FILE, "data memory in RAM")?;
-        self.send(FILE, wish.as_bytes()).map_err(|error| error.doing("cannot be done"))?;
-        self.text(FILE).map_err(|error| error.doing("cannot read what was learned"))
+        self.answered(FILE, wish, ["cannot be done", "cannot read what was learned"])
+    }
+
+    /// Writes a request to a file, and reads its answer there. Only `show` is written again if the answer is another
+    /// request's.
+    fn answered(&self, file: &str, request: &str, failed: [&'static str; 2]) -> Result<String> {
+        for _ in 0..TRIES {
+            let name = Name::draw();
+            self.send(file, name.on(request).as_bytes()).map_err(|error| error.doing(failed[0]))?;
+            let text = self.text(file).map_err(|error| error.doing(failed[1]))?;
+            if let Some(answer) = name.answer(&text) {
+                return Ok(answer.into());
+            }
+            if request != "show" {
+                break;
+            }
+            name.pause();
+        }
+        let what = if request == "show" { "" } else { "done, but " };
+        Err(self.answers_another(file, what))
+    }
+
+    /// The error about an answer that is another program's.
+    fn answers_another(&self, file: &str, what: &str) -> Error {
+        let why = format!(
+            "{what}it has the answer to another program, which writes it at the same time; look again later"
+        );
+        ti_gauge::error::Error::new(self.folder.join(file).display().to_string(), Cause::Busy, why).into()
     }
 
     /// Whether something is owed: a seal, or a write that is neither done nor undone.
@@ -310,13 +336,16 @@ impl Gauge {
     pub fn ask(&self, code: u16) -> Result<u16> {
         let file = "gauge/control";
         let failed = |error: Error| error.doing("the gauge does not answer the subcommand");
-        self.send(file, format!("0x{code:04x}").as_bytes()).map_err(failed)?;
-        let text = self.text(file).map_err(failed)?;
-        let answer = text.split_once(' ').filter(|(asked, _)| word(asked) == Some(code));
-        Ok(answer.and_then(|(_, answer)| word(answer.trim())).ok_or_else(|| {
-            let why = "holds the answer to another subcommand: somebody else has written it; try again";
-            ti_gauge::error::Error::new(self.folder.join(file).display().to_string(), Cause::Busy, why)
-        })?)
+        for _ in 0..TRIES {
+            self.send(file, format!("0x{code:04x}").as_bytes()).map_err(failed)?;
+            let text = self.text(file).map_err(failed)?;
+            let answer = text.split_once(' ').filter(|(asked, _)| word(asked) == Some(code));
+            if let Some(answer) = answer.and_then(|(_, answer)| word(answer.trim())) {
+                return Ok(answer);
+            }
+            Name::draw().pause();
+        }
+        Err(self.answers_another(file, ""))
     }
 
     /// Which gauge is there. What is read from now on is of that one for as long as this does not change.

@@ -88,6 +88,7 @@
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 #![cfg_attr(test, allow(clippy::disallowed_methods, reason = "tests read what they have made"))]
 
+mod asked;
 pub mod condition;
 mod error;
 mod file;
@@ -103,6 +104,7 @@ pub mod supplies;
 mod value;
 pub mod watch;
 
+pub use asked::{Name, TRIES};
 pub use error::{Error, Result};
 pub use file::GaugeFile;
 pub use gauge::{Decision, Gauge, Polled, Presence, folder_name};

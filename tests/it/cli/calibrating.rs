@@ -26,7 +26,13 @@ fn a_mounted_gauge_is_calibrated_and_a_new_board_is_set_up() {
     assert!(lines.len() == 3 && lines[0].starts_with("reading Temperature()"), "{told}");
     assert!(lines[1].starts_with("writing Ext Temp Offset = -30"), "{told}");
     assert_eq!(read(&gauge, "df/104/12"), "-30");
-    assert_eq!(format!("{}\n", read(&gauge, "gauge/calibration")), told);
+    let shown = read(&gauge, "gauge/calibration");
+    let (name, steps) = shown.split_once('\n').expect("the name of the request");
+    assert!(name.starts_with('#') && name.len() == 17, "{shown}");
+    assert_eq!(format!("{steps}\n"), told);
+    // Whoever gives no name finds none.
+    fs::write(Path::new(&gauge).join("gauge/calibrate"), "leave\n").expect("no fault");
+    assert!(!read(&gauge, "gauge/calibration").contains('#'));
 
     let refused = gaugefs(&["calibrate", &gauge, "current", "--actual", "20mA"]);
     refused.failed(&["Current()", "100 mA"]);
@@ -97,6 +103,35 @@ fn regression_volts_in_place_of_millivolts_are_refused_before_flash_is_touched()
         &["bringup", "/no/such", "--cells", "4", "--divider", "20000mV", "--voltage-now", "15420"],
     ] {
         gaugefs(words).failed(&["/no/such: not a mounted gauge"]);
+    }
+    gaugefs(&["umount", &at]).done();
+}
+
+/// Each printed what the other one had done.
+#[test]
+fn regression_two_calibrations_at_once_printed_each_others_steps() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let at = folder.file("m");
+    let gauge = format!("{at}/BAT0");
+    gaugefs(&["mount", "--sim", CHIP, "--fast", "--state-dir", &folder.file("state"), &at]).done();
+    let calibrate = |words: &[&str]| gaugefs(&[&["calibrate", &gauge], words].concat());
+    for _ in 0..3 {
+        let (one, other) = std::thread::scope(|scope| {
+            let one = scope.spawn(|| calibrate(&["temperature", "--actual", "25"]));
+            (calibrate(&["voltage", "--actual", "3850"]), one.join().expect("no panic"))
+        });
+        for (own, others, ran) in [("Voltage", "Temp", one), ("Temp", "Voltage", other)] {
+            assert!(!ran.out.contains(others), "{}", ran.out);
+            match ran.code {
+                Some(0) => assert!(ran.out.contains(own), "{}", ran.out),
+                code => {
+                    assert!(code == Some(2) && ran.err.contains("another program"), "{code:?} {}", ran.err)
+                }
+            }
+        }
     }
     gaugefs(&["umount", &at]).done();
 }

@@ -13,8 +13,9 @@ impl Owner {
     /// Carries out a calibration. Its steps are published before they are done.
     pub(super) fn calibrate(&mut self, job: Job, asked: Asked) -> Result<()> {
         let begun = self.gauge.clock.now();
-        self.shared
-            .publish(|published| (published.calibration, published.measured) = ("".into(), Arc::default()));
+        self.shared.publish(|published| {
+            (published.calibration, published.measured) = (asked.title().into(), Arc::default());
+        });
         if self.dataflash.owed().is_some() {
             self.pay();
         }

@@ -143,7 +143,7 @@ impl Owner {
         if decision.is_some() {
             log::warn!("{}: {told}", self.shared.name());
         }
-        self.shared.publish(|published| published.settling = told.into());
+        self.shared.publish(|published| published.settling = (asked.title() + &told).into());
         Ok(())
     }
 

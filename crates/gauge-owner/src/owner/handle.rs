@@ -67,7 +67,7 @@ pub struct Published {
     /// Its seal state when it was last read.
     pub seal: Seal,
     /// See [`Self::digest`].
-    pub(super) digest: Fact<Message, Presence>,
+    pub(super) digest: Fact<(Message, Message), Presence>,
     /// See [`Self::control`].
     pub(super) control: Fact<(u16, u16), Presence>,
     /// Time between polls.
@@ -106,8 +106,8 @@ pub struct Failure {
 }
 
 impl Published {
-    /// The answer to the last challenge; `None` while this gauge has given none.
-    pub fn digest(&self) -> Option<&Message> {
+    /// The last challenge and its answer; `None` while this gauge has given none.
+    pub fn digest(&self) -> Option<&(Message, Message)> {
         self.digest.get(self.presence)
     }
 
@@ -517,7 +517,18 @@ impl Handle {
     /// Asks for an operation. `done` is called with the outcome, of a write within 30 s; if the owner has ended, at
     /// once.
     pub fn ask<A: Send, T>(&self, operation: &'static Operation<A, T>, argument: A, done: Done<T>) {
-        let request = Request::new(operation, argument, self.shared.name(), done);
+        self.ask_as(operation, argument, None, done);
+    }
+
+    /// The same, with a number that whoever asks knows the answer by.
+    pub(super) fn ask_as<A: Send, T>(
+        &self,
+        operation: &'static Operation<A, T>,
+        argument: A,
+        name: Option<u64>,
+        done: Done<T>,
+    ) {
+        let request = Request::new(operation, argument, name, self.shared.name(), done);
         let now = self.shared.clock.now();
         // What cannot be sent is dropped, and answers.
         match &*self.queue {

@@ -465,7 +465,7 @@ impl Owner {
             ),
             Wish::Restore(version) => self.restore_learned(&store, version, asked)?,
         };
-        self.shared.publish(|published| published.learned = told.into());
+        self.shared.publish(|published| published.learned = (asked.title() + &told).into());
         Ok(())
     }
 

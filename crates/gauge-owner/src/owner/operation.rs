@@ -25,6 +25,7 @@ pub struct Operation<A, T = ()> {
     call: fn(&mut Owner, A, Asked) -> Result<T>,
     parse: Option<Parse<A>>,
     ignores_blank: bool,
+    names_answer: bool,
     needs_gauge: bool,
     importance: Importance,
     attempt: Option<fn(&A) -> Attempt>,
@@ -50,6 +51,15 @@ pub(super) struct Asked {
     pub(super) submitted: Duration,
     /// How long it was in the queue.
     pub(super) waited: Duration,
+    /// A number that whoever has asked knows the answer by.
+    pub(super) name: Option<u64>,
+}
+
+impl Asked {
+    /// The first line of the answer.
+    pub(super) fn title(self) -> String {
+        self.name.map_or(String::new(), |name| format!("#{name:016x}\n"))
+    }
 }
 
 impl<A, T> Operation<A, T> {
@@ -61,6 +71,7 @@ impl<A, T> Operation<A, T> {
             call,
             parse: None,
             ignores_blank: false,
+            names_answer: false,
             needs_gauge: true,
             importance: Importance::Change,
             attempt: None,
@@ -76,6 +87,11 @@ impl<A, T> Operation<A, T> {
     /// A blank text does nothing.
     pub(super) const fn ignoring_blank(self) -> Self {
         Self { ignores_blank: true, ..self }
+    }
+
+    /// Its answer is shown with the name of the request, if that has one.
+    pub(super) const fn naming_answer(self) -> Self {
+        Self { names_answer: true, ..self }
     }
 
     /// It sends no more than a poll does, so it is carried out on any gauge, however late.
@@ -126,11 +142,22 @@ impl<A: Send> Spoken for Operation<A> {
         let Some(parse) = self.parse.filter(|_| !(self.ignores_blank && text.trim_ascii().is_empty())) else {
             return done(Ok(()));
         };
+        let (text, name) = if self.names_answer { named(text) } else { (text, None) };
         match parse(context, text) {
-            Ok(argument) => handle.ask(self, argument, done),
+            Ok(argument) => handle.ask_as(self, argument, name, done),
             Err(error) => handle.refuse(self.itself(), error, done),
         }
     }
+}
+
+/// A request, and the number at its end that its answer is known by: `show #5d0c66f0`.
+fn named(data: &[u8]) -> (&[u8], Option<u64>) {
+    let name = data.iter().rposition(|&byte| byte == b'#').and_then(|at| {
+        let digits = std::str::from_utf8(&data[at + 1..]).ok()?.trim_end();
+        let is_number = digits.bytes().all(|byte| byte.is_ascii_hexdigit());
+        Some((at, u64::from_str_radix(digits, 16).ok().filter(|_| is_number)?))
+    });
+    name.map_or((data, None), |(at, name)| (&data[..at], Some(name)))
 }
 
 /// An operation that somebody waits for.
@@ -140,11 +167,12 @@ impl Request {
     pub(super) fn new<A: Send + 'static, T: 'static>(
         operation: &'static Operation<A, T>,
         argument: A,
+        name: Option<u64>,
         gauge: &str,
         done: Done<T>,
     ) -> Self {
         let reply = Reply { gauge: gauge.to_string(), done: Some(done) };
-        Self(Box::new(Task { operation, argument, reply }))
+        Self(Box::new(Task { operation, argument, name, reply }))
     }
 }
 
@@ -178,20 +206,21 @@ trait Work: Send {
 struct Task<A: 'static, T: 'static> {
     operation: &'static Operation<A, T>,
     argument: A,
+    name: Option<u64>,
     reply: Reply<T>,
 }
 
 impl<A: Send, T> Work for Task<A, T> {
     /// A panic is an answer as well, also one of whoever takes the answer.
     fn carry_out(self: Box<Self>, owner: &mut Owner, submitted: Duration) {
-        let Task { operation, argument, reply } = *self;
+        let Task { operation, argument, name, reply } = *self;
         let attempt = operation.attempt(Some(&argument));
         let waited = owner.gauge.clock.now().saturating_sub(submitted);
         let outcome = match owner.refusal(waited).filter(|_| operation.needs_gauge) {
             Some(error) => Err(error),
             None => owner
                 .survive(attempt.clone(), |owner| {
-                    let outcome = (operation.call)(owner, argument, Asked { submitted, waited });
+                    let outcome = (operation.call)(owner, argument, Asked { submitted, waited, name });
                     if operation.reports { outcome } else { owner.logged(attempt.clone(), outcome) }
                 })
                 .and_then(|outcome| outcome),

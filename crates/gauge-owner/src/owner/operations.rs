@@ -60,14 +60,18 @@ pub static AUTHENTICATE: Operation<Message> = Operation::new("authenticate", Own
     .parsed_by(|_, text| Ok(authentication::from_hex(text)?));
 
 /// Shows what is known of an interrupted write, or settles it as somebody has decided.
-pub static SETTLE: Operation<Option<Decision>> =
-    Operation::new("settle", Owner::settle_as_decided).parsed_by(words::decision).important(Importance::Owed);
+pub static SETTLE: Operation<Option<Decision>> = Operation::new("settle", Owner::settle_as_decided)
+    .parsed_by(words::decision)
+    .naming_answer()
+    .important(Importance::Owed);
 
 /// Shows what is kept of what a gauge with RAM has learned, writes it, or removes it.
-pub static LEARNED: Operation<Wish> = Operation::new("learned", Owner::keep_learned).parsed_by(words::wish);
+pub static LEARNED: Operation<Wish> =
+    Operation::new("learned", Owner::keep_learned).parsed_by(words::wish).naming_answer();
 
 /// Calibrates the gauge, without polls meanwhile.
-pub static CALIBRATE: Operation<Job> = Operation::new("calibrate", Owner::calibrate).parsed_by(words::job);
+pub static CALIBRATE: Operation<Job> =
+    Operation::new("calibrate", Owner::calibrate).parsed_by(words::job).naming_answer();
 
 /// Publishes a report of the gauge.
 pub static REPORT: Operation<()> =
@@ -142,11 +146,11 @@ impl Owner {
     }
 
     fn send(&mut self, code: u16, _: Asked) -> Result<()> {
-        // Clear the previous answer first, or it could be taken for this one's.
-        self.shared.publish(|published| published.control = Fact::default());
         let outcome = self.settled_first().and_then(|()| Ok(self.gauge.ask(code)?));
         self.publish_seal();
-        let answer = outcome?;
+        // Until then whoever has asked before can read the answer, which says what it answers.
+        let answer =
+            outcome.inspect_err(|_| self.shared.publish(|published| published.control = Fact::default()))?;
         self.shared.publish(|published| published.control.learn(published.presence, (code, answer)));
         log::info!("{}Control(0x{code:04x}) answered 0x{answer:04x}", self.shared.prefix);
         Ok(())
@@ -167,11 +171,11 @@ impl Owner {
     }
 
     fn authenticate(&mut self, challenge: Message, asked: Asked) -> Result<()> {
-        // The last digest is no answer to this challenge, even if this one fails.
-        self.shared.publish(|published| published.digest = Fact::default());
         let order = self.shared.auth_order;
-        let digest = authentication::ask(&mut self.gauge, &challenge, order, asked.waited)?;
-        self.shared.publish(|published| published.digest.learn(published.presence, digest));
+        let digest = authentication::ask(&mut self.gauge, &challenge, order, asked.waited);
+        let digest =
+            digest.inspect_err(|_| self.shared.publish(|published| published.digest = Fact::default()))?;
+        self.shared.publish(|published| published.digest.learn(published.presence, (challenge, digest)));
         Ok(())
     }
 
