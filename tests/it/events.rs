@@ -9,6 +9,7 @@ use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
+use gauge_bus::clock::{Clock, RealClock};
 use nix::errno::Errno;
 use nix::sys::signal::{Signal, kill};
 use nix::sys::socket::sockopt::ReceiveTimeout;
@@ -191,6 +192,27 @@ fn listeners_hear_of_changes_and_of_each_way_in_which_a_mount_ends() {
     // The command itself ends.
     assert_eq!(events.ends(Signal::SIGHUP), Some(0));
     listener.hears(REMOVED);
+    gaugefs(&["umount", SUPPLIES]).done();
+}
+
+#[test]
+fn regression_a_mount_that_had_hung_was_not_looked_at_for_nine_times_as_long() {
+    if !is_apart("events::regression_a_mount_that_had_hung_was_not_looked_at_for_nine_times_as_long") {
+        return;
+    }
+    let listener = Listener::new();
+    let daemon = mounted();
+    let _events = Events::new();
+    listener.hears(ADDED);
+    stop(daemon.0.id(), SUPPLIES);
+    // Nine times as long is longer than a message is waited for.
+    RealClock::new().sleep(Duration::from_secs(8));
+    daemon.send(Signal::SIGCONT);
+    listener.hears(REMOVED);
+    listener.hears(ADDED);
+    daemon.send(Signal::SIGKILL);
+    listener.hears(REMOVED);
+    drop(daemon);
     gaugefs(&["umount", SUPPLIES]).done();
 }
 

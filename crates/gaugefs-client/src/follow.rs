@@ -18,7 +18,7 @@ use nix::sys::stat::Mode;
 use crate::condition::Texts;
 use crate::error::{Error, Result};
 use crate::gauge::Gauge;
-pub use crate::hang::{PATIENCE, SILENT};
+pub use crate::hang::{Calling, PATIENCE, SILENT};
 use crate::hang::{look_again, within};
 use crate::place;
 use crate::sample::{self, if_readable, of_one_poll, text};
@@ -31,8 +31,6 @@ pub struct Seen {
     pub gauge: usize,
     /// Its files; what is missing of them, or why there are none.
     pub texts: Result<Texts, String>,
-    /// Time until the next report.
-    pub next: Duration,
 }
 
 /// The attributes of a gauge and other files of its folder.
@@ -65,8 +63,7 @@ fn text_in(folder: &File, name: &str) -> io::Result<String> {
 #[derive(Debug)]
 pub struct Follow {
     seen: Receiver<Seen>,
-    /// When the daemon counts as silent, unless something is heard of it.
-    due: Instant,
+    calling: Calling,
 }
 
 impl Follow {
@@ -74,26 +71,26 @@ impl Follow {
     /// folder best one after the other.
     pub fn start(folder: &Path, names: Vec<String>) -> Result<Self> {
         let (sender, seen) = mpsc::channel::<Seen>();
-        to_channel(0, folder.to_path_buf(), names, sender)?;
-        Ok(Self { seen, due: Instant::now() + PATIENCE })
+        let calling = to_channel(0, folder.to_path_buf(), names, sender)?;
+        Ok(Self { seen, calling })
     }
 
     /// Waits for the next poll, and returns the attributes and the files that are followed; or why there are none: the gauge
     /// is gone, the mount has ended, or its daemon does not answer, and that again and again while it lasts. `None` after
     /// the time limit.
     pub fn next(&mut self, limit: Option<Duration>) -> Option<Result<Texts, String>> {
-        let silent = self.due.saturating_duration_since(Instant::now());
-        let patience = limit.map_or(silent, |limit| limit.min(silent));
-        match self.seen.recv_timeout(patience) {
-            Ok(Seen { texts, next, .. }) => {
-                self.due = Instant::now() + next + PATIENCE;
-                Some(texts)
-            }
-            Err(RecvTimeoutError::Timeout) if patience < silent => None,
-            // The thread ends only with its receiver.
-            Err(_) => {
-                self.due = Instant::now() + PATIENCE;
-                Some(Err(SILENT.into()))
+        let end = limit.map(|limit| Instant::now() + limit);
+        loop {
+            let left = end.map(|end| end.saturating_duration_since(Instant::now()));
+            match self.seen.recv_timeout(left.map_or(INTERVAL, |left| left.min(INTERVAL))) {
+                Ok(Seen { texts, .. }) => return Some(texts),
+                Err(RecvTimeoutError::Timeout) if !self.calling.is_silent() => {
+                    if left.is_some_and(|left| left.is_zero()) {
+                        return None;
+                    }
+                }
+                // The thread ends only with its receiver.
+                Err(_) => return Some(Err(SILENT.into())),
             }
         }
     }
@@ -105,8 +102,9 @@ pub fn to_channel<T: From<Seen> + Send + 'static>(
     folder: PathBuf,
     names: Vec<String>,
     to: Sender<T>,
-) -> Result<()> {
-    let look = move || {
+) -> Result<Calling> {
+    let mount = folder.clone();
+    let look = move |_: &Calling| {
         let (texts, next) = match of_one_poll(&folder, |_| all(&folder, &names)) {
             Ok(texts) if texts.get("present").is_some_and(|text| text == "1") => {
                 (Ok(texts), next_poll(&folder))
@@ -114,10 +112,9 @@ pub fn to_channel<T: From<Seen> + Send + 'static>(
             Ok(_) => (Err("the gauge does not answer".into()), None),
             Err(error) => (Err(trouble(&folder, &error)), None),
         };
-        let next = next.unwrap_or(INTERVAL);
-        (Seen { gauge, texts, next }, next)
+        (Seen { gauge, texts }, next.unwrap_or(INTERVAL))
     };
-    look_again(look, to)
+    look_again(&mount, PATIENCE, look, to)
 }
 
 impl Gauge {

@@ -2,11 +2,14 @@
 
 //! Daemons that hang: a call into their mount may never return, so it is made by a thread of its own.
 
+use std::path::Path;
 use std::sync::mpsc::{self, Sender};
-use std::time::Duration;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
 
 use gauge_bus::clock::{Clock, RealClock};
 use nix::errno::Errno;
+use nix::sys::statvfs::statvfs;
 
 use crate::error::{Error, Result};
 
@@ -22,21 +25,80 @@ pub(crate) fn thread(work: impl FnOnce() + Send + 'static) -> Result<()> {
     thread.map(drop).map_err(|error| Error::io("", "cannot start a thread", error))
 }
 
+/// Since when a thread has been in a call into a mount; `None` while it is in none.
+#[derive(Clone, Debug, Default)]
+pub struct Calling(Arc<Mutex<Option<Instant>>>);
+
+impl Calling {
+    /// A call begins, or the next one of many.
+    pub(crate) fn begin(&self) {
+        self.set(Some(Instant::now()));
+    }
+
+    pub(crate) fn end(&self) {
+        self.set(None);
+    }
+
+    fn set(&self, since: Option<Instant>) {
+        // A panic cannot leave it half changed.
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = since;
+    }
+
+    /// Whether the daemon has not answered for [`PATIENCE`]: true once in each such time.
+    pub fn is_silent(&self) -> bool {
+        let mut since = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let is_silent = since.is_some_and(|since| since.elapsed() >= PATIENCE);
+        if is_silent {
+            *since = Some(Instant::now());
+        }
+        is_silent
+    }
+}
+
 /// Looks at a mount again and again from a thread of its own, which reports to a channel: what it sees, and how long it is
-/// until the next look. It ends with its receiver.
+/// until the next look. It ends with its receiver. In between it asks every so often whether the daemon is still there; if
+/// not, it looks at once.
 pub(crate) fn look_again<R, T: From<R> + Send + 'static>(
-    mut look: impl FnMut() -> (R, Duration) + Send + 'static,
+    mount: &Path,
+    every: Duration,
+    mut look: impl FnMut(&Calling) -> (R, Duration) + Send + 'static,
     to: Sender<T>,
-) -> Result<()> {
+) -> Result<Calling> {
+    let (mount, calling) = (mount.to_path_buf(), Calling::default());
+    let within = calling.clone();
     thread(move || {
         loop {
-            let (seen, next) = look();
+            within.begin();
+            let (seen, next) = look(&within);
+            within.end();
             if to.send(seen.into()).is_err() {
                 return;
             }
-            RealClock::new().sleep(next);
+            rest(&mount, every, next, &within);
         }
-    })
+    })?;
+    Ok(calling)
+}
+
+/// Waits for the next look, while the daemon is there.
+fn rest(mount: &Path, every: Duration, next: Duration, calling: &Calling) {
+    let until = Instant::now() + next;
+    loop {
+        let left = until.saturating_duration_since(Instant::now());
+        RealClock::new().sleep(left.min(every));
+        if left <= every || !is_served(mount, calling) {
+            return;
+        }
+    }
+}
+
+/// Whether the daemon of a mount answers. Only STATFS is never answered from the kernel's cache, which outlives a daemon that
+/// was killed.
+pub(crate) fn is_served(mount: &Path, calling: &Calling) -> bool {
+    calling.begin();
+    let answer = statvfs(mount);
+    calling.end();
+    answer.is_ok()
 }
 
 /// Calls a function from a thread of its own, and waits at most so long for it. A daemon that hangs keeps that thread, and
@@ -48,4 +110,39 @@ pub fn within<T: Send + 'static>(limit: Duration, call: impl FnOnce() -> T + Sen
         let _ = sender.send(call());
     })?;
     answer.recv_timeout(limit).map_err(|_| Error::host("", Errno::ETIMEDOUT, SILENT))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_has_gone_is_looked_at_long_before_the_next_look_is_due() {
+        // More than a test may take, and a folder that is gone after the first look, as a mount whose daemon was killed.
+        let hour = Duration::from_secs(3600);
+        let folder = std::env::temp_dir().join(format!("gaugefs-hang-{}", std::process::id()));
+        std::fs::create_dir(&folder).expect("a folder");
+        let (sender, looks) = mpsc::channel::<usize>();
+        let mut count = 0_usize;
+        let gone = folder.clone();
+        let look = move |_: &Calling| {
+            count += 1;
+            let _ = std::fs::remove_dir(&gone);
+            (count, if count == 1 { hour } else { Duration::ZERO })
+        };
+        look_again(&folder, Duration::from_millis(1), look, sender).expect("a thread");
+        assert_eq!(looks.iter().take(2).collect::<Vec<_>>(), [1, 2]);
+    }
+
+    #[test]
+    fn a_call_that_takes_too_long_is_reported_once_in_that_time() {
+        let calling = Calling::default();
+        assert!(!calling.is_silent());
+        calling.begin();
+        assert!(!calling.is_silent());
+        calling.set(Instant::now().checked_sub(PATIENCE));
+        assert!(calling.is_silent() && !calling.is_silent());
+        calling.end();
+        assert!(!calling.is_silent());
+    }
 }

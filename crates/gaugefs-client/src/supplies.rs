@@ -2,52 +2,58 @@
 
 //! The power supplies of a mount, the Mains supply included, look by look.
 //!
-//! If a daemon hangs, a read of its files blocks, perhaps for ever. So a thread of its own reads them, and whoever waits
-//! for it counts a daemon as silent that is not heard of for [`PATIENCE`](crate::hang::PATIENCE) after its next look is due.
+//! If a daemon hangs, a read of its files blocks, perhaps for ever. So a thread of its own reads them, and [`Calling`] says
+//! that the daemon is silent.
 
 use std::collections::BTreeMap;
 use std::fs;
 use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::Sender;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use nix::sys::statvfs::statvfs;
+use nix::time::{ClockId, clock_gettime};
 
 use crate::condition::Texts;
 use crate::error::Result;
-use crate::hang::look_again;
+use crate::hang::{Calling, look_again};
 use crate::mounts;
 use crate::sample::{attributes, if_readable};
 use crate::watch::trouble;
 
 /// The least time between two looks. Polls are at least as far apart.
 const PAUSE: Duration = Duration::from_millis(500);
-/// A look takes at most this part of the time: there may be a thousand gauges.
-const SHARE: u32 = 10;
+/// Looks take at most this part of a processor's time, and about as much of the daemon's: there may be a thousand gauges.
+const SHARE: u32 = 20;
 
 /// What a thread that follows a mount reports.
 #[derive(Clone, Debug)]
 pub struct Look {
     /// The attributes in the `uevent` of each supply, by its name; or why there are none.
     pub supplies: Result<BTreeMap<String, Texts>, String>,
-    /// Time until the next report.
-    pub next: Duration,
 }
 
 /// Follows the supplies of a mount from a thread of its own, which reports to a channel. It ends with its receiver.
-pub fn to_channel<T: From<Look> + Send + 'static>(mountpoint: PathBuf, to: Sender<T>) -> Result<()> {
-    let look = move || {
-        let begun = Instant::now();
-        let supplies = supplies_at(&mountpoint).map_err(|error| trouble(&mountpoint, &error));
-        let next = PAUSE.max(begun.elapsed() * (SHARE - 1));
-        (Look { supplies, next }, next)
+pub fn to_channel<T: From<Look> + Send + 'static>(mountpoint: PathBuf, to: Sender<T>) -> Result<Calling> {
+    let mount = mountpoint.clone();
+    let look = move |calling: &Calling| {
+        let before = processor_time();
+        let supplies = supplies_at(&mountpoint, calling).map_err(|error| trouble(&mountpoint, &error));
+        // The time that it took is no measure of its cost: the daemon may have hung.
+        let next = PAUSE.max(processor_time().saturating_sub(before) * (SHARE - 1));
+        (Look { supplies }, next)
     };
-    look_again(look, to)
+    look_again(&mount, PAUSE, look, to)
+}
+
+/// The processor's time that this thread has had.
+fn processor_time() -> Duration {
+    clock_gettime(ClockId::CLOCK_THREAD_CPUTIME_ID).map(Duration::from).unwrap_or_default()
 }
 
 /// The supplies of the mount. Those of the kernel that show through it are symbolic links, and are left out.
-fn supplies_at(mountpoint: &Path) -> io::Result<BTreeMap<String, Texts>> {
+fn supplies_at(mountpoint: &Path, calling: &Calling) -> io::Result<BTreeMap<String, Texts>> {
     if !mounts::is_gaugefs(mountpoint) {
         return Err(ErrorKind::NotFound.into());
     }
@@ -56,6 +62,7 @@ fn supplies_at(mountpoint: &Path) -> io::Result<BTreeMap<String, Texts>> {
     let mut supplies = BTreeMap::new();
     for entry in fs::read_dir(mountpoint)? {
         let entry = entry?;
+        calling.begin();
         let Ok(name) = entry.file_name().into_string() else { continue };
         if entry.file_type()?.is_dir()
             && let Some(texts) = if_readable(attributes(&entry.path()))?

@@ -8,7 +8,6 @@
 use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender};
-use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use nix::errno::Errno;
@@ -18,7 +17,7 @@ use ti_gauge::learning::Limits;
 
 use crate::error::{Error, Result};
 use crate::file::{content, is_dead, send, text};
-use crate::hang::{PATIENCE, SILENT, thread};
+use crate::hang::{Calling, PATIENCE, SILENT, is_served, thread};
 use crate::mounts;
 use crate::place::{dead, gauges_at};
 use crate::sample::Sample;
@@ -81,18 +80,10 @@ pub struct Watch {
     /// Where the reports of all threads arrive.
     pub reports: Receiver<Report>,
     sender: Sender<Report>,
-    /// Since when each thread has been reading its mount, in the order of `roots`.
-    reads: Vec<Reading>,
+    /// The calls of each thread into its mount, in the order of `roots`.
+    calls: Vec<Calling>,
     every: Option<Duration>,
     named: bool,
-}
-
-/// Since when a thread reads; `None` while it waits for the next poll.
-type Reading = Arc<Mutex<Option<Instant>>>;
-
-fn set(reading: &Reading, since: Option<Instant>) {
-    // A panic cannot leave it half changed.
-    *reading.lock().unwrap_or_else(PoisonError::into_inner) = since;
 }
 
 impl Watch {
@@ -100,8 +91,8 @@ impl Watch {
     /// it takes one sample after each poll.
     pub fn start(named: Option<&Path>, every: Option<Duration>) -> Result<Self> {
         let (sender, reports) = mpsc::channel();
-        let (roots, orders, reads) = (Vec::new(), Vec::new(), Vec::new());
-        let mut watch = Self { roots, orders, reports, sender, reads, every, named: named.is_some() };
+        let (roots, orders, calls) = (Vec::new(), Vec::new(), Vec::new());
+        let mut watch = Self { roots, orders, reports, sender, calls, every, named: named.is_some() };
         match named {
             // Symbolic links are not resolved: that may hang.
             Some(path) => watch.add(std::path::absolute(path).unwrap_or_else(|_| path.to_path_buf()))?,
@@ -124,12 +115,7 @@ impl Watch {
                 Ok(report) => return Some(report),
                 // It cannot be disconnected: there is a sender here.
                 Err(_) => {
-                    let is_silent = |reading: &Reading| {
-                        let since = *reading.lock().unwrap_or_else(PoisonError::into_inner);
-                        since.is_some_and(|since| since.elapsed() >= PATIENCE)
-                    };
-                    if let Some(root) = self.reads.iter().position(is_silent) {
-                        set(&self.reads[root], Some(Instant::now()));
+                    if let Some(root) = self.calls.iter().position(Calling::is_silent) {
                         let seen = Seen::Trouble(SILENT.into());
                         return Some(Report { root, gauge: self.roots[root].clone(), seen });
                     }
@@ -157,9 +143,9 @@ impl Watch {
     fn add(&mut self, path: PathBuf) -> Result<()> {
         let (orders, received) = mpsc::channel();
         let (root, reports, every) = (self.roots.len(), self.sender.clone(), self.every);
-        let (folder, reading) = (path.clone(), Reading::default());
-        self.reads.push(reading.clone());
-        thread(move || watch(root, &folder, every, &received, &reports, &reading))?;
+        let (folder, calling) = (path.clone(), Calling::default());
+        self.calls.push(calling.clone());
+        thread(move || watch(root, &folder, every, &received, &reports, &calling))?;
         self.roots.push(path);
         self.orders.push(orders);
         Ok(())
@@ -179,17 +165,17 @@ fn watch(
     every: Option<Duration>,
     orders: &Receiver<Order>,
     reports: &Sender<Report>,
-    reading: &Reading,
+    calling: &Calling,
 ) {
     let report = |gauge: &Path, seen| reports.send(Report { root, gauge: gauge.to_path_buf(), seen }).is_ok();
     loop {
         let mut next = INTERVAL;
-        set(reading, Some(Instant::now()));
+        calling.begin();
         let listening = match gauges_at(path) {
             Ok(gauges) => gauges.iter().all(|gauge| {
                 let sample = Sample::read(gauge);
                 // There may be many, each of which takes a moment.
-                set(reading, Some(Instant::now()));
+                calling.begin();
                 let seen = match sample {
                     Ok(sample) => {
                         next = sample
@@ -203,9 +189,11 @@ fn watch(
             }),
             Err(error) => report(path, Seen::Trouble(trouble(path, &error))),
         };
-        set(reading, None);
+        calling.end();
         let listening = listening
-            && match orders.recv_timeout(every.unwrap_or(next)) {
+            && match every
+                .map_or_else(|| order(orders, next, path, calling), |every| orders.recv_timeout(every))
+            {
                 Ok(Order::Refresh(gauge)) => match send(&gauge, "gauge/refresh", b"1\n") {
                     Ok(()) => true,
                     Err(failure) => report(&gauge, Seen::Refused(format!("refresh: {}", failure.reason()))),
@@ -222,6 +210,23 @@ fn watch(
             };
         if !listening {
             return;
+        }
+    }
+}
+
+/// Waits for an order until the next poll, while the daemon is there.
+fn order(
+    orders: &Receiver<Order>,
+    next: Duration,
+    path: &Path,
+    calling: &Calling,
+) -> Result<Order, RecvTimeoutError> {
+    let until = Instant::now() + next;
+    loop {
+        let left = until.saturating_duration_since(Instant::now());
+        match orders.recv_timeout(left.min(PATIENCE)) {
+            Err(RecvTimeoutError::Timeout) if left > PATIENCE && is_served(path, calling) => {}
+            received => return received,
         }
     }
 }

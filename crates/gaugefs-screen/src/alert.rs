@@ -17,7 +17,8 @@ use jiff::Timestamp;
 use nix::errno::Errno;
 
 use gaugefs_client::condition::{Condition, Texts};
-use gaugefs_client::follow::{self, Seen};
+use gaugefs_client::follow::{self, Calling, Seen};
+use gaugefs_client::watch::INTERVAL;
 use gaugefs_host::error::{Error, Result, shown};
 use gaugefs_host::output::{self, print, say};
 
@@ -76,8 +77,7 @@ struct Gauge {
     texts: Option<Texts>,
     /// Why there are no texts, as it was printed last.
     trouble: String,
-    /// When it counts as missing, unless there is another report of it.
-    due: Instant,
+    calling: Calling,
 }
 
 /// One alert of one gauge.
@@ -151,7 +151,6 @@ impl Watching {
             }));
         }
         let (sender, events) = mpsc::channel();
-        let now = Instant::now();
         let mut gauges = Vec::new();
         for (number, folder) in folders.into_iter().enumerate() {
             let of_gauge = alerts.iter().filter(|alert| alert.gauge == number);
@@ -159,8 +158,8 @@ impl Watching {
                 of_gauge.flat_map(|alert| alert.rule.names()).map(str::to_string).collect();
             files.sort();
             files.dedup();
-            follow::to_channel(number, folder.clone(), files, sender.clone())?;
-            gauges.push(Gauge { folder, texts: None, trouble: String::new(), due: now + follow::PATIENCE });
+            let calling = follow::to_channel(number, folder.clone(), files, sender.clone())?;
+            gauges.push(Gauge { folder, texts: None, trouble: String::new(), calling });
         }
         Ok(Self { gauges, alerts, sender, events })
     }
@@ -170,16 +169,14 @@ impl Watching {
             if output::is_unread() && !self.has_programs() {
                 return Ok(ExitCode::SUCCESS);
             }
-            let due = self.gauges.iter().map(|gauge| gauge.due).min().expect("there is a gauge");
-            match self.events.recv_timeout(due.saturating_duration_since(Instant::now())) {
+            match self.events.recv_timeout(INTERVAL) {
                 Ok(Event::Seen(seen)) => self.seen(seen)?,
                 Ok(Event::Ended(alert, outcome)) => self.ended(alert, outcome),
                 Err(RecvTimeoutError::Timeout) => {
-                    let now = Instant::now();
-                    let silent = (0..).zip(&self.gauges).filter(|(_, gauge)| gauge.due <= now);
-                    for gauge in silent.map(|(number, _)| number).collect::<Vec<_>>() {
-                        let texts = Err(follow::SILENT.to_string());
-                        self.seen(Seen { gauge, texts, next: Duration::ZERO })?;
+                    for gauge in 0..self.gauges.len() {
+                        if self.gauges[gauge].calling.is_silent() {
+                            self.seen(Seen { gauge, texts: Err(follow::SILENT.into()) })?;
+                        }
                     }
                 }
                 Err(RecvTimeoutError::Disconnected) => unreachable!("it has a sender of its own"),
@@ -196,7 +193,6 @@ impl Watching {
     fn seen(&mut self, seen: Seen) -> Result<()> {
         let now = Instant::now();
         let gauge = &mut self.gauges[seen.gauge];
-        gauge.due = now + seen.next + follow::PATIENCE;
         match seen.texts {
             Ok(texts) => {
                 gauge.texts = Some(texts);

@@ -23,7 +23,7 @@ use nix::time::{ClockId, clock_gettime};
 use nix::unistd::geteuid;
 
 use gaugefs_client::condition::Texts;
-use gaugefs_client::follow;
+use gaugefs_client::follow::{self, Calling};
 use gaugefs_client::supplies::{self, Look};
 use gaugefs_host::error::{Error, Result, shown};
 use gaugefs_host::output::say;
@@ -73,9 +73,9 @@ impl Events {
         let (sender, events) = mpsc::channel();
         // Before there is another thread, which would get the signal.
         await_end(sender.clone())?;
-        supplies::to_channel(self.mountpoint.clone(), sender).map_err(Error::from)?;
-        Telling { mountpoint: self.mountpoint, listeners, told: Told::default(), trouble: String::new() }
-            .run(&events)
+        let calling = supplies::to_channel(self.mountpoint.clone(), sender).map_err(Error::from)?;
+        let (mountpoint, told, trouble) = (self.mountpoint, Told::default(), String::new());
+        Telling { mountpoint, calling, listeners, told, trouble }.run(&events)
     }
 }
 
@@ -152,6 +152,7 @@ impl Listeners {
 /// The mount and what the listeners know of it.
 struct Telling {
     mountpoint: PathBuf,
+    calling: Calling,
     listeners: Listeners,
     told: Told,
     /// Why there are no supplies, as it was printed last.
@@ -160,19 +161,14 @@ struct Telling {
 
 impl Telling {
     fn run(mut self, events: &mpsc::Receiver<Event>) -> Result<ExitCode> {
-        let mut due = Instant::now() + follow::PATIENCE;
         loop {
             let now = Instant::now();
             self.tell(now)?;
-            let wake = self.told.next().map_or(due, |next| next.min(due));
-            match events.recv_timeout(wake.saturating_duration_since(now)) {
-                Ok(Event::Look(look)) => {
-                    due = Instant::now() + look.next + follow::PATIENCE;
-                    self.take(look.supplies);
-                }
+            let wake = self.told.next().map_or(PACE, |next| next.saturating_duration_since(now).min(PACE));
+            match events.recv_timeout(wake) {
+                Ok(Event::Look(look)) => self.take(look.supplies),
                 Ok(Event::End) => break,
-                Err(RecvTimeoutError::Timeout) if Instant::now() >= due => {
-                    due += follow::PATIENCE;
+                Err(RecvTimeoutError::Timeout) if self.calling.is_silent() => {
                     self.take(Err(follow::SILENT.into()));
                 }
                 Err(RecvTimeoutError::Timeout) => {}
