@@ -57,6 +57,9 @@ pub(crate) struct Setup {
     pub(crate) mount: MountOptions,
     /// Each has a source: it is simulated, recorded or on a bus.
     pub(crate) gauges: Vec<GaugeOptions>,
+    /// They are for `gaugefs watch`.
+    #[cfg_attr(not(feature = "screen"), allow(dead_code, reason = "the commands of that feature use them"))]
+    pub(crate) alerts: Vec<AlertOptions>,
     /// From a configuration file: gauges that do not answer are skipped.
     pub(crate) configured: bool,
 }
@@ -79,7 +82,7 @@ impl Setup {
         make_absolute(&mut mount, Path::new(""))?;
         make_absolute(&mut gauge, Path::new(""))?;
         mount.read_only |= gauge.replay.is_some();
-        Ok(Self { mount, gauges: vec![gauge], configured: false })
+        Ok(Self { mount, gauges: vec![gauge], alerts: Vec::new(), configured: false })
     }
 
     /// The gauges of a configuration file. `over` puts other options of the mount over those of the file;
@@ -95,7 +98,7 @@ impl Setup {
         }
         let name = path.display().to_string();
         let refuse = |why: &'static str| Err(Error::new(&name, Cause::Invalid, why));
-        let (mut mount, gauges) = file::read(path, bus.as_deref())?;
+        let (mut mount, gauges, alerts) = file::read(path, bus.as_deref())?;
         if gauges.iter().flat_map(|gauge| &gauge.choose).any(ChoiceOptions::runs) {
             check_own(path)?;
         }
@@ -113,7 +116,7 @@ impl Setup {
             );
         }
         mount.read_only |= recordings > 0;
-        Ok(Self { mount, gauges, configured: true })
+        Ok(Self { mount, gauges, alerts, configured: true })
     }
 
     /// Folder to mount at.

@@ -76,7 +76,7 @@ pub(crate) fn run(setup: Setup, mode: Mode) -> Result<()> {
     {
         return Err(first);
     }
-    let Setup { mount, gauges, configured } = setup;
+    let Setup { mount, gauges, configured, .. } = setup;
     let mains = mains_name(&mount, &names, &taken)?;
 
     let clock: Arc<dyn Clock> =

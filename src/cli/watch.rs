@@ -26,12 +26,17 @@ refused there: write it before --exec, or behind the `;`. The environment of the
   GAUGEFS_GAUGE       folder of the gauge
   POWER_SUPPLY_*      the lines of its uevent
 
+When it starts, it looks whether each program is there. --test runs each of them once, whatever the
+gauges show and with GAUGEFS_TEST=1 in its environment, says which fails, and ends: a program that
+turns the machine off does so.
+
 A program that fails is reported, and nothing else happens. An alert that comes and goes while its
 program runs is not reported to it again. Everything is read after each poll of the mount, which
 causes no bus traffic.
 
 Examples:
-  gaugefs watch /run/gauges 'capacity<=5' --for 60 --exec systemctl poweroff
+  gaugefs watch /run/gauges 'capacity<=5 && status==Discharging' --for 60 \\
+    --exec systemctl poweroff
   gaugefs watch BAT0 'temp>50C' --clear 'temp<45C' --exec fan on \\; \\
     --exec-clear fan off
   gaugefs watch --config /etc/gaugefs/gaugefs.toml     its [[alert]] tables";
@@ -46,6 +51,9 @@ pub(super) struct Watch {
     /// Take the alerts, and the mount point if there is no other, from this file
     #[arg(long, value_name = "FILE", conflicts_with_all = of_alert())]
     config: Option<PathBuf>,
+    /// Run the program of each alert once, now, and end
+    #[arg(long)]
+    test: bool,
     #[command(flatten)]
     alert: Given<AlertOptions>,
 }
@@ -64,7 +72,10 @@ impl Watch {
             None => (self.gauge.expect("clap demands it"), vec![self.alert.options()]),
         };
         let rules: Vec<Rule> = alerts.into_iter().map(Rule::from).collect();
-        gaugefs_screen::alert::watch(&place, &rules)
+        match self.test {
+            true => gaugefs_screen::alert::test(&place, &rules),
+            false => gaugefs_screen::alert::watch(&place, &rules),
+        }
     }
 }
 

@@ -41,12 +41,15 @@ impl Head for MountOptions {
 const LONGEST: u64 = 4 << 20;
 
 /// Reads the options of a mount and of its gauges. Those are on `bus` where they name no source.
-pub(super) fn read(path: &Path, bus: Option<&Path>) -> Result<(MountOptions, Vec<GaugeOptions>)> {
+pub(super) fn read(
+    path: &Path,
+    bus: Option<&Path>,
+) -> Result<(MountOptions, Vec<GaugeOptions>, Vec<AlertOptions>)> {
     let text = text(path)?;
     let file = File::<MountOptions>::parse(path, &text)?;
     let mut read = file.read()?;
     make_absolute(&mut read.head, folder(path))?;
-    Ok((read.head, file.complete(read.gauges, path, bus)?))
+    Ok((read.head, file.complete(read.gauges, path, bus)?, read.alerts))
 }
 
 pub(super) fn text(path: &Path) -> Result<String> {

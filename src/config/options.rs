@@ -587,7 +587,7 @@ impl Options for AlertOptions {
 /// meant for gaugefs: the program would run without the delay that somebody has asked for.
 fn word_of_program(word: &str) -> Result<String, String> {
     let name = word.strip_prefix("--").map(|option| option.split('=').next().unwrap_or_default());
-    let mut own = option::names::<AlertOptions>(At::Line).chain(["config"]);
+    let mut own = option::names::<AlertOptions>(At::Line).chain(["config", "test"]);
     match name.filter(|name| own.any(|own| own == *name)) {
         None => Ok(word.into()),
         Some(name) => Err(format!(

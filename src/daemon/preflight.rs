@@ -19,6 +19,8 @@ use crate::fuse::needs;
 use gauge_bus::clock::{Clock, RealClock};
 use gauge_bus::regular;
 use gauge_owner::{GaugeSetup, Source, journal_dir};
+#[cfg(feature = "screen")]
+use gaugefs_screen::alert::Rule;
 
 const CONFIGURATION: &str = "/etc/fuse.conf";
 /// Its line that lets ordinary users open their mounts to others.
@@ -68,6 +70,9 @@ pub(crate) fn check(setup: &Setup) -> (Vec<String>, Vec<Error>) {
     let names = super::names(&setup.gauges, &taken);
     found.extend(mount(setup, &names, covered.as_ref(), false));
     found.extend(needs::device().err());
+    // The mount does without them.
+    #[cfg(feature = "screen")]
+    found.extend(setup.alerts.iter().filter_map(|alert| Rule::from(alert.clone()).check().err()));
     for (name, gauge) in names.iter().zip(&setup.gauges) {
         found.extend(needs_of(name, &gauge.setup(), &mountpoint).into_iter().map(|error| error.within(name)));
     }

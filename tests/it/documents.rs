@@ -103,3 +103,26 @@ fn every_reason_of_a_failure_is_documented() {
         rows.map_while(|row| row.strip_prefix("| `")?.split_once('`')).map(|(name, _)| name).collect();
     assert_eq!(documented, ti_gauge::error::Reason::NAMES);
 }
+
+/// A machine that boots with an empty pack on its charger would be turned off again.
+#[test]
+fn regression_an_example_turned_a_charging_machine_off() {
+    let files = ["README.md", "src/cli/watch.rs", "docs", "udev", "docs/fleet"].map(|path| root().join(path));
+    let all = files.into_iter().flat_map(|path| match fs::read_dir(&path) {
+        Ok(entries) => entries.map(|entry| entry.expect("an entry").path()).collect(),
+        Err(_) => vec![path],
+    });
+    let mut count = 0;
+    for path in all.filter(|path| path.is_file()) {
+        let text = fs::read_to_string(&path).unwrap_or_default();
+        let lines: Vec<_> = text.lines().collect();
+        let ends = |line: &str| line.contains("poweroff") && line.contains("exec");
+        for at in (0..lines.len()).filter(|at| ends(lines[*at])) {
+            count += 1;
+            // A table of a file has its condition above.
+            let example = lines[at.saturating_sub(3)..=at].join("\n");
+            assert!(example.contains("status==Discharging"), "{}: {example}", path.display());
+        }
+    }
+    assert!(count >= 6, "{count} examples");
+}

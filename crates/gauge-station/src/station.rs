@@ -30,8 +30,8 @@ use crate::setup::Setup;
 use gauge_bus::clock::Clock;
 use gauge_bus::{Bus, regular};
 use gauge_owner::{GaugeSetup, Settings, journal_dir, key_file};
-use gaugefs_host::input;
 use gaugefs_host::sign::Sign;
+use gaugefs_host::{input, program};
 use ti_gauge::notation;
 
 mod contact;
@@ -238,6 +238,7 @@ impl Plan {
         }
         let station = &setup.options;
         station.check().map_err(of_key)?;
+        program::check(&station.exec).map_err(|error| error.within(exec::EXEC))?;
         let serial_row = serial::row(chip, station)?;
         let label_row = serial::label_row(chip, station)?;
         let lots =

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT
 
 //! What the commands of gaugefs have in common: an [error](error::Error) with the errno that a file operation answers
-//! with, the checked way to [standard output and standard error](output), the [files](input) that a person names, the
-//! [folders] of gaugefs's own, and the [signs](sign) of a production line.
+//! with, the checked way to [standard output and standard error](output), the [files](input) and
+//! [programs](program) that a person names, the [folders] of gaugefs's own, and the [signs](sign) of a production line.
 //!
 //! It is not meant for other programs: `gaugefs-client` is.
 //!
@@ -30,6 +30,7 @@ pub mod error;
 pub mod folders;
 pub mod input;
 pub mod output;
+pub mod program;
 pub mod sign;
 pub mod signals;
 

@@ -21,6 +21,7 @@ use gaugefs_client::follow::{self, Calling, Seen};
 use gaugefs_client::watch::INTERVAL;
 use gaugefs_host::error::{Error, Result, shown};
 use gaugefs_host::output::{self, print, say};
+use gaugefs_host::program;
 
 /// When an alert is raised and cleared, and what is run for it.
 #[derive(Clone, Debug)]
@@ -47,6 +48,14 @@ impl Rule {
         self.name.clone().unwrap_or_else(|| self.when.to_string())
     }
 
+    /// Whether its programs can be started, which is seen too late when they have to be.
+    pub fn check(&self) -> Result<()> {
+        let mut programs = [&self.exec, &self.exec_clear].into_iter();
+        programs
+            .try_for_each(|program| program::check(program))
+            .map_err(|error| error.within(&format!("alert {}", self.shown())))
+    }
+
     /// The files that it compares.
     fn names(&self) -> impl Iterator<Item = &str> {
         self.when.names().chain(self.clear.iter().flat_map(Condition::names))
@@ -56,6 +65,11 @@ impl Rule {
 /// Watches the gauges at a mount point, or one by its folder, until nobody reads the output any more.
 pub fn watch(place: &Path, rules: &[Rule]) -> Result<ExitCode> {
     Watching::start(place, rules)?.run()
+}
+
+/// Runs the programs of each alert once, for the first gauge that it is for, whatever that shows.
+pub fn test(place: &Path, rules: &[Rule]) -> Result<ExitCode> {
+    Watching::start(place, rules)?.test()
 }
 
 /// What the main thread waits for.
@@ -84,10 +98,23 @@ struct Gauge {
 struct Alert {
     gauge: usize,
     rule: Rule,
+    /// Its place among the rules.
+    of: usize,
     state: State,
     /// The event for which a program was run last, or none was needed.
     told: bool,
     running: bool,
+}
+
+impl Alert {
+    /// The program for its present state.
+    fn command(&self, gauge: &Gauge) -> Option<Command> {
+        let words = if self.state.raised { &self.rule.exec } else { &self.rule.exec_clear };
+        let (program, arguments) = words.split_first()?;
+        let mut command = Command::new(program);
+        command.args(arguments).envs(facts(gauge, self)).stdin(Stdio::null());
+        Some(command)
+    }
 }
 
 /// Whether an alert is raised.
@@ -130,10 +157,11 @@ struct Watching {
 
 impl Watching {
     fn start(place: &Path, rules: &[Rule]) -> Result<Self> {
+        rules.iter().try_for_each(Rule::check)?;
         let folders = follow::gauges_at(place)?;
         let names = folders.iter().map(|gauge| gaugefs_client::last_name(gauge)).collect::<Vec<_>>();
         let mut alerts = Vec::new();
-        for rule in rules {
+        for (of, rule) in rules.iter().enumerate() {
             if let Some(wanted) = &rule.gauge
                 && !names.contains(wanted)
             {
@@ -145,6 +173,7 @@ impl Watching {
             alerts.extend(gauges.map(|(gauge, _)| Alert {
                 gauge,
                 rule: rule.clone(),
+                of,
                 state: State::default(),
                 told: false,
                 running: false,
@@ -169,18 +198,55 @@ impl Watching {
             if output::is_unread() && !self.has_programs() {
                 return Ok(ExitCode::SUCCESS);
             }
-            match self.events.recv_timeout(INTERVAL) {
-                Ok(Event::Seen(seen)) => self.seen(seen)?,
-                Ok(Event::Ended(alert, outcome)) => self.ended(alert, outcome),
-                Err(RecvTimeoutError::Timeout) => {
-                    for gauge in 0..self.gauges.len() {
-                        if self.gauges[gauge].calling.is_silent() {
-                            self.seen(Seen { gauge, texts: Err(follow::SILENT.into()) })?;
-                        }
-                    }
+            for event in self.next() {
+                match event {
+                    Event::Seen(seen) => self.seen(seen)?,
+                    Event::Ended(alert, outcome) => self.ended(alert, outcome),
                 }
-                Err(RecvTimeoutError::Disconnected) => unreachable!("it has a sender of its own"),
             }
+        }
+    }
+
+    fn test(mut self) -> Result<ExitCode> {
+        if !self.has_programs() {
+            return Err(Error::host("--test", Errno::EINVAL, "no alert has a program; give one with --exec"));
+        }
+        while self.gauges.iter().any(|gauge| gauge.texts.is_none() && gauge.trouble.is_empty()) {
+            for event in self.next() {
+                if let Event::Seen(seen) = event {
+                    self.take(seen);
+                }
+            }
+        }
+        let mut code = ExitCode::SUCCESS;
+        // The alerts of a rule follow each other.
+        let first = self.alerts.chunk_by_mut(|one, next| one.of == next.of);
+        for alert in first.filter_map(<[Alert]>::first_mut) {
+            for raised in [true, false] {
+                alert.state.raised = raised;
+                let gauge = &self.gauges[alert.gauge];
+                let Some(mut command) = alert.command(gauge) else { continue };
+                print_event(gauge, alert)?;
+                let outcome = command.env("GAUGEFS_TEST", "1").status();
+                if let Some(why) = failure(outcome) {
+                    say(format_args!("alert {}: its program has failed: {why}", alert.rule.shown()));
+                    code = ExitCode::FAILURE;
+                }
+            }
+        }
+        Ok(code)
+    }
+
+    /// What has happened, or is to be said of gauges that do not answer.
+    fn next(&self) -> Vec<Event> {
+        match self.events.recv_timeout(INTERVAL) {
+            Ok(event) => vec![event],
+            Err(RecvTimeoutError::Timeout) => {
+                let silent = (0..).zip(&self.gauges).filter(|(_, gauge)| gauge.calling.is_silent());
+                let seen = |gauge| Event::Seen(Seen { gauge, texts: Err(follow::SILENT.into()) });
+                silent.map(|(gauge, _)| seen(gauge)).collect()
+            }
+            Err(RecvTimeoutError::Disconnected) => unreachable!("it has a sender of its own"),
         }
     }
 
@@ -189,9 +255,8 @@ impl Watching {
         self.alerts.iter().any(|alert| !(alert.rule.exec.is_empty() && alert.rule.exec_clear.is_empty()))
     }
 
-    /// Takes a look at a gauge in.
-    fn seen(&mut self, seen: Seen) -> Result<()> {
-        let now = Instant::now();
+    /// Keeps what was seen of a gauge.
+    fn take(&mut self, seen: Seen) {
         let gauge = &mut self.gauges[seen.gauge];
         match seen.texts {
             Ok(texts) => {
@@ -206,16 +271,22 @@ impl Watching {
                 }
             }
         }
+    }
+
+    /// Takes a look at a gauge in.
+    fn seen(&mut self, seen: Seen) -> Result<()> {
+        let (now, gauge) = (Instant::now(), seen.gauge);
+        self.take(seen);
         for number in 0..self.alerts.len() {
             let alert = &mut self.alerts[number];
-            if alert.gauge != seen.gauge {
+            if alert.gauge != gauge {
                 continue;
             }
             let before = alert.state.raised;
-            let texts = self.gauges[seen.gauge].texts.as_ref();
+            let texts = self.gauges[gauge].texts.as_ref();
             alert.state.update(&alert.rule, texts, now);
             if alert.state.raised != before {
-                let printed = print_event(&self.gauges[seen.gauge], alert);
+                let printed = print_event(&self.gauges[gauge], alert);
                 // Whoever has programs run needs no lines.
                 match printed {
                     Err(error) if self.has_programs() => say(error),
@@ -235,12 +306,9 @@ impl Watching {
             return;
         }
         alert.told = raised;
-        let program = if raised { &alert.rule.exec } else { &alert.rule.exec_clear };
-        let Some((program, arguments)) = program.split_first() else { return };
-        let facts = facts(&self.gauges[alert.gauge], alert);
-        let child = Command::new(program).args(arguments).envs(facts).stdin(Stdio::null()).spawn();
+        let Some(mut command) = alert.command(&self.gauges[alert.gauge]) else { return };
         let name = alert.rule.shown();
-        let waits = child.and_then(|mut child| {
+        let waits = command.spawn().and_then(|mut child| {
             let sender = self.sender.clone();
             let wait = move || {
                 let outcome = child.wait();
@@ -252,8 +320,8 @@ impl Watching {
         match waits {
             Ok(_) => alert.running = true,
             Err(error) => {
-                let why = Error::io(program, "cannot be started", &error).within(&format!("alert {name}"));
-                say(&why);
+                let program = command.get_program().to_string_lossy();
+                say(Error::io(program, "cannot be started", &error).within(&format!("alert {name}")));
             }
         }
     }
@@ -261,15 +329,19 @@ impl Watching {
     fn ended(&mut self, number: usize, outcome: io::Result<ExitStatus>) {
         let alert = &mut self.alerts[number];
         alert.running = false;
-        let what = match outcome {
-            Ok(status) if status.success() => None,
-            Ok(status) => Some(status.to_string()),
-            Err(error) => Some(error.to_string()),
-        };
-        if let Some(what) = what {
-            say(format_args!("alert {}: its program has failed: {what}", alert.rule.shown()));
+        if let Some(why) = failure(outcome) {
+            say(format_args!("alert {}: its program has failed: {why}", alert.rule.shown()));
         }
         self.act(number);
+    }
+}
+
+/// Why a program has failed, if it has.
+fn failure(outcome: io::Result<ExitStatus>) -> Option<String> {
+    match outcome {
+        Ok(status) if status.success() => None,
+        Ok(status) => Some(status.to_string()),
+        Err(error) => Some(error.to_string()),
     }
 }
 

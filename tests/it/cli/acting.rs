@@ -225,28 +225,103 @@ fn a_program_that_fails_or_is_slow_stops_no_alert_and_runs_once_at_a_time() {
     }
     let folder = Folder::new();
     let at = mounted(&folder, "60");
-    let (runs, go) = (folder.file("runs"), folder.file("go"));
+    let (runs, go, gone) = (folder.file("runs"), folder.file("go"), folder.file("gone"));
     let config = folder.file("alerts.toml");
     let text = format!(
         "[[alert]]\nwhen = \"capacity<20\"\nname = \"slow\"\n\
          exec = [\"sh\", \"-c\", 'echo begin >> \"$0\"; until [ -e \"$1\" ]; do sleep 0.1; done; echo end >> \"$0\"', {runs:?}, {go:?}]\n\
          [[alert]]\nwhen = \"capacity<20\"\nname = \"broken\"\nexec = [\"false\"]\n\
-         [[alert]]\ngauge = \"BAT0\"\nwhen = \"capacity<20\"\nname = \"none\"\nexec = [\"/no/such/program\"]\n"
+         [[alert]]\ngauge = \"BAT0\"\nwhen = \"capacity<20\"\nname = \"none\"\nexec = [{gone:?}]\n"
     );
     fs::write(&config, text).expect("a file");
+    fs::write(&gone, "#!/bin/sh\n").expect("a file");
+    fs::set_permissions(&gone, Permissions::from_mode(0o755)).expect("a mode");
     let watch = Running::new(&folder, &["watch", "--config", &config, &at]);
     for soc in ["10", "60", "11"] {
         let count = watch.out().lines().count();
         set(&at, "soc", soc);
         within(LONG, "an event", || watch.out().lines().count() >= count + 3);
+        let _ = fs::remove_file(&gone);
     }
     assert_eq!(lines(&runs), ["begin"], "the first one still runs");
     let failure = "alert broken: its program has failed: exit status: 1";
     within(LONG, "both failures", || watch.err().matches(failure).count() == 2);
-    let missing = "alert none: /no/such/program: cannot be started: No such file or directory";
-    assert!(watch.err().contains(missing), "{}", watch.err());
+    let missing = format!("alert none: {gone}: cannot be started: No such file or directory");
+    assert!(watch.err().contains(&missing), "{}", watch.err());
     fs::write(&go, "").expect("a file");
     within(LONG, "its end", || lines(&runs) == ["begin", "end"]);
+}
+
+#[test]
+fn regression_a_program_that_cannot_be_started_was_found_at_the_only_moment_that_counts() {
+    let folder = Folder::new();
+    let file = folder.file("gauges.toml");
+    let likely = &["sleep 0", "write each word by itself", "[\"sleep\", \"0\"]"][..];
+    for (words, says) in [
+        (&["sleep 0"][..], likely),
+        (&["/no/such/program"], &["/no/such/program", "there is no such program"]),
+        (&["no-such-program", "x"], &["no-such-program", "in PATH"]),
+    ] {
+        for option in ["--exec", "--exec-clear"] {
+            let command = [&["watch", "/no/such/mount", "capacity<20", option][..], words].concat();
+            gaugefs(&command).failed(&[&["alert capacity<20"], says].concat());
+            let key = &option[2..];
+            let text = format!(
+                "[mount]\nmountpoint = \"m\"\n[[gauge]]\nsim = \"bq35100\"\n\
+                 [[alert]]\nwhen = \"capacity<20\"\n{key} = {words:?}\n"
+            );
+            fs::write(&file, text).expect("a file");
+            gaugefs(&["watch", "--config", &file]).failed(&[&["alert capacity<20"], says].concat());
+            let checked = gaugefs(&["mount", "--config", &file, "--check"]);
+            assert_eq!(checked.code, Some(1), "{}", checked.err);
+            assert!(says.iter().all(|word| checked.err.contains(word)), "{}", checked.err);
+        }
+    }
+}
+
+#[test]
+fn watch_tests_each_program_once_whatever_the_gauge_shows() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let at = mounted(&folder, "60");
+    let runs = folder.file("runs");
+    let script = "echo \"$GAUGEFS_EVENT $GAUGEFS_VALUE $GAUGEFS_TEST\" >> \"$0\"";
+    let both = ["--exec", "sh", "-c", script, &runs, ";", "--exec-clear", "sh", "-c", script, &runs, ";"];
+    let watch = ["watch", &at, "capacity<20"];
+    let told = gaugefs(&[&watch[..], &both, &["--test"]].concat()).done();
+    assert_eq!(lines(&runs), ["raised 60 1", "cleared 60 1"]);
+    assert!(told.contains("BAT0: raised capacity<20 (capacity 60)"), "{told}");
+    let failed = gaugefs(&[&watch[..], &["--test", "--exec", "false"]].concat());
+    assert_eq!(failed.code, Some(1), "{}", failed.err);
+    assert!(
+        failed.err.contains("alert capacity<20: its program has failed: exit status: 1"),
+        "{}",
+        failed.err
+    );
+    gaugefs(&[&watch[..], &["--test"]].concat()).failed(&["no alert has a program", "--exec"]);
+}
+
+#[test]
+fn a_flat_pack_on_its_charger_raises_no_alert_that_ends_the_machine() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let at = mounted(&folder, "60");
+    set(&at, "load_ma", "-500");
+    within(LONG, "it charges", || read(&at, "BAT0/status") == "Charging");
+    set(&at, "soc", "3");
+    within(LONG, "it is flat", || read(&at, "BAT0/capacity") == "3");
+    let ends = "capacity<=5 && status==Discharging";
+    let watch = Running::new(&folder, &["watch", &at, ends]);
+    let polls = || read(&at, "BAT0/gauge/statistics/polls").parse::<u64>().expect("a number");
+    let before = polls();
+    within(LONG, "some polls", || polls() > before + 4);
+    assert_eq!(watch.out(), "");
+    set(&at, "load_ma", "500");
+    within(LONG, "it is raised", || watch.out().contains(&format!("raised {ends}")));
 }
 
 #[test]
@@ -255,7 +330,7 @@ fn regression_an_option_behind_the_program_of_an_alert_is_refused() {
         let ran = gaugefs(&[&["watch", "/no/such/mount", "capacity<20"], words].concat());
         assert!(ran.code == Some(2) && ran.err.contains(says), "{words:?}: {:?} {}", ran.code, ran.err);
     };
-    for option in ["--for", "--clear", "--name", "--exec", "--exec-clear", "--config"] {
+    for option in ["--for", "--clear", "--name", "--exec", "--exec-clear", "--config", "--test"] {
         let says = format!("{option} is an option of `gaugefs watch`; end CMD with `;`");
         misused(&["--exec", "true", option, "60"], &says);
         misused(&["--exec", "true", "x", &format!("{option}=60")], &says);
