@@ -23,7 +23,7 @@ use node::Node;
 pub(crate) use option::{At, Given, Opt, Options, names};
 pub(crate) use options::{AlertOptions, GaugeOptions, MountOptions};
 pub(crate) use station::station;
-pub(crate) use values::{address, celsius, chip_names, chips, divider, meter_current, pack_voltage};
+pub(crate) use values::{address, celsius, chip_names, chips, divider, meter_current, pack_voltage, seal};
 
 impl MountOptions {
     fn check_log(&self) -> Result<()> {

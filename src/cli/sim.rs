@@ -10,12 +10,13 @@ use std::sync::Arc;
 use clap::Args;
 
 use crate::bus::{self, Cuse, Gauge, Panel, Vhci};
-use crate::config::{address, standard_input};
+use crate::config::{address, seal, standard_input};
 use crate::error::{Cause, Error, Result};
 use crate::output::is_standard_output;
 use gauge_bus::GAUGE_ADDRESS;
 use gauge_bus::clock::{Clock, RealClock};
 use gauge_owner::{Script, Source};
+use gauge_sim::Level;
 use gaugefs_host::signals;
 use ti_gauge::chip::Chip;
 use ti_gauge::text;
@@ -53,6 +54,10 @@ pub(super) struct Sim {
     /// File that keeps the flash of the gauge, of which there must be only one; created if missing
     #[arg(long, value_name = "FILE")]
     state: Option<PathBuf>,
+    /// Seal state in which the gauges begin, sealed or unsealed [default: new gauges with flash are sealed, those with RAM
+    /// unsealed]
+    #[arg(long, value_name = "STATE", value_parser = seal)]
+    seal: Option<Level>,
     /// Let this happen to the simulated gauges: a name as for `gaugefs mount --scenario`, or a file, whose path has a slash
     #[arg(long, value_name = "NAME|FILE")]
     scenario: Option<PathBuf>,
@@ -167,6 +172,7 @@ impl Sim {
             chip,
             state: state.clone(),
             key: None,
+            seal: self.seal,
             scenario: scenario.clone(),
             knobs: Vec::new(),
         };

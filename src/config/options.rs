@@ -9,6 +9,7 @@ use std::time::Duration;
 use super::choice::ChoiceOptions;
 use super::option::{self, At, Effect, IN_FILE, Opt, Options, put};
 use super::values::{self, Key};
+use gauge_sim::Level;
 use gauge_station::{Options as StationOptions, Seen, SerialFrom, Unsettled};
 use gaugefs_client::condition::Condition;
 use ti_gauge::authentication::Order;
@@ -35,6 +36,7 @@ pub(crate) struct GaugeOptions {
     pub(crate) sim: Option<&'static Chip>,
     pub(crate) sim_state: Option<PathBuf>,
     pub(crate) sim_key: Option<Key>,
+    pub(crate) sim_seal: Option<Level>,
     pub(crate) sim_set: Vec<(String, String)>,
     pub(crate) scenario: Option<PathBuf>,
     pub(crate) scenario_seed: Option<u64>,
@@ -97,6 +99,18 @@ impl Options for GaugeOptions {
             not_with: &["bus", "replay"],
             needs: Some("sim"),
             sample: "'0414 3672'",
+            ..Opt::NEW
+        },
+        Opt {
+            name: "sim-seal",
+            effect: Effect::Text("STATE", |to, text| put(&mut to.sim_seal, values::seal(text))),
+            doc: "Seal state in which the simulated gauge begins, sealed or unsealed",
+            default: "a new gauge with flash is sealed, one with RAM unsealed",
+            heading: GAUGE,
+            at: ONE_GAUGE,
+            not_with: &["bus", "replay"],
+            needs: Some("sim"),
+            sample: "'unsealed'",
             ..Opt::NEW
         },
         Opt {

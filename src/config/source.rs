@@ -16,7 +16,7 @@ impl GaugeOptions {
                 let seed = self.scenario_seed;
                 let scenario = self.scenario.clone().map(|name| Script { name, seed });
                 let knobs = self.sim_set.clone();
-                Source::Sim { chip, state: self.sim_state.clone(), key, scenario, knobs }
+                Source::Sim { chip, state: self.sim_state.clone(), key, seal: self.sim_seal, scenario, knobs }
             }
             (None, Some(file), _) => Source::Recording(file.clone()),
             (None, None, Some(bus)) => Source::Bus {

@@ -11,6 +11,7 @@ use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 
 use clap::error::{ContextKind, ContextValue};
 use gauge_bus::GAUGE_ADDRESS;
+use gauge_sim::Level;
 use gaugefs_client::condition::Condition;
 use gaugefs_host::seconds;
 use ti_gauge::authentication::Order;
@@ -85,6 +86,10 @@ pub(super) fn key(text: &str) -> Result<Key, String> {
 
 pub(super) fn order(text: &str) -> Result<Order, String> {
     Order::by_name(text).ok_or_else(|| "expected lsb-first or as-sent".into())
+}
+
+pub(crate) fn seal(text: &str) -> Result<Level, String> {
+    one_of(text, &[("sealed", Level::Sealed), ("unsealed", Level::Unsealed)])
 }
 
 pub(crate) fn address(text: &str) -> Result<u8, String> {

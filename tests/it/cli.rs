@@ -1265,7 +1265,8 @@ fn a_recorded_gauge_can_be_mounted() {
         let (at, trace) = (folder.file("m"), folder.file("trace"));
         let gauge = format!("{at}/BAT0");
         let number = |name: &str| read(&gauge, name).parse::<i64>().expect("a number");
-        gaugefs(&["mount", "--sim", chip, "--poll", "0.5", "--trace", &trace, &at]).done();
+        let sim = ["mount", "--sim", chip, "--sim-seal", "sealed"];
+        gaugefs(&[&sim[..], &["--poll", "0.5", "--trace", &trace, &at]].concat()).done();
         let first = read(&gauge, "current_now");
         let value = read(&gauge, parameter);
         fs::write(Path::new(&gauge).join("sim/load_ma"), "700").expect("a knob");

@@ -35,18 +35,21 @@ fn a_report_of_a_mounted_gauge_replays_with_the_same_attributes() {
         let folder = Folder::new();
         let (at, file) = (folder.file("m"), folder.file("report.txt"));
         let gauge = format!("{at}/BAT0");
-        gaugefs(&["mount", "--sim", chip, "--poll", "0.5", &at]).done();
+        // The mount of an open gauge reads more of data flash by itself than the report has.
+        let seal: &[&str] = if chip == "bq27541" { &[] } else { &["--sim-seal", "sealed"] };
+        gaugefs(&[&["mount", "--sim", chip, "--poll", "0.5", &at], seal].concat()).done();
         fs::write(Path::new(&gauge).join("sim/load_ma"), "700").expect("a knob");
         within(Duration::from_secs(60), "the load is seen", || {
             fs::read_to_string(Path::new(&gauge).join("current_now")).is_ok_and(|now| now.trim() != "0")
                 || chip == "bq35100"
         });
+        let seal = || fs::read_to_string(Path::new(&gauge).join("sim/seal")).unwrap_or_default();
+        let found = seal();
         // From now on all polls are equal.
         fs::write(Path::new(&gauge).join("sim/speed"), "0").expect("a knob");
         assert_eq!(gaugefs(&["report", &gauge, "-o", &file]).done(), format!("{file}\n"), "{chip}");
         let value = parameter.map(|name| read(&gauge, name));
-        let seal = fs::read_to_string(Path::new(&gauge).join("sim/seal")).unwrap_or("sealed".into());
-        assert_eq!(seal.trim(), "sealed", "{chip}");
+        assert_eq!(seal(), found, "{chip}");
         let polls = || read(&gauge, "gauge/statistics/polls").parse::<u64>().expect("a number");
         let enough = polls() + 12;
         within(Duration::from_secs(60), "all tiers", || polls() >= enough);

@@ -37,6 +37,51 @@ fn rows(title: &str) -> Vec<Vec<String>> {
     found
 }
 
+/// As the manuals say of power-up, and as hosts leave parts with flash.
+#[test]
+fn gauges_with_ram_start_unsealed_and_those_with_flash_sealed() {
+    let (_, listed) = TEXT.split_once("One with RAM (").expect("the list");
+    let listed: BTreeSet<_> = listed
+        .split_once(')')
+        .expect("its end")
+        .0
+        .to_lowercase()
+        .split([',', '\n', ' '])
+        .filter(|name| !name.is_empty())
+        .map(String::from)
+        .collect();
+    let simulated = Chip::all().filter(|chip| chip.has_table() && Sim::knows(chip.name));
+    let mut with_ram = BTreeSet::new();
+    for chip in simulated {
+        let is_ram = chip.access.scheme.is_ram();
+        let expected = if is_ram { "unsealed" } else { "sealed" };
+        assert_eq!(sim(chip.name).get("seal").as_deref(), Some(expected), "{}", chip.name);
+        if is_ram {
+            with_ram.insert(chip.name.to_string());
+        }
+    }
+    assert_eq!(with_ram, listed);
+}
+
+#[test]
+fn the_seal_state_of_a_simulated_gauge_can_be_chosen() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let at = folder.file("m");
+    for (chip, seal) in [(CHIP, "unsealed"), ("bq27441-g1", "sealed")] {
+        gaugefs(&["mount", "--sim", chip, "--sim-seal", seal, &at]).done();
+        assert_eq!(read(&format!("{at}/BAT0"), "gauge/seal"), seal, "{chip}");
+        gaugefs(&["umount", &at]).done();
+    }
+    let ran = gaugefs(&["mount", "--sim", CHIP, "--sim-seal", "open", &at]);
+    assert_eq!(ran.code, Some(2));
+    assert!(ran.err.contains("expected one of: sealed, unsealed"), "{}", ran.err);
+    gaugefs(&["mount", "--sim", "bq27541", "--sim-seal", "sealed", &at])
+        .failed(&["seal: the part has no seal"]);
+}
+
 /// What is within the backticks of a cell.
 fn quoted(cell: &str) -> &str {
     cell.strip_prefix('`').and_then(|cell| cell.strip_suffix('`')).expect("a cell in backticks")

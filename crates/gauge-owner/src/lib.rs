@@ -18,7 +18,7 @@
 //! use ti_gauge::value::Value;
 //!
 //! let chip = Chip::by_name("bq34z100-g1").expect("it has a table");
-//! let simulated = Source::Sim { chip, state: None, key: None, scenario: None, knobs: Vec::new() };
+//! let simulated = Source::Sim { chip, state: None, key: None, seal: None, scenario: None, knobs: Vec::new() };
 //! let opening = Opening::new("/run/gauges".into(), Arc::new(RealClock::new()));
 //! let gauge = opening.one("BAT0".into(), GaugeSetup::new(simulated))?.handle;
 //!

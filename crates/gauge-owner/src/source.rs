@@ -16,7 +16,7 @@ use gauge_bus::linux::{Adapter, LinuxBus};
 use gauge_bus::replay::{Recording, Replay, Seals};
 use gauge_bus::{Bus, GAUGE_ADDRESS};
 use gauge_sim::scenario::Scenario;
-use gauge_sim::{self, Sim, SimBus};
+use gauge_sim::{self, Level, Sim, SimBus};
 use gaugefs_client::mounts;
 use ti_gauge::chip::{Chip, SealStatus, Tier};
 use ti_gauge::probe::{self, Target};
@@ -56,6 +56,8 @@ pub enum Source {
         state: Option<PathBuf>,
         /// Unseal key of a new one.
         key: Option<[u16; 2]>,
+        /// The seal state in which it begins.
+        seal: Option<Level>,
         /// What happens to it.
         scenario: Option<Script>,
         /// Knobs that are turned before anything happens, each with its setting.
@@ -148,10 +150,10 @@ impl Source {
     /// gauge is locked for a moment.
     pub fn check(&self, mountpoint: &Path, clock: &Arc<dyn Clock>) -> Result<()> {
         match self {
-            Self::Sim { chip, state, scenario, knobs, .. } => {
-                if scenario.is_some() || !knobs.is_empty() {
-                    let sim =
-                        Sim::new(chip.name, &gauge_sim::Options::default(), clock.clone()).map_err(of_sim)?;
+            Self::Sim { chip, state, seal, scenario, knobs, .. } => {
+                if scenario.is_some() || seal.is_some() || !knobs.is_empty() {
+                    let options = gauge_sim::Options { seal: *seal, ..gauge_sim::Options::default() };
+                    let sim = Sim::new(chip.name, &options, clock.clone()).map_err(of_sim)?;
                     turn(&sim, knobs)?;
                     scenario.as_ref().map_or(Ok(()), |script| script.play(&sim))?;
                 }
@@ -172,12 +174,12 @@ impl Source {
     pub fn open(&self, mountpoint: &Path, clock: &Arc<dyn Clock>, waits: bool) -> Result<Opened> {
         let subject = self.to_string();
         match self {
-            Self::Sim { chip, state, key, scenario, knobs } => {
+            Self::Sim { chip, state, key, seal, scenario, knobs } => {
                 let state = state.as_deref();
                 let lock =
                     state.map(|path| Lock::state(path, mountpoint, &**clock, is_ending)).transpose()?;
                 state.map_or(Ok(()), |path| Sim::check_state(chip.name, path)).map_err(of_sim)?;
-                let (sim, bus) = power_up(chip, state, *key, clock)?;
+                let (sim, bus) = power_up(chip, state, *key, *seal, clock)?;
                 turn(&sim, knobs)?;
                 scenario.as_ref().map_or(Ok(()), |script| script.play(&sim))?;
                 let journal_key = state.map(lock::key_of_state);
@@ -233,11 +235,12 @@ fn power_up(
     chip: &'static Chip,
     state: Option<&Path>,
     unseal_key: Option<[u16; 2]>,
+    seal: Option<Level>,
     clock: &Arc<dyn Clock>,
 ) -> Result<(Sim, SimBus)> {
     let seed = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_nanos() as u64;
     let options =
-        gauge_sim::Options { state: state.map(Path::to_path_buf), unseal_key, seed, envelope: None };
+        gauge_sim::Options { state: state.map(Path::to_path_buf), unseal_key, seal, seed, envelope: None };
     let sim = Sim::new(chip.name, &options, clock.clone()).map_err(of_sim)?;
     let mut bus = sim.bus();
     let start = clock.now();

@@ -5,8 +5,8 @@
 //! those with RAM (SLUUAC9A), which differ in when the checksum counts. Differences between parts are in
 //! their descriptions, [`BlockPart`].
 //!
-//! Where the documents leave a choice, the gauge does what is worst for a driver: one with flash is sealed
-//! after every reset, and it ignores refused commands silently.
+//! A gauge with flash is SEALED after every reset. One with RAM is UNSEALED unless its data memory says otherwise.
+//! Both ignore refused commands silently.
 
 use std::mem;
 use std::time::Duration;
@@ -133,10 +133,11 @@ impl BlockPart {
         }
     }
 
-    /// Marks a gauge with RAM as one that was sealed.
-    fn remember_seal(&self, flash: &mut Flash) {
+    /// Marks a gauge with RAM as one that was sealed, or not.
+    fn remember_seal(&self, flash: &mut Flash, sealed: bool) {
         if let Some((id, offset, bit)) = self.data_memory.as_ref().map(|memory| memory.seals) {
-            flash.set(id, offset, &[flash.u8(id, offset) | bit]);
+            let byte = flash.u8(id, offset) & !bit;
+            flash.set(id, offset, &[if sealed { byte | bit } else { byte }]);
         }
     }
 
@@ -167,8 +168,6 @@ impl Block {
             if let Some(words) = options.unseal_key {
                 flash.set(CODES, scheme.keys[0], &seal::stored(words));
             }
-            // A host has sealed it, as hosts do.
-            scheme.remember_seal(flash);
         })?;
         let block = Self {
             part: scheme,
@@ -465,7 +464,7 @@ impl Block {
             Action::Seal if device.loses(Lost::Seal) => {}
             Action::Seal => {
                 if self.part.data_memory.is_some() {
-                    self.part.remember_seal(&mut device.flash);
+                    self.part.remember_seal(&mut device.flash, true);
                     device.save();
                 }
                 self.close(now);
@@ -713,6 +712,23 @@ impl Wire for Block {
 
     fn level(&self) -> Level {
         self.ram.seal.level
+    }
+
+    fn set_level(&mut self, device: &mut Device, level: Level) -> Result<()> {
+        if level == Level::FullAccess && self.part.keys.len() < 2 {
+            return Err(Error::new(
+                "seal",
+                Kind::NotPermitted,
+                "the part has no FULL ACCESS; write unsealed",
+            ));
+        }
+        self.part.remember_seal(&mut device.flash, level == Level::Sealed);
+        device.save();
+        match level {
+            Level::Sealed => self.close(device.now),
+            Level::Unsealed | Level::FullAccess => self.ram.seal.change(level, device.now),
+        }
+        Ok(())
     }
 
     fn fit_board(&mut self, flash: &Flash) {

@@ -417,6 +417,8 @@ pub(super) trait Wire: Send {
     fn refresh(&mut self);
     fn model(&mut self) -> &mut dyn Model;
     fn level(&self) -> Level;
+    /// Goes to a level as a host's commands do.
+    fn set_level(&mut self, device: &mut Device, level: Level) -> Result<()>;
     /// Makes the board fit the calibration: Voltage() shows the pack's voltage as long as that does not change.
     fn fit_board(&mut self, flash: &Flash);
     /// Whether the voltage allows flash to be programmed.
@@ -447,6 +449,10 @@ impl Gauge {
             device.envelope = Envelope::draw(seed, device.part, printed, &mut device.timing);
         }
         Self { device, wire: Box::new(wire), pointer: 0, drawn: envelope }
+    }
+
+    pub(super) fn set_level(&mut self, level: Level) -> Result<()> {
+        self.wire.set_level(&mut self.device, level)
     }
 
     /// The drawn knobs and their values.
@@ -653,7 +659,7 @@ impl Gauge {
             "voltage_mv" => battery.forced_mv.map_or_else(|| "auto".into(), |forced| forced.to_string()),
             "power" => knob::POWER.show(device.is_on()),
             "mode" => mode.into(),
-            "seal" => wire.level().as_str().into(),
+            "seal" => wire.level().show(),
             "wear" => device.flash.wear(),
             "programmed" => device.flash.programmed().to_string(),
             "dropped" => device.dropped.to_string(),
@@ -676,6 +682,11 @@ impl Gauge {
             "temperature" => wire.model().battery_mut().ambient = number(-400.0, 1200.0)? / 10.0,
             "speed" => device.speed = number(0.0, 100_000.0)?,
             "soc" => wire.model().set_percent(number(0.0, 100.0)?),
+            "seal" => {
+                let mut level = wire.level();
+                level.turn(name, text)?;
+                wire.set_level(device, level)?;
+            }
             "voltage_mv" => {
                 let forced = if text == "auto" { None } else { Some(number(0.0, 65_535.0)? as u16) };
                 wire.model().battery_mut().forced_mv = forced;

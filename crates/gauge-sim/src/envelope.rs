@@ -206,7 +206,7 @@ impl Envelope {
         new.tear = random.pick(&tears);
         // Owners measured 150 to 175 ms, the kernel waits 300 ms.
         timing.reset = ms(&mut random, 0..=500);
-        timing.reset_busy = random.pick(&[part.timing.reset_busy, Busy::Nack, Busy::Old]);
+        timing.reset_busy = random.pick(&[Busy::Stretch, Busy::Nack, Busy::Old]);
         // SLUUAC9A 2.4.6: nothing is valid before [INITCOMP].
         new.first = ms(&mut random, 1000..=2000);
         new.first_values = random.pick(&[First::Old, First::Nonsense]);

@@ -93,7 +93,7 @@ pub(super) static KNOBS: &[Knob] = &[
     Of::Gauge.set("power", "`on` or `off`: without it the gauge loses its RAM and does not answer"),
     Of::Gauge.show("mode", "normal, reset, calibration, config-update, rom, dead, hdq or off"),
     Of::Block.set("protocol", "`i2c` or `hdq`: the interface the gauge listens on"),
-    Of::Gauge.show("seal", "sealed, unsealed or full-access"),
+    Of::Gauge.set("seal", "seal state of the gauge: `sealed`, `unsealed` or `full-access`"),
     Of::Gauge.show("wear", "blocks that were programmed and how often: subclass/block count ..."),
     Of::Gauge.show("programmed", "how often any flash block was programmed"),
     Of::Gauge.show("dropped", "commits that were acknowledged and not stored"),

@@ -89,6 +89,7 @@ pub use options::Options;
 use part::{Part, Scheme};
 use register::Register;
 use scenario::{Player, Scenario};
+pub use seal::Level;
 
 /// One bit at 100 kHz.
 const BIT: Duration = Duration::from_micros(10);
@@ -250,11 +251,13 @@ impl State {
 }
 
 fn make(part: &'static Part, options: &Options, now: Duration) -> Result<Gauge> {
-    match part.scheme {
+    let mut gauge = match part.scheme {
         Scheme::Block(scheme) => Block::gauge(part, scheme, options, now),
         Scheme::Mac(scheme) => Mac::gauge(part, scheme, options, now),
         Scheme::Registers(scheme) => Register::gauge(part, scheme, options, now),
-    }
+    }?;
+    options.seal.map_or(Ok(()), |level| gauge.set_level(level))?;
+    Ok(gauge)
 }
 
 /// A simulated gauge. Clones are the same gauge.
@@ -271,7 +274,8 @@ impl fmt::Debug for Sim {
 }
 
 impl Sim {
-    /// Makes a gauge. It is SEALED, and its pack is one cell at rest, about 60 % full; a primary cell is new.
+    /// Makes a gauge. With flash it is SEALED, with RAM UNSEALED, unless the options say otherwise. Its pack is one cell
+    /// at rest, about 60 % full; a primary cell is new.
     pub fn new(chip: &str, options: &Options, clock: Arc<dyn Clock>) -> Result<Sim> {
         let Some(part) = parts::all().find(|part| part.name == chip) else {
             let known: Vec<&str> = parts::all().map(|part| part.name).collect();
@@ -341,6 +345,15 @@ impl Sim {
     /// Turns a knob. A text that is not understood changes nothing.
     pub fn set(&self, knob: &str, text: &str) -> Result<()> {
         self.now().turn(knob, text.trim(), self.clock.now())
+    }
+
+    /// Makes it stricter than owners report real gauges to be, for tests of what talks to it: it is SEALED, and does not
+    /// acknowledge its address while it resets.
+    pub fn be_strict(&self) {
+        for (knob, text) in [("seal", "sealed"), ("reset_busy", "nack")] {
+            // A part without data flash has neither.
+            let _ = self.set(knob, text);
+        }
     }
 
     /// Plays a scenario from now on, in place of any other. One that this part does not accept changes nothing.

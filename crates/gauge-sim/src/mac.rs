@@ -5,8 +5,8 @@
 //! such a part over the bus. The model of each part's pack is in its own file. Where data memory is RAM, it is
 //! written in FULL ACCESS between ENTER_CFG_UPDATE and one of the ways out (SLUUBD4A 6.1).
 //!
-//! Where the documents leave a choice, the gauge does what is worst for a driver: it is sealed after every
-//! reset, it ignores refused commands silently, and it echoes a refused word above the previous answer.
+//! A gauge with flash is SEALED after every reset. One with RAM is UNSEALED unless its data memory says otherwise.
+//! Both ignore refused commands silently, and echo a refused word above the previous answer.
 
 use std::time::Duration;
 
@@ -158,12 +158,19 @@ impl Mac {
         })?;
         let model = (scheme.model)(&device.flash);
         let board = scheme.scale(&device.flash);
-        let mac = Self { part: scheme, model, ram: Ram::default(), board, shift: 0, before: [0; 0x80] };
+        let ram = Ram { seal: Seal::new(scheme.level(&device.flash)), ..Ram::default() };
+        let mac = Self { part: scheme, model, ram, board, shift: 0, before: [0; 0x80] };
         Ok(Gauge::new(device, mac, options.envelope))
     }
 
     fn sealed(&self) -> bool {
         self.ram.seal.level == Level::Sealed
+    }
+
+    /// To SEALED, with nothing left in the buffer.
+    fn close(&mut self, now: Duration) {
+        self.ram.seal.change(Level::Sealed, now);
+        self.ram.buffer = Buffer::default();
     }
 
     /// Voltage() as the host reads it.
@@ -274,8 +281,7 @@ impl Mac {
             }
             _ if word == self.part.seal => {
                 if open && !device.loses(Lost::Seal) {
-                    self.ram.seal.change(Level::Sealed, device.now);
-                    self.ram.buffer = Buffer::default();
+                    self.close(device.now);
                 }
             }
             _ => match self.model.subcommand(word, level, &device.flash) {
@@ -489,6 +495,14 @@ impl Wire for Mac {
 
     fn level(&self) -> Level {
         self.ram.seal.level
+    }
+
+    fn set_level(&mut self, device: &mut Device, level: Level) -> Result<()> {
+        match level {
+            Level::Sealed => self.close(device.now),
+            Level::Unsealed | Level::FullAccess => self.ram.seal.change(level, device.now),
+        }
+        Ok(())
     }
 
     fn gate(&self, flash: &Flash) -> bool {

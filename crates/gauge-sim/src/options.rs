@@ -5,6 +5,8 @@
 use std::fmt;
 use std::path::PathBuf;
 
+use super::seal::Level;
+
 /// How a simulated gauge is made.
 #[derive(Clone, Default)]
 pub struct Options {
@@ -12,6 +14,9 @@ pub struct Options {
     pub state: Option<PathBuf>,
     /// The key that unseals a new gauge, in the order its words are sent.
     pub unseal_key: Option<[u16; 2]>,
+    /// The seal state in which the gauge begins. Without it a new one with RAM is UNSEALED, as after every power-up, and
+    /// one with flash is SEALED.
+    pub seal: Option<Level>,
     /// Seed of the random faults and of the part's offsets.
     pub seed: u64,
     /// Seed by which one gauge is drawn from everything that real ones do: late blocks, slow commits, resets that are
@@ -22,10 +27,10 @@ pub struct Options {
 
 impl fmt::Debug for Options {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { state, unseal_key, seed, envelope } = self;
+        let Self { state, unseal_key, seal, seed, envelope } = self;
         let key = unseal_key.map(|_| "hidden");
         let mut out = f.debug_struct("Options");
-        out.field("state", state).field("unseal_key", &key).field("seed", seed).field("envelope", envelope);
-        out.finish()
+        out.field("state", state).field("unseal_key", &key).field("seal", seal);
+        out.field("seed", seed).field("envelope", envelope).finish()
     }
 }

@@ -6,7 +6,7 @@
 use std::time::Duration;
 
 use super::device::{Device, Gauge, Wire};
-use super::error::Result;
+use super::error::{Error, Kind, Result};
 use super::flash::Flash;
 use super::gauging::{Gauging, Quantity};
 use super::knob;
@@ -160,6 +160,10 @@ impl Wire for Register {
 
     fn level(&self) -> Level {
         Level::Sealed
+    }
+
+    fn set_level(&mut self, _: &mut Device, _: Level) -> Result<()> {
+        Err(Error::new("seal", Kind::NotPermitted, "the part has no seal"))
     }
 
     fn fit_board(&mut self, _: &Flash) {}

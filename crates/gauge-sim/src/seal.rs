@@ -4,12 +4,14 @@
 
 use std::time::Duration;
 
+use super::knob::Choice;
+
 /// The halves of a key must follow each other within this time.
 const WINDOW: Duration = Duration::from_secs(4);
 
 /// The access that a host has.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
-pub(super) enum Level {
+pub enum Level {
     /// Only standard commands and the manufacturer's block.
     #[default]
     Sealed,
@@ -19,14 +21,9 @@ pub(super) enum Level {
     FullAccess,
 }
 
-impl Level {
-    pub(super) fn as_str(self) -> &'static str {
-        match self {
-            Level::Sealed => "sealed",
-            Level::Unsealed => "unsealed",
-            Level::FullAccess => "full-access",
-        }
-    }
+impl Choice for Level {
+    const WORDS: &'static [(&'static str, Self)] =
+        &[("sealed", Level::Sealed), ("unsealed", Level::Unsealed), ("full-access", Level::FullAccess)];
 }
 
 /// The level of a gauge, and whether the first half of a key has come.

@@ -71,7 +71,8 @@ impl Timing {
         power_up: Duration::from_millis(250),
         // Not documented. Authors of drivers found it by trial.
         reset: Duration::from_millis(175),
-        reset_busy: Busy::Nack,
+        // Owners' programs that never repeat a transfer work right after RESET.
+        reset_busy: Busy::Stretch,
         power_up_stretches: false,
         first_voltage: Duration::from_secs(1),
         // SLUSBZ5D 6.12.

@@ -47,7 +47,7 @@
 //!
 //! // A place with one simulated pack.
 //! let chip = Chip::by_name("bq34z100-g1").expect("it has a table");
-//! let simulated = GaugeSetup::new(Source::Sim { chip, state: None, key: None, scenario: None, knobs: Vec::new() });
+//! let simulated = GaugeSetup::new(Source::Sim { chip, state: None, key: None, seal: None, scenario: None, knobs: Vec::new() });
 //! let options = Options { serial: Some(SerialFrom::Counter), ..Options::default() };
 //! let setup = Setup::new(&folder.join("line1.toml"), options, vec![("BAT0".into(), simulated)]);
 //!

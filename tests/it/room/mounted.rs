@@ -101,6 +101,7 @@ impl Mount {
         let folder = super::scratch::folder();
         let clock = Arc::new(RealClock::new());
         let sim = Sim::new(chip, &Options::default(), clock.clone()).expect("a simulated chip");
+        sim.be_strict();
         prepare(&sim);
         std::thread::sleep(Duration::from_millis(1300));
         let (signal, defect) = (Arc::new(Signal::default()), Arc::new(AtomicBool::new(false)));
@@ -173,6 +174,7 @@ impl Swift {
         fs::create_dir(&at).expect("a folder");
         let clock = Arc::new(HurriedClock::default());
         let sim = Sim::new(chip.name, &Options::default(), clock.clone()).expect("a simulated chip");
+        sim.be_strict();
         prepare(&sim);
         clock.sleep(Duration::from_secs(2));
         let signal = Arc::new(Signal::default());

@@ -63,6 +63,7 @@ impl Rig {
     ) -> Self {
         let clock = Arc::new(SimClock::new());
         let sim = Sim::new(chip, &Options::default(), clock.clone()).expect("it is simulated");
+        sim.be_strict();
         clock.sleep(Duration::from_secs(1));
         let settings = Settings { interval: INTERVAL, ..settings };
         let chip = Chip::by_name(chip).expect("it has a table");

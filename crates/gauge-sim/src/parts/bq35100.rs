@@ -15,13 +15,12 @@ use super::model::{
 };
 use super::part::{MacPart, Part, Scheme};
 use super::seal::Level;
-use super::timing::Busy;
 use super::timing::Timing;
 
 pub(super) static PART: Part = Part {
     name: "bq35100",
     image: IMAGE,
-    timing: Timing { power_up: BOOT, reset: BOOT, reset_busy: Busy::Stretch, ..Timing::MAC },
+    timing: Timing { power_up: BOOT, reset: BOOT, ..Timing::MAC },
     scheme: Scheme::Mac(&MacPart {
         base: BASE,
         data_memory: None,

@@ -47,6 +47,8 @@ fn a_published_driver_reads_the_simulated_gauge() {
 #[test]
 fn a_published_driver_unseals_and_reads_data_memory() {
     let (sim, clock, mut driver) = connect();
+    assert!(!driver.is_sealed().expect("an answer"), "a gauge with RAM starts UNSEALED");
+    sim.set("seal", "sealed").expect("a knob");
     assert!(driver.is_sealed().expect("an answer"));
     driver.unseal().expect("the manual's key");
     assert!(!driver.is_sealed().expect("an answer"));

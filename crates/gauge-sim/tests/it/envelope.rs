@@ -240,7 +240,7 @@ mod resets {
     #[test]
     fn a_reset_takes_its_time() {
         for (ms, answers) in [("175", true), ("500", false)] {
-            let bench = open(FLASH, &[("reset_ms", ms)]);
+            let bench = open(FLASH, &[("reset_ms", ms), ("reset_busy", "nack")]);
             bench.replay("W 00 41 00 ; R 08 2 -> NACK ; X 180");
             assert_eq!(bench.sim.bus().transfer(&[0x08], &mut [0; 2]).is_ok(), answers);
             bench.replay("X 330 ; R 08 2 -> ..");
@@ -364,11 +364,11 @@ mod security {
     #[test]
     fn a_wrong_or_interrupted_key_may_lock_a_gauge_with_ram() {
         for refused in ["W 00 34 12 ; W 00 00 80", "W 00 00 80 ; W 00 00 00", "W 00 00 80 ; W 00 34 12"] {
-            let bench = gauge(RAM, &[]);
+            let bench = gauge(RAM, &[("seal", "sealed")]);
             bench.replay(refused);
             bench.replay(UNSEAL_RAM);
             assert_eq!(seal(&bench), "unsealed", "{refused}");
-            let bench = gauge(RAM, &[("key_lock", "on"), ("lock_ms", "4500")]);
+            let bench = gauge(RAM, &[("seal", "sealed"), ("key_lock", "on"), ("lock_ms", "4500")]);
             bench.replay(refused);
             // A try within the time starts it again.
             bench.replay("X 4400");

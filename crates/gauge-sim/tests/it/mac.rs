@@ -229,6 +229,7 @@ mod security {
     #[test]
     fn another_word_between_the_key_words_invalidates_the_key() {
         let bench = bench("bq34110");
+        bench.set("reset_busy", "nack");
         bench.replay("W 00 14 04 ; W 3E 00 40 ; W 00 72 36 ; R 3A 1 -> 06");
         bench.replay("W 00 72 36 ; W 00 14 04 ; R 3A 1 -> 06 ; W 00 14 04 ; R 3A 1 -> 06 ; W 00 72 36");
         bench.replay("R 3A 1 -> 04 ; W 00 41 00 ; R 08 1 -> NACK ; X 200 ; R 3A 1 -> 06");

@@ -8,6 +8,7 @@ mod bench;
 mod block;
 mod driver;
 mod envelope;
+mod libraries;
 mod mac;
 mod ram;
 mod register;

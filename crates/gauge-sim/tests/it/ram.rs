@@ -5,7 +5,7 @@
 use std::time::Duration;
 
 use gauge_bus::clock::Clock;
-use gauge_sim::Options;
+use gauge_sim::{Level, Options};
 
 use super::bench::Bench;
 
@@ -17,6 +17,10 @@ const END: &str = "W 00 42 00 ; X 1200";
 impl Bench {
     fn part(chip: &str) -> Self {
         Self::of(chip, &Options::default())
+    }
+
+    fn sealed(chip: &str) -> Self {
+        Self::of(chip, &Options { seal: Some(Level::Sealed), ..Options::default() })
     }
 
     /// The state after a power loss: UNSEALED, data memory as in ROM.
@@ -74,7 +78,7 @@ mod bq27441 {
     /// example, but follow the manual's rule.
     #[test]
     fn design_capacity_as_in_the_manual() {
-        let bench = Bench::part("bq27441-g1");
+        let bench = Bench::sealed("bq27441-g1");
         bench.replay("W 00 00 00 ; R 00 2 -> 98 20");
         bench.replay(UNSEAL);
         bench.replay("W 00 00 00 ; R 00 2 -> 98 00");
@@ -140,7 +144,7 @@ mod bq27441 {
 
     #[test]
     fn a_sealed_gauge_hides_the_data_window() {
-        let bench = Bench::part("bq27441-g1");
+        let bench = Bench::sealed("bq27441-g1");
         bench.replay(
             "W 3E 52 -> NACK ; W 3F 00 -> NACK ; W 60 00 -> NACK ; W 61 00 -> NACK ; W 40 00 -> NACK",
         );
@@ -264,6 +268,7 @@ mod bq27441 {
         let write = "W 61 00 ; W 3E 52 ; W 3F 00 ; W 4A 04 ; W 4B B0";
         {
             let bench = Bench::of("bq27441-g1", &options);
+            bench.set("seal", "sealed");
             bench.replay(UNSEAL);
             bench.replay(BEGIN);
             bench.replay(write);
@@ -282,6 +287,21 @@ mod bq27441 {
         bench.replay("R 3C 2 -> 3C 05");
         assert_eq!(bench.word(FLAGS) & ITPOR, ITPOR);
         std::fs::remove_dir_all(folder).unwrap();
+    }
+
+    #[test]
+    fn the_seal_state_can_be_set() {
+        for (chip, full) in
+            [("bq27441-g1", false), ("bq27520-g3", true), ("bq27220", true), ("bq35100", true)]
+        {
+            let bench = Bench::part(chip);
+            for seal in ["sealed", "unsealed", "sealed"] {
+                bench.set("seal", seal);
+                bench.shows("seal", seal);
+            }
+            assert_eq!(bench.sim.set("seal", "full-access").is_ok(), full, "{chip}");
+            assert!(bench.sim.set("seal", "open").is_err());
+        }
     }
 
     #[test]

@@ -12,7 +12,7 @@ use gauge_bus::clock::Clock;
 use gauge_bus::{Bus, BusError};
 use gauge_owner::Source;
 use gauge_owner::lock::{self, Lock};
-use gauge_sim::Sim;
+use gauge_sim::{Level, Sim};
 use ti_gauge::chip::{Chip, Role};
 
 /// How long a pack stays away that was taken off, in ms.
@@ -187,7 +187,7 @@ impl Simulated {
     fn rehearse(&self, of: &mut Source) {
         let at = (self.number as usize).saturating_sub(1) % self.rehearsed.len().max(1);
         let Some(rehearsed) = self.rehearsed.get(at) else { return };
-        let Source::Sim { chip, key, knobs, scenario, state } = of else { return };
+        let Source::Sim { chip, key, seal, knobs, scenario, state } = of else { return };
         let mut turn = |knob: &str, text: &str| knobs.push((knob.into(), text.into()));
         match rehearsed {
             Rehearsed::Good => {}
@@ -195,13 +195,13 @@ impl Simulated {
             Rehearsed::OtherPart => {
                 let other = Chip::all().filter(|other| Sim::knows(other.name) && other.model != chip.model);
                 // Its flash is another part's, and what is set there may be unknown to it.
-                (*scenario, *state) = (None, None);
+                (*scenario, *seal, *state) = (None, None, None);
                 knobs.clear();
                 if let Some(other) = other.into_iter().next() {
                     *chip = other;
                 }
             }
-            Rehearsed::OtherKey => (*key, *state) = (Some(OTHER_KEY), None),
+            Rehearsed::OtherKey => (*key, *seal, *state) = (Some(OTHER_KEY), Some(Level::Sealed), None),
             Rehearsed::DeadMeter => turn("voltage_mv", "0"),
         }
     }

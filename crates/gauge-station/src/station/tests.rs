@@ -81,7 +81,14 @@ impl Drop for Folder {
 
 fn simulated(chip: &str) -> GaugeSetup {
     let chip = Chip::by_name(chip).expect("it has a table");
-    GaugeSetup::new(Source::Sim { chip, state: None, key: None, scenario: None, knobs: Vec::new() })
+    GaugeSetup::new(Source::Sim {
+        chip,
+        state: None,
+        key: None,
+        seal: None,
+        scenario: None,
+        knobs: Vec::new(),
+    })
 }
 
 const CHIP: &str = "bq34z100-g1";

@@ -14,7 +14,7 @@ use std::time::Duration;
 
 use gauge_bus::clock::{Clock, SimClock};
 use gauge_bus::{Bus, BusError};
-use gauge_sim::{Options, Sim};
+use gauge_sim::{Level, Options, Sim};
 use ti_gauge::authentication::Order;
 use ti_gauge::calibration::{self, Job};
 use ti_gauge::chip::{CHIPS, Chip, FLAT, Kind, Subclass};
@@ -232,7 +232,8 @@ struct Booted {
 impl Run {
     fn new(chip: &'static Chip, seed: u64, access: Access, found: Seal, moves: &[bool]) -> Self {
         let clock = Arc::new(SimClock::new());
-        let options = Options { envelope: Some(seed), seed, ..Options::default() };
+        let seal = Some(Level::Sealed);
+        let options = Options { envelope: Some(seed), seed, seal, ..Options::default() };
         let sim = Sim::new(chip.name, &options, clock.clone()).expect("a chip that is simulated");
         // Another version is another part, which is tested elsewhere.
         for version in ["firmware", "hardware"] {

@@ -166,6 +166,7 @@ impl Scene {
         let key = has_key.then_some(OTHER_KEY);
         let options = Options { unseal_key: key, ..Options::default() };
         let second = Sim::new(case.chip, &options, first.clock.clone()).expect("a chip that is simulated");
+        second.be_strict();
         first.clock.sleep(Duration::from_secs(1));
         let scene = Self {
             draw,
@@ -430,6 +431,7 @@ impl Boards {
         let first = Rig::calibrated(self.chip, self.found);
         let second =
             Sim::new(self.chip, &Options::default(), first.clock.clone()).expect("a chip that is simulated");
+        second.be_strict();
         Rig::on(first.gauge.chip, second.clone(), first.clock.clone()).calibrate(7);
         for (sim, error) in [&first.sim, &second].into_iter().zip(errors) {
             sim.set(knob, error).expect("a knob");

@@ -34,6 +34,7 @@ impl Rig {
     pub(crate) fn with(chip: &str, keys: Keys, byte_writes: bool) -> Self {
         let clock = Arc::new(SimClock::new());
         let sim = Sim::new(chip, &Options::default(), clock.clone()).expect("a chip that is simulated");
+        sim.be_strict();
         sim.keep_log(true);
         let table = Chip::by_name(chip).expect("a chip in the tables");
         let mut gauge = Gauge::new(table, Box::new(sim.bus()), clock.clone(), keys, byte_writes);
