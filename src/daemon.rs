@@ -89,8 +89,9 @@ pub(crate) fn run(setup: Setup, mode: Mode) -> Result<()> {
         state_dir: mount.state_dir.clone(),
         ..Opening::new(mountpoint.clone(), clock.clone())
     };
-    let Gauges { entries, handles, nodes, batteries, locks, places } =
-        Gauges::open(&opening, names, &gauges, configured, &warn)?;
+    let open = || Gauges::open(&opening, names.clone(), &gauges, configured, &warn);
+    let opened = if mode == Mode::Service { service::open(&*clock, open)? } else { open()? };
+    let Gauges { entries, handles, nodes, batteries, locks, places } = opened;
     entries.iter().flat_map(MountedGauge::warnings).for_each(|line| warn(&line));
     adapters::watch(nodes.into_iter());
     // What root mounts is root's, whoever serves it.
@@ -114,7 +115,7 @@ pub(crate) fn run(setup: Setup, mode: Mode) -> Result<()> {
     let mounted = match device {
         Some(device) => {
             // Its mount is the answer.
-            background::notify();
+            background::notify("READY=1");
             service::wait(&device, &*clock)?;
             shutdown.mount(|| {
                 let mounted = fuse::serve(tree, device, how, signal)?;
@@ -137,7 +138,7 @@ pub(crate) fn run(setup: Setup, mode: Mode) -> Result<()> {
     }
     match mode {
         Mode::Background => background::ready(&inherited)?,
-        Mode::Foreground => background::notify(),
+        Mode::Foreground => background::notify("READY=1"),
         Mode::Service => {}
     }
     mounted.wait();

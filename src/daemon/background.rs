@@ -111,8 +111,8 @@ pub fn ready(inherited: &[RawFd]) -> Result<()> {
     Ok(())
 }
 
-/// Reports to systemd, where it started this process, that the gauge is mounted.
-pub fn notify() {
+/// Reports to systemd, where it started this process, such as `READY=1`: the gauge is mounted.
+pub fn notify(what: &str) {
     let Some(socket) = env::var_os("NOTIFY_SOCKET") else { return };
     let sent = UnixDatagram::unbound().and_then(|sender| {
         use std::os::linux::net::SocketAddrExt;
@@ -122,10 +122,10 @@ pub fn notify() {
             [b'@', name @ ..] => SocketAddr::from_abstract_name(name)?,
             _ => SocketAddr::from_pathname(&socket)?,
         };
-        sender.send_to_addr(b"READY=1", &address)
+        sender.send_to_addr(what.as_bytes(), &address)
     });
     if let Err(error) = sent {
-        log::warn!("cannot report to systemd that the gauge is mounted: {error}");
+        log::warn!("cannot report to systemd {what}: {error}");
     }
 }
 

@@ -22,11 +22,13 @@ use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use nix::sys::stat::{Mode, makedev, umask};
 use rustix::process::{Pid, PidfdFlags, PidfdGetfdFlags, pidfd_getfd, pidfd_open};
 
+use super::background;
 use super::mountpoint::{self, Hiding};
 use crate::config::Setup;
 use crate::error::{Error, Result};
-use crate::output::say;
+use crate::output::{say, say_error};
 use gauge_bus::clock::Clock;
+use gauge_owner::{Outlook, lock};
 use gaugefs_client::mounts;
 
 const DEVICE: &str = "/dev/fuse";
@@ -37,6 +39,40 @@ const MINOR: u64 = 229;
 /// How long the daemon waits for its mount, and the time between two checks.
 const PATIENCE: Duration = Duration::from_secs(60);
 const STEP: Duration = Duration::from_millis(5);
+
+/// How long a start tries again, and the time between two tries.
+const TRIES: Duration = Duration::from_secs(30);
+const PAUSE: Duration = Duration::from_secs(2);
+/// The exit code by which the unit has it started again: EX_TEMPFAIL of `sysexits.h`.
+const AGAIN: i32 = 75;
+
+/// Opens the gauges, again and again while the machine starts. Where they may answer later, the process ends with the exit code
+/// that has it started again; a failure that lasts is returned.
+pub(super) fn open<T>(clock: &dyn Clock, open: impl Fn() -> Result<T>) -> Result<T> {
+    let error = match patiently(clock, open) {
+        Err(error) if Outlook::of(error.cause()) == Outlook::Later => error,
+        outcome => return outcome,
+    };
+    say_error(&error);
+    lock::remove_all();
+    std::process::exit(AGAIN)
+}
+
+fn patiently<T>(clock: &dyn Clock, open: impl Fn() -> Result<T>) -> Result<T> {
+    let start = clock.now();
+    loop {
+        match open() {
+            Err(error)
+                if Outlook::of(error.cause()) > Outlook::Never
+                    && clock.now().saturating_sub(start) < TRIES =>
+            {
+                background::notify(&format!("STATUS=trying again: {error}"));
+                clock.sleep(PAUSE);
+            }
+            outcome => return outcome,
+        }
+    }
+}
 
 /// The daemon's end of a future mount.
 pub(super) fn device() -> Result<OwnedFd> {
@@ -127,4 +163,38 @@ pub(super) fn descriptor_of(
         }
     }
     Ok(None)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::cell::Cell;
+
+    use gauge_bus::clock::SimClock;
+
+    use super::*;
+    use crate::error::Cause;
+    use gauge_bus::error::ErrorKind;
+
+    /// A service whose first start failed at boot stayed failed.
+    #[test]
+    fn regression_a_start_gave_up_although_the_gauge_came_a_moment_later() {
+        let tries = |cause: Cause, until: u32| {
+            let (clock, count) = (SimClock::new(), Cell::new(0));
+            let outcome = patiently(&clock, || {
+                count.set(count.get() + 1);
+                if count.get() < until { Err(Error::new("", cause, "no")) } else { Ok(()) }
+            });
+            (outcome.is_ok(), count.get())
+        };
+        for cause in [Cause::NoAnswer, Cause::TimedOut, Cause::Adapter(ErrorKind::NotFound)] {
+            assert_eq!(tries(cause, 3), (true, 3), "{cause:?}");
+            let (is_open, count) = tries(cause, u32::MAX);
+            assert!(!is_open && (10..20).contains(&count), "{cause:?}: {count}");
+        }
+        // What can never work is told at once.
+        for cause in [Cause::Invalid, Cause::NotPermitted, Cause::Gone, Cause::Adapter(ErrorKind::SmbusOnly)]
+        {
+            assert_eq!(tries(cause, 3), (false, 1), "{cause:?}");
+        }
+    }
 }

@@ -580,3 +580,23 @@ fn regression_a_bus_file_that_hangs_was_shown_as_an_adapter_that_does_not_exist(
     gaugefs(&["umount", &at]).done();
     assert!(said().contains(&format!("{} hangs: ", server.path)) && !said().contains("i2c-4"), "{}", said());
 }
+
+/// A machine that is busy at boot took longer, and its service stayed failed.
+#[test]
+fn regression_a_mount_that_had_nothing_else_gave_up_after_five_seconds() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let server = Server::start(&folder, &[CHIP]);
+    let (at, config) = (folder.file("m"), folder.file("packs.toml"));
+    fs::write(&config, format!("[[gauge]]\nbus = '{}'\n", server.path)).expect("a file");
+    let stop = |signal| kill(Pid::from_raw(server.child.id() as i32), signal).expect("it runs");
+    stop(Signal::SIGSTOP);
+    let mut mount = command(&["mount", "--config", &config, &at]).spawn().expect("gaugefs runs");
+    std::thread::sleep(Duration::from_millis(5500));
+    assert_eq!(mount.try_wait().expect("a child"), None, "it waits");
+    stop(Signal::SIGCONT);
+    assert!(mount.wait().expect("a child").success());
+    gaugefs(&["umount", &at]).done();
+}

@@ -61,7 +61,7 @@ mod setup;
 mod source;
 
 pub use choose::{Choice, Evidence, Rule};
-pub use opening::{Opening, Ready};
+pub use opening::{Opening, Outlook, Ready};
 #[cfg(any(test, feature = "rig"))]
 pub use owner::rig;
 pub use owner::{

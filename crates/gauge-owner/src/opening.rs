@@ -4,7 +4,7 @@
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::sync::mpsc::{self, Receiver, RecvTimeoutError};
+use std::sync::mpsc::{self, Receiver};
 use std::time::{Duration, Instant};
 
 use jiff::Timestamp;
@@ -16,14 +16,18 @@ use crate::lock::Lock;
 use crate::owner::{self, Handle, Origin, Signal, Startup};
 use crate::setup::GaugeSetup;
 use crate::source::Opened;
+use gauge_bus::BusError;
 use gauge_bus::clock::Clock;
+use gauge_bus::error::ErrorKind;
 use gauge_bus::linux::Adapter;
 use gauge_bus::trace::Trace;
 use gauge_sim::Sim;
 use ti_gauge::keys::Keys;
 
-/// How long a mount of many gauges waits for those that do not answer.
+/// How long a mount of many gauges waits for those that do not answer, while it has others.
 const PATIENCE: Duration = Duration::from_secs(5);
+/// And how long while it has none: a machine that is busy takes its time.
+const LONGEST: Duration = Duration::from_secs(30);
 
 /// The settings that all gauges of a mount share while they are opened.
 #[derive(Clone)]
@@ -61,6 +65,65 @@ pub struct Ready {
 /// The result of a gauge's first poll.
 type Begun = Receiver<Result<()>>;
 
+/// What is heard of a gauge while it is opened.
+enum News {
+    Opened(Result<Ready>),
+    Polled(Result<()>),
+}
+
+/// A gauge that is being opened.
+struct Slot {
+    name: String,
+    /// It has a folder also while it does not answer.
+    waits: bool,
+    ready: Option<Ready>,
+    /// `None` until it has been polled, or has failed.
+    outcome: Option<Result<()>>,
+}
+
+impl Slot {
+    fn take(&mut self, news: News) {
+        match news {
+            News::Opened(Ok(ready)) => self.ready = Some(ready),
+            News::Opened(Err(error)) => self.outcome = Some(Err(error)),
+            News::Polled(outcome) => self.outcome = Some(outcome),
+        }
+    }
+
+    fn can_be_mounted(&self) -> bool {
+        self.ready.is_some() && (self.waits || matches!(self.outcome, Some(Ok(()))))
+    }
+}
+
+/// Whether a gauge that could not be opened may answer later. The greater one is the better outlook.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Outlook {
+    /// What was asked for is wrong, or the kernel's driver has it, whose release udev tells.
+    Never,
+    /// Its bus is not there, or may not be used: while a machine starts, that may change.
+    AtBoot,
+    /// It does not answer, or another process uses it.
+    Later,
+}
+
+impl Outlook {
+    /// By the cause of the failure.
+    pub fn of(cause: Cause) -> Self {
+        match cause {
+            Cause::Busy
+            | Cause::NotNow
+            | Cause::BadChecksum
+            | Cause::Protocol
+            | Cause::TimedOut
+            | Cause::NoAnswer => Self::Later,
+            Cause::Bus(BusError::ReadOnly | BusError::NotRecorded | BusError::Busy) => Self::Never,
+            Cause::Bus(_) => Self::Later,
+            Cause::Adapter(ErrorKind::NotFound | ErrorKind::Forbidden) => Self::AtBoot,
+            _ => Self::Never,
+        }
+    }
+}
+
 impl Opening {
     /// Gauges that may be written to, whose journals and backups are in this account's own folder.
     pub fn new(mountpoint: PathBuf, clock: Arc<dyn Clock>) -> Self {
@@ -79,8 +142,7 @@ impl Opening {
         let keys = gauge.keys(&name)?;
         let subject = gauge.source.to_string();
         let (ready, begun) = self.begin(name, gauge, keys, Startup::default(), false)?;
-        let ended = || Err(Error::host(&subject, Errno::EIO, "its thread has ended"));
-        begun.recv().unwrap_or_else(|_| ended()).map_err(|error| error.within(&subject))?;
+        begun.recv().unwrap_or_else(|_| Err(ended(&subject))).map_err(|error| error.within(&subject))?;
         Ok(ready)
     }
 
@@ -89,9 +151,14 @@ impl Opening {
     pub fn many(&self, gauges: Vec<(String, GaugeSetup)>) -> Result<(Vec<Ready>, Vec<String>)> {
         // A key file that cannot be used is an error of the configuration, so the mount fails.
         let keys = gauges.iter().map(|(name, gauge)| gauge.keys(name)).collect::<Result<Vec<_>>>()?;
-        let names: Vec<String> = gauges.iter().map(|(name, _)| name.clone()).collect();
-        let waits: Vec<bool> = gauges.iter().map(|(_, gauge)| gauge.source.chip().is_some()).collect();
-        let (sender, opened) = mpsc::channel();
+        let slot = |(name, gauge): &(String, GaugeSetup)| Slot {
+            name: name.clone(),
+            waits: gauge.source.chip().is_some(),
+            ready: None,
+            outcome: None,
+        };
+        let mut slots: Vec<Slot> = gauges.iter().map(slot).collect();
+        let (sender, news) = mpsc::channel();
         let all = gauges.len() as u32;
         for (at, ((name, gauge), keys)) in (0u32..).zip(gauges.into_iter().zip(keys)) {
             let phase = gauge.interval * at / all;
@@ -100,39 +167,50 @@ impl Opening {
             let open = move || {
                 let waits = gauge.source.chip().is_some();
                 // If the mount no longer waits, this drops the gauge.
-                let _ = sender.send((at as usize, opening.begin(name, gauge, keys, startup, waits)));
+                let tell = |news| drop(sender.send((at as usize, news)));
+                match opening.begin(name, gauge, keys, startup, waits) {
+                    Ok((ready, begun)) => {
+                        tell(News::Opened(Ok(ready)));
+                        tell(News::Polled(begun.recv().unwrap_or_else(|_| Err(ended("")))));
+                    }
+                    Err(error) => tell(News::Opened(Err(error))),
+                }
             };
             let thread = std::thread::Builder::new().name("open".into()).stack_size(256 * 1024);
             thread.spawn(open).map_err(|error| Error::io("gauges", "cannot start a thread", &error))?;
         }
         drop(sender);
 
-        let end = Instant::now() + PATIENCE;
-        let mut outcomes: Vec<Option<Result<(Ready, Begun)>>> = names.iter().map(|_| None).collect();
-        while let Ok((at, outcome)) = opened.recv_timeout(end.saturating_duration_since(Instant::now())) {
-            outcomes[at] = Some(outcome);
+        let start = Instant::now();
+        let mut patience = LONGEST;
+        while slots.iter().any(|slot| slot.outcome.is_none()) {
+            patience = if slots.iter().any(Slot::can_be_mounted) { PATIENCE } else { LONGEST };
+            match news.recv_timeout((start + patience).saturating_duration_since(Instant::now())) {
+                Ok((at, news)) => slots[at].take(news),
+                Err(_) => break,
+            }
         }
-        let (mut ready, mut lines, mut reasons) = (Vec::new(), Vec::new(), Vec::new());
-        for ((name, waits), outcome) in names.iter().zip(waits).zip(outcomes) {
-            match outcome
-                .unwrap_or_else(|| Err(slow()))
-                .and_then(|(ready, begun)| wait(ready, &begun, end, waits))
-            {
-                Ok((one, None)) => ready.push(one),
-                Ok((mut one, Some(error))) => {
+        let (mut ready, mut lines, mut failures) = (Vec::new(), Vec::new(), Vec::new());
+        for Slot { name, waits, ready: opened, outcome } in slots {
+            match (opened, outcome.unwrap_or_else(|| Err(slow(patience)))) {
+                (Some(one), Ok(())) => ready.push(one),
+                (Some(mut one), Err(error)) if waits => {
                     lines.push(format!("{name}: not there yet, waiting for it: {error}"));
                     one.what += ", not there yet,";
                     ready.push(one);
                 }
-                Err(error) => {
+                (_, outcome) => {
+                    let error = outcome.err().unwrap_or_else(|| ended(""));
                     lines.push(format!("{name}: left out: {error}"));
-                    reasons.push(error.within(name).to_string());
+                    failures.push(error.within(&name));
                 }
             }
         }
         if ready.is_empty() {
+            let best = failures.iter().map(Error::cause).max_by_key(|&cause| Outlook::of(cause));
+            let reasons: Vec<_> = failures.iter().map(ToString::to_string).collect();
             let why = format!("no gauge can be mounted: {}", reasons.join("; "));
-            return Err(Error::new("", Cause::Gone, why));
+            return Err(Error::new("", best.unwrap_or(Cause::Gone), why));
         }
         Ok((ready, lines))
     }
@@ -173,17 +251,6 @@ impl Opening {
     }
 }
 
-/// Waits for a gauge's first poll. A failure is an error, or with `waits` the reason why it is not there yet.
-fn wait(ready: Ready, begun: &Begun, end: Instant, waits: bool) -> Result<(Ready, Option<Error>)> {
-    let error = match begun.recv_timeout(end.saturating_duration_since(Instant::now())) {
-        Ok(Ok(())) => return Ok((ready, None)),
-        Ok(Err(error)) => error,
-        Err(RecvTimeoutError::Timeout) => slow(),
-        Err(RecvTimeoutError::Disconnected) => Error::host("", Errno::EIO, "its thread has ended"),
-    };
-    if waits { Ok((ready, Some(error))) } else { Err(error) }
-}
-
 /// An adapter in words, for a report.
 fn adapter(node: &Path) -> String {
     let Ok(adapter) = Adapter::find(node) else { return "not there when it was opened".into() };
@@ -193,6 +260,10 @@ fn adapter(node: &Path) -> String {
     format!("i2c-{} ({name}), capabilities {capabilities}, clock {clock}", adapter.number())
 }
 
-fn slow() -> Error {
-    Error::of("", Reason::Silent { seconds: PATIENCE.as_secs() as i64 })
+fn slow(patience: Duration) -> Error {
+    Error::of("", Reason::Silent { seconds: patience.as_secs() as i64 })
+}
+
+fn ended(subject: &str) -> Error {
+    Error::host(subject, Errno::EIO, "its thread has ended")
 }
