@@ -48,6 +48,8 @@ fn a_program_reads_values_with_their_units() {
     let error = Gauge::open(folder.file("nothing")).expect_err("it does not exist");
     assert_eq!(error.errno(), Some(Errno::ENOENT as i32));
     assert!(error.to_string().contains("not a mounted gauge: it does not exist"), "{error}");
+    // As `main` prints it.
+    assert_eq!(format!("{error:?}"), error.to_string());
 }
 
 #[test]

@@ -365,3 +365,24 @@ fn mounts_that_hang_or_are_dead_are_found() {
     assert!(dead.contains(&format!("problem  {at}: a gaugefs whose process is gone\n")), "{dead}");
     assert!(dead.contains(&format!("gaugefs umount {at}\n")), "{dead}");
 }
+
+#[test]
+fn the_pins_of_a_raspberry_pi_are_named() {
+    let system = System::new();
+    let what = "Raspberry Pi 4 Model B Rev 1.4";
+    system.write("proc/device-tree/model", &format!("{what}\0"));
+    system.says(
+        "ok",
+        what,
+        &["/dev/i2c-1 is on its pins", "SDA is pin 3, SCL pin 5, ground pin 9", "never to 5 V"],
+    );
+    // The buses of its HDMI sockets are no such bus.
+    system.remove("sys/class/i2c-dev/i2c-1");
+    system.bus(20, "fef04500.i2c");
+    system.says("warning", what, &["is off", "raspi-config nonint do_i2c 0", "dtparam=i2c_arm=on"]);
+    system.write("boot/firmware/config.txt", "#dtoverlay=i2c-gpio\n");
+    system.says("warning", what, &["is off"]);
+    system
+        .write("boot/firmware/config.txt", "dtparam=i2c_arm=off\ndtoverlay=i2c-gpio,bus=3,i2c_gpio_sda=2\n");
+    system.says("ok", what, &["a bus in software", "pin 3"]);
+}

@@ -15,10 +15,8 @@ pub type Result<T, E = Error> = std::result::Result<T, E>;
 ///
 /// [`errno`](Self::errno) is that of the file operation, and [`last_error`](Self::last_error) is what the daemon says
 /// about it. [`source`](std::error::Error::source) is the error of the host, or that of a name, a value or a unit.
-#[derive(Debug)]
 pub struct Error(Box<Inner>);
 
-#[derive(Debug)]
 struct Inner {
     /// The gauge's folder, a file or a parameter.
     subject: String,
@@ -27,7 +25,6 @@ struct Inner {
     why: Why,
 }
 
-#[derive(Debug)]
 enum Why {
     /// A file could not be opened, so the daemon has not heard of it; and what may be said about that beside the errno.
     Unopened { file: String, hint: &'static str, error: io::Error },
@@ -172,6 +169,13 @@ impl fmt::Display for Error {
             _ => format!("{}: {}", self.0.subject, self.text()),
         };
         f.write_str(&text::printable(&line))
+    }
+}
+
+/// The same line: it is how `main` prints the error that it returns.
+impl fmt::Debug for Error {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        fmt::Display::fmt(self, f)
     }
 }
 

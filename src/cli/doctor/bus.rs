@@ -18,6 +18,7 @@ const NO_STRETCHING: &str = "bcm2835";
 pub(super) fn check(host: &Host, configured: &[String]) -> Vec<Finding> {
     let adapters = adapters(host.root());
     let mut findings = vec![module(host, adapters.len())];
+    findings.extend(pins(host, &adapters));
     findings.extend(group(host));
     for (number, name) in &adapters {
         let wanted = configured.iter().any(|bus| *bus == format!("i2c-{number}"));
@@ -55,6 +56,29 @@ fn module(host: &Host, count: usize) -> Finding {
         1 => ok(what, "one bus"),
         count => ok(what, format!("{count} buses")),
     }
+}
+
+/// The bus on the pins of a Raspberry Pi. Those of its HDMI sockets are there also while this one is off.
+fn pins(host: &Host, adapters: &[(u64, String)]) -> Option<Finding> {
+    let model = host.text("/proc/device-tree/model");
+    let model = model.trim_end_matches('\0').trim();
+    if !model.starts_with("Raspberry Pi") {
+        return None;
+    }
+    let files = ["/boot/firmware/config.txt", "/boot/config.txt"].map(|path| host.text(path));
+    let is_software =
+        files.iter().any(|text| text.lines().any(|line| line.starts_with("dtoverlay=i2c-gpio")));
+    let bus = adapters.iter().map(|(number, _)| number).find(|&&number| number <= 1);
+    let wires = "SDA is pin 3, SCL pin 5, ground pin 9; pull-ups to 3.3 V, never to 5 V";
+    Some(match bus {
+        Some(number) => ok(model, format!("/dev/i2c-{number} is on its pins: {wires}")),
+        None if is_software => ok(model, format!("a bus in software is on its pins: {wires}")),
+        None => {
+            let remedy = "Switch it on: sudo raspi-config nonint do_i2c 0, or dtparam=i2c_arm=on in \
+                          /boot/firmware/config.txt; then restart.";
+            warning(model, format!("the bus of its pins is off ({wires})"), remedy)
+        }
+    })
 }
 
 /// Whether a user who is not root is in the group that may use buses.

@@ -97,7 +97,10 @@ fn of_block(language: &str, block: &[&str], marks: &Marks<'_>) -> Vec<Step> {
         return Vec::new();
     }
     let has_command = block.iter().any(|line| line.starts_with("$ "));
-    let name = block[0].strip_prefix("# ").filter(|name| name.contains('.') && !name.contains(' '));
+    let name = block[0]
+        .strip_prefix("# ")
+        .or(block[0].strip_prefix("// "))
+        .filter(|name| name.contains('.') && !name.contains(' '));
     match (language, name) {
         ("transaction", _) => return vec![Step::Transaction(text())],
         ("python", _) => return vec![Step::Python(text())],
@@ -158,9 +161,10 @@ pub(crate) fn alike(printed: &str, shown: &str) -> bool {
 /// Whether a command is, or runs, a program that this machine lacks.
 fn lacks(line: &str) -> bool {
     let words = line.split(|letter: char| !letter.is_ascii_alphanumeric());
-    let tools = words.filter(|word| ["git", "i2cget"].contains(word));
-    let is_there =
-        |tool: &str| Command::new(tool).arg(if tool == "git" { "--version" } else { "-V" }).output().is_ok();
+    let tools = words.filter(|word| ["git", "i2cget", "cc", "rustc"].contains(word));
+    let is_there = |tool: &str| {
+        Command::new(tool).arg(if tool == "i2cget" { "-V" } else { "--version" }).output().is_ok()
+    };
     let missing: Vec<_> = tools.filter(|tool| !is_there(tool)).collect();
     if !missing.is_empty() {
         eprintln!("SKIPPED in part: {} is not installed, so this was not run: {line}", missing.join(", "));
