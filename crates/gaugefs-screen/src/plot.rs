@@ -16,6 +16,8 @@ mod scene;
 mod svg;
 mod table;
 
+pub(super) use table::Series;
+
 const PLOT: &str = "\
 Columns with the same unit share a panel, and all panels share the time axis, with the clock in UTC
 and the time since the first row. Below the title, a strip shows the status of each gauge, and
@@ -60,9 +62,7 @@ impl Plot {
     pub(super) fn run(self) -> Result<ExitCode> {
         self.output.as_deref().map_or(Ok(()), check_extension)?;
         let name = input::name(&self.file);
-        let text = input::read_file(&self.file, LONGEST)
-            .map_err(|error| Error::io(&name, "cannot read it", &error))?;
-        let history = table::read(&text, &self.columns).map_err(|error| error.within(&name))?;
+        let history = history(&self.file, &self.columns)?;
         let scene = scene::lay_out(&history, &self.limits, self.width, self.height)
             .map_err(|error| error.within(&name))?;
         let svg = svg::render(&scene);
@@ -72,6 +72,17 @@ impl Plot {
         }
         Ok(ExitCode::SUCCESS)
     }
+}
+
+fn history(file: &Path, columns: &[String]) -> Result<table::History> {
+    let name = input::name(file);
+    let text = input::read_file(file, LONGEST).map_err(|error| Error::io(&name, "cannot read it", &error))?;
+    table::read(&text, columns).map_err(|error| error.within(&name))
+}
+
+/// The usual quantities of all gauges of a file.
+pub(super) fn recorded(file: &Path) -> Result<Vec<Series>> {
+    Ok(history(file, &[])?.panels.into_iter().flat_map(|panel| panel.series).collect())
 }
 
 /// The limits of a column.

@@ -21,6 +21,8 @@ use gaugefs_client::watch::{Report, Seen, Watch};
 use gaugefs_host::error::{Error, Result};
 use gaugefs_host::output::{self, print_json};
 
+use history::Past;
+
 mod draw;
 mod history;
 mod model;
@@ -31,8 +33,12 @@ pub(crate) mod terminal;
 pub(crate) mod tests;
 
 const TOP: &str = "\
-Keys: q quit, arrows or tab select a gauge, v i c t quantity, + - time span, l learning,
+Keys: q quit, arrows or tab select a gauge, v i c t a quantity, + - time span, l learning,
 p pause, r poll now, d read data flash, ? help.
+
+Charge, voltage, current and temperature are shown together from 100 columns and 24 lines or so on,
+and v i c t show one of them. The charge is yellow or red where the gauge itself calls it low or
+critical, as `capacity_level` does.
 
 Watching causes no bus traffic: the values come from the polls of the mount. Only the learned
 values are read from data flash: when d is pressed, which unseals a sealed gauge and seals it
@@ -41,6 +47,7 @@ again, and once a minute while l shows them and the gauge is unsealed anyway.
 Examples:
   gaugefs top
   gaugefs top /run/gauges/BAT0
+  gaugefs top --history history.csv     while gaugefs log goes on, or after it
   gaugefs top --json --interval 10 --count 6";
 
 /// Show mounted gauges and their history on a live screen
@@ -52,6 +59,9 @@ pub struct Top {
     /// Print JSON instead, one object per line for each gauge and interval
     #[arg(long)]
     json: bool,
+    /// CSV file of `gaugefs log`, whose history the charts begin with
+    #[arg(long, value_name = "FILE", conflicts_with = "json")]
+    history: Option<PathBuf>,
     /// Time between two updates
     #[arg(long, value_name = "SECONDS", default_value = "1", value_parser = super::seconds)]
     interval: Duration,
@@ -67,11 +77,15 @@ impl Top {
             let why = "not a terminal; use --json in a program";
             return Err(Error::host("standard output", Errno::ENOTTY, why));
         }
+        let logs = match &self.history {
+            Some(file) => Past::of(super::plot::recorded(file)?),
+            None => Vec::new(),
+        };
         let watch = Watch::start(self.gauge.as_deref(), Some(self.interval))?;
         if self.json {
             return self.stream(watch);
         }
-        terminal::run(watch, self.interval)?;
+        terminal::run(watch, self.interval, logs)?;
         Ok(ExitCode::SUCCESS)
     }
 

@@ -24,11 +24,11 @@ pub(super) struct Panel {
 
 /// One column of one gauge.
 #[derive(Debug)]
-pub(super) struct Series {
-    pub(super) gauge: String,
-    pub(super) column: String,
+pub(crate) struct Series {
+    pub(crate) gauge: String,
+    pub(crate) column: String,
     /// Seconds since 1970 and values, with a new line after each gap.
-    pub(super) lines: Vec<Vec<Point>>,
+    pub(crate) lines: Vec<Vec<Point>>,
 }
 
 /// What a file holds.

@@ -15,6 +15,7 @@ use super::super::decimal::decimal;
 use super::super::learning::line;
 use super::super::ticks;
 use super::super::wrap::wrapped;
+use super::history::Quantity;
 use super::model::{Gauge, Model};
 use gaugefs_client::sample::Sample;
 use gaugefs_client::watch::learned_parameters;
@@ -25,7 +26,7 @@ const KEYS: [(&str, &str); 9] = [
     ("q", "quit"),
     ("?", "help"),
     ("l", "learning"),
-    ("v i c t", "quantity"),
+    ("v i c t a", "quantity"),
     ("+ -", "span"),
     ("arrows", "gauge"),
     ("p", "pause"),
@@ -43,6 +44,7 @@ const HELP: &str = "\
 q        quit
 arrows   select another gauge; tab too
 v i c t  voltage, current, capacity, temperature
+a        all of them, where the screen has room
 + -      longer or shorter time span
 l        state of learning: learned values, registers, recent changes
          (+QEN: the bit was set; -VOK: it was cleared)
@@ -136,28 +138,38 @@ const fn column(title: &'static str, width: usize, right: bool, rank: u8) -> Col
     Column { title, width, right, rank }
 }
 
-const COLUMNS: [Column; 10] = [
+const COLUMNS: [Column; 11] = [
     column("GAUGE", 6, false, 0),
-    column("MODEL", 11, false, 6),
+    column("MODEL", 11, false, 8),
     column("STATUS", 12, false, 1),
     column("V", 5, true, 3),
     column("A", 6, true, 4),
     column("Ah", 11, true, 7),
+    column("CHARGE", 10, false, 6),
     column("%", 3, true, 2),
     column("°C", 4, true, 5),
-    column("TIME", 15, true, 8),
-    column("SEAL", 11, false, 9),
+    column("TIME", 15, true, 9),
+    column("SEAL", 11, false, 10),
 ];
+/// The columns that have colours.
+const STATUS: usize = 2;
+const CHARGE: usize = 6;
+const PERCENT: usize = 7;
+/// The texts of a row.
+type Texts = [String; COLUMNS.len()];
+/// Blocks of a bar on a screen of that many columns, and on others.
+const WIDE: (u16, usize) = (120, 20);
+const BLOCKS: usize = 10;
 /// Spaces between two columns.
 const GAP: usize = 2;
 
 /// The widths of the columns that fit, and 0 for the others.
-fn widths(rows: &[[String; 10]], width: usize) -> [usize; 10] {
+fn widths(rows: &[Texts], width: usize) -> [usize; COLUMNS.len()] {
     let widest = |at: usize| rows.iter().map(|row| row[at].chars().count()).max().unwrap_or(0);
-    let wanted: [usize; 10] = std::array::from_fn(|at| widest(at).max(COLUMNS[at].width));
+    let wanted: [usize; COLUMNS.len()] = std::array::from_fn(|at| widest(at).max(COLUMNS[at].width));
     let mut ranked: Vec<_> = (1..COLUMNS.len()).collect();
     ranked.sort_by_key(|&at| COLUMNS[at].rank);
-    let mut widths = [0; 10];
+    let mut widths = [0; COLUMNS.len()];
     // A long name is cut where it would take the place of a value.
     let name = wanted[0].min((width / 4).max(COLUMNS[0].width));
     let mut left = width.saturating_sub(name);
@@ -173,13 +185,14 @@ fn widths(rows: &[[String; 10]], width: usize) -> [usize; 10] {
 }
 
 fn gauges(frame: &mut Frame<'_>, model: &Model, now: f64, area: Rect) {
+    let blocks = if area.width >= WIDE.0 { WIDE.1 } else { BLOCKS };
     let (mut rows, colours): (Vec<_>, Vec<_>) =
-        model.gauges.iter().map(|gauge| cells(model, gauge, now)).unzip();
+        model.gauges.iter().map(|gauge| cells(model, gauge, now, blocks)).unzip();
     for (row, gauge) in rows.iter_mut().zip(&model.gauges) {
         row[0] = label(model, gauge);
     }
     let widths = widths(&rows, area.width.into());
-    let row = |texts: [String; 10], style: &dyn Fn(usize) -> Style| {
+    let row = |texts: Texts, style: &dyn Fn(usize) -> Style| {
         let cells = texts.into_iter().enumerate().filter(|(at, _)| widths[*at] > 0);
         Row::new(cells.map(|(at, text)| {
             let line = Line::styled(cut(text, widths[at]), style(at));
@@ -188,15 +201,17 @@ fn gauges(frame: &mut Frame<'_>, model: &Model, now: f64, area: Rect) {
     };
     let header = row(COLUMNS.map(|column| column.title.to_string()), &|_| bold());
     let rows = rows.into_iter().zip(colours).enumerate().map(|(number, (texts, colour))| {
-        // The row of the selected gauge is reversed, so its status has no colour.
-        let plain = number == model.selected && model.gauges.len() > 1;
-        row(texts, &|at| if at == 2 && !plain { coloured(model, colour) } else { Style::new() })
+        let is_selected = number == model.selected && model.gauges.len() > 1;
+        row(texts, &|at| match at {
+            // The whole row would turn its bar inside out.
+            0 if is_selected => Style::new().add_modifier(Modifier::REVERSED),
+            STATUS => coloured(model, colour.status),
+            CHARGE | PERCENT => colour.charge(model),
+            _ => Style::new(),
+        })
     });
     let lengths = widths.iter().filter(|width| **width > 0).map(|width| Constraint::Length(*width as u16));
-    let table = Table::new(rows, lengths)
-        .column_spacing(GAP as u16)
-        .header(header)
-        .row_highlight_style(Style::new().add_modifier(Modifier::REVERSED));
+    let table = Table::new(rows, lengths).column_spacing(GAP as u16).header(header);
     let mut state = TableState::new().with_selected(Some(model.selected).filter(|_| model.gauges.len() > 1));
     frame.render_stateful_widget(table, area, &mut state);
 }
@@ -214,35 +229,90 @@ fn label(model: &Model, gauge: &Gauge) -> String {
     if alike > 1 { gauge.folder.display().to_string() } else { name }
 }
 
-/// A gauge's row except for its name, and the colour of its status.
-fn cells(model: &Model, gauge: &Gauge, now: f64) -> ([String; 10], Color) {
-    let mut row: [String; 10] = Default::default();
+/// The colours of a row.
+struct Colours {
+    status: Color,
+    level: Option<Level>,
+}
+
+/// What the gauge itself says of its charge.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Level {
+    Enough,
+    Low,
+    Critical,
+}
+
+impl Level {
+    fn of(sample: &Sample) -> Option<Self> {
+        match sample.attribute("capacity_level")? {
+            "Critical" => Some(Self::Critical),
+            "Low" => Some(Self::Low),
+            "Normal" | "High" | "Full" => Some(Self::Enough),
+            _ => None,
+        }
+    }
+
+    /// For a screen without colours.
+    fn word(self) -> Option<&'static str> {
+        match self {
+            Self::Enough => None,
+            Self::Low => Some("charge low"),
+            Self::Critical => Some("charge critical"),
+        }
+    }
+}
+
+impl Colours {
+    fn charge(&self, model: &Model) -> Style {
+        match self.level {
+            None => Style::new(),
+            Some(Level::Enough) => coloured(model, Color::Green),
+            Some(Level::Low) => coloured(model, Color::Yellow).add_modifier(Modifier::BOLD),
+            Some(Level::Critical) => coloured(model, Color::Red).add_modifier(Modifier::BOLD),
+        }
+    }
+}
+
+/// So much of a bar is filled, and something unless it is empty.
+fn bar(percent: i64, blocks: usize) -> String {
+    let percent = percent.clamp(0, 100) as usize;
+    let filled = ((percent * blocks + 50) / 100).max(usize::from(percent > 0));
+    "\u{2588}".repeat(filled) + &"\u{2591}".repeat(blocks - filled)
+}
+
+/// A gauge's row except for its name, and its colours.
+fn cells(model: &Model, gauge: &Gauge, now: f64, blocks: usize) -> (Texts, Colours) {
+    let mut row = Texts::default();
+    let mut colours = Colours { status: Color::Red, level: None };
     if model.silence(gauge, now).is_some() {
-        row[2] = "no answer".into();
-        return (row, Color::Red);
+        row[STATUS] = "no answer".into();
+        return (row, colours);
     }
     let Some(sample) = &gauge.shown else {
-        row[2] = if gauge.trouble.is_some() { "gone" } else { "..." }.into();
-        return (row, Color::Red);
+        row[STATUS] = if gauge.trouble.is_some() { "gone" } else { "..." }.into();
+        return (row, colours);
     };
     let millionths = |name, places| sample.number(name).map(|value| rounded(value, 6, places));
     row[1] = sample.attribute("model_name").unwrap_or_default().into();
-    row[2] = sample.status();
+    row[STATUS] = sample.status();
     row[3] = millionths("voltage_now", 3).unwrap_or_default();
     row[4] = millionths("current_now", 3).unwrap_or_default();
     let charge = millionths("charge_now", 3).zip(millionths("charge_full", 3));
     row[5] = charge.map(|(now, full)| format!("{now}/{full}")).unwrap_or_default();
-    row[6] = sample.number("capacity").map(|value| value.to_string()).unwrap_or_default();
-    row[7] = sample.number("temp").map(|value| decimal(value, 1, 1)).unwrap_or_default();
-    row[8] = time_left(sample).unwrap_or_default();
-    row[9] = sample.seal.clone().unwrap_or_default();
-    let colour = match row[2].as_str() {
+    let percent = sample.number("capacity");
+    row[CHARGE] = percent.map(|value| bar(value, blocks)).unwrap_or_default();
+    row[PERCENT] = percent.map(|value| value.to_string()).unwrap_or_default();
+    row[8] = sample.number("temp").map(|value| decimal(value, 1, 1)).unwrap_or_default();
+    row[9] = time_left(sample).unwrap_or_default();
+    row[10] = sample.seal.clone().unwrap_or_default();
+    colours.status = match row[STATUS].as_str() {
         "Charging" | "Full" => Color::Green,
-        "Discharging" => Color::Yellow,
         "absent" => Color::Red,
         _ => Color::Reset,
     };
-    (row, colour)
+    colours.level = Level::of(sample);
+    (row, colours)
 }
 
 /// An integer in units of 10^-`places`, rounded to `wanted` places.
@@ -267,13 +337,13 @@ fn selected_gauge(frame: &mut Frame<'_>, model: &Model, gauge: &Gauge, now: f64,
     let wide = area.width >= 120;
     if model.learning && wide {
         let [left, right] = Layout::horizontal([Constraint::Fill(1), Constraint::Length(66)]).areas(rest);
-        chart(frame, model, gauge, now, left);
+        charts(frame, model, gauge, now, left);
         let right = right.inner(Margin { horizontal: 1, vertical: 0 });
         learning(frame, gauge, now, right);
     } else if model.learning {
         learning(frame, gauge, now, rest);
     } else {
-        chart(frame, model, gauge, now, rest);
+        charts(frame, model, gauge, now, rest);
     }
 }
 
@@ -294,6 +364,7 @@ fn details(model: &Model, gauge: &Gauge, now: f64, width: u16) -> Vec<Line<'stat
     let mut facts = Vec::new();
     let polled = (model.paused.unwrap_or(now) - super::history::seconds(sample.time)).max(0.0);
     facts.push(if sample.moment.is_some() { format!("polled {polled:.0} s ago") } else { "absent".into() });
+    facts.extend(Level::of(sample).and_then(Level::word).map(String::from));
     facts.extend(sample.seal.clone());
     facts.extend(time_left(sample));
     facts.extend(sample.attribute("health").map(|health| format!("health {}", health)));
@@ -324,15 +395,35 @@ fn details(model: &Model, gauge: &Gauge, now: f64, width: u16) -> Vec<Line<'stat
     lines
 }
 
-fn chart(frame: &mut Frame<'_>, model: &Model, gauge: &Gauge, now: f64, area: Rect) {
+/// A chart of that many columns and lines is as good as a larger one.
+const CHART: (u16, u16) = (50, 9);
+
+/// The charts of all quantities where there is room, and otherwise that of one.
+fn charts(frame: &mut Frame<'_>, model: &Model, gauge: &Gauge, now: f64, area: Rect) {
+    let has_room = |columns: &u16| area.width / columns >= CHART.0 && area.height / (4 / columns) >= CHART.1;
+    let columns = [2, 1].into_iter().find(has_room).filter(|_| model.quantity.is_none());
+    let Some(columns) = columns else {
+        return chart(frame, model, gauge, now, model.quantity.unwrap_or(Quantity::VOLTAGE), area);
+    };
+    let split = |layout: Layout, area: Rect| layout.spacing(GAP as u16).split(area).to_vec();
+    let rows = Layout::vertical(vec![Constraint::Fill(1); usize::from(4 / columns)]).split(area);
+    let cells = rows
+        .iter()
+        .flat_map(|row| split(Layout::horizontal(vec![Constraint::Fill(1); usize::from(columns)]), *row));
+    for (quantity, cell) in Quantity::ALL.into_iter().zip(cells) {
+        chart(frame, model, gauge, now, quantity, cell);
+    }
+}
+
+fn chart(frame: &mut Frame<'_>, model: &Model, gauge: &Gauge, now: f64, quantity: Quantity, area: Rect) {
     if area.height < 3 || area.width < 20 {
         return;
     }
     let now = model.paused.unwrap_or(now);
-    let quantity = model.quantity;
     let (span, words) = model.span();
     // Each column has two columns of braille dots.
-    let lines = gauge.history.lines(quantity, now, span, usize::from(area.width) * 2);
+    let past = model.past(gauge);
+    let lines = gauge.history.lines(past, quantity, now, span, usize::from(area.width) * 2);
     let title = format!("{} in {}, last {words}", quantity.name(), quantity.unit());
     let block = Block::new().title(title).title_style(bold());
     let values = || lines.iter().flatten().map(|(_, value)| *value);

@@ -4,6 +4,7 @@
 
 use std::collections::VecDeque;
 
+use super::super::plot::Series;
 use super::super::thin;
 use gaugefs_client::sample::Sample;
 
@@ -37,6 +38,8 @@ static QUANTITIES: [Row; 4] = [
 
 impl Quantity {
     pub(super) const VOLTAGE: Self = Self(0);
+    /// The charge first.
+    pub(super) const ALL: [Self; 4] = [Self(2), Self(0), Self(1), Self(3)];
 
     /// The one that a key chooses.
     pub(super) fn of_key(key: char) -> Option<Self> {
@@ -68,6 +71,41 @@ struct Point {
     values: [Option<f64>; 4],
 }
 
+/// What a log has of a gauge: the lines of each quantity, in seconds since 1970.
+#[derive(Debug, Default)]
+pub(super) struct Past {
+    pub(super) gauge: String,
+    lines: [Vec<Vec<thin::Point>>; 4],
+}
+
+impl Past {
+    /// The histories of all gauges of a log.
+    pub(super) fn of(series: Vec<Series>) -> Vec<Self> {
+        let mut all: Vec<Self> = Vec::new();
+        for Series { gauge, column, lines } in series {
+            let Some(quantity) = QUANTITIES.iter().position(|row| row.name == column) else { continue };
+            let at = all.iter().position(|past| past.gauge == gauge).unwrap_or_else(|| {
+                all.push(Self { gauge, ..Self::default() });
+                all.len() - 1
+            });
+            all[at].lines[quantity] = lines;
+        }
+        all
+    }
+
+    /// What is known of a quantity from the last point before `from` on, and before `to`.
+    fn lines(&self, quantity: Quantity, from: f64, to: f64) -> impl Iterator<Item = Vec<thin::Point>> {
+        self.lines[quantity.0].iter().filter_map(move |line| {
+            let first = line.partition_point(|(time, _)| *time < from).saturating_sub(1);
+            let end = line.partition_point(|(time, _)| *time < to);
+            line.get(first..end).filter(|line| !line.is_empty()).map(<[_]>::to_vec)
+        })
+    }
+}
+
+/// A log that is this many of its steps older than the first poll has stopped before.
+const JOINED: f64 = 2.5;
+
 /// Polls, the oldest first.
 #[derive(Default)]
 pub(super) struct History(VecDeque<Point>);
@@ -94,9 +132,10 @@ impl History {
     }
 
     /// The lines of the last `span` seconds, as seconds relative to `now` and values, reduced to what `columns`
-    /// can show.
+    /// can show. They begin with what a log has of the time before the first poll.
     pub(super) fn lines(
         &self,
+        past: Option<&Past>,
         quantity: Quantity,
         now: f64,
         span: f64,
@@ -105,13 +144,32 @@ impl History {
         // With the poll before the span, so that a line begins at its edge.
         let first = self.0.partition_point(|point| point.time < now - span).saturating_sub(1);
         let shown = self.0.iter().skip(first).take_while(|point| point.time <= now);
-        let points: Vec<_> = shown.map(|point| (point.time - now, point.values[quantity.0])).collect();
+        let points: Vec<_> = shown.map(|point| (point.time, point.values[quantity.0])).collect();
         let lines = points.split(|(_, value)| value.is_none()).filter(|line| !line.is_empty());
         let known = |line: &[(f64, Option<f64>)]| -> Vec<_> {
             line.iter().filter_map(|(time, value)| Some((*time, (*value)?))).collect()
         };
-        lines.map(|line| thin::thin(&known(line), -span, span, columns)).collect()
+        let begin = self.0.front().map_or(now, |point| point.time);
+        let logged = past.into_iter().flat_map(|past| past.lines(quantity, now - span, begin.min(now)));
+        let mut all: Vec<Vec<thin::Point>> = logged.collect();
+        let mut polled = lines.map(known).peekable();
+        if let Some(last) = all.last_mut()
+            && let Some(line) = polled.next_if(|line| line[0].0 == begin && is_joined(last, line))
+        {
+            last.extend(line);
+        }
+        all.extend(polled);
+        let relative = |line: Vec<thin::Point>| -> Vec<thin::Point> {
+            line.into_iter().map(|(time, value)| (time - now, value)).collect()
+        };
+        all.into_iter().map(|line| thin::thin(&relative(line), -span, span, columns)).collect()
     }
+}
+
+/// Whether the polls of this program go on where a log ends.
+fn is_joined(logged: &[thin::Point], polled: &[thin::Point]) -> bool {
+    let [.., (before, _), (last, _)] = logged else { return false };
+    polled.first().is_some_and(|(first, _)| first - last <= JOINED * (last - before))
 }
 
 /// Seconds since 1970.
@@ -131,7 +189,7 @@ mod tests {
     #[test]
     fn an_absence_is_one_gap() {
         let mut seen = history(&[(0.0, Some(1.0)), (10.0, Some(2.0)), (20.0, None), (30.0, Some(3.0))]);
-        let lines = seen.lines(Quantity::VOLTAGE, 30.0, 60.0, 60);
+        let lines = seen.lines(None, Quantity::VOLTAGE, 30.0, 60.0, 60);
         assert_eq!(lines, [vec![(-30.0, 1.0), (-20.0, 2.0)], vec![(0.0, 3.0)]]);
         seen.gap(40.0);
         seen.gap(50.0);

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
 
 use super::super::learning;
-use super::history::{History, Quantity, seconds};
+use super::history::{History, Past, Quantity, seconds};
 use gaugefs_client::sample::Sample;
 use gaugefs_client::watch::{Learned, Order, Report, Seen};
 use ti_gauge::learning::{Cycle, Limits, State};
@@ -82,7 +82,8 @@ pub(super) enum Action {
 pub(super) struct Model {
     pub(super) gauges: Vec<Gauge>,
     pub(super) selected: usize,
-    pub(super) quantity: Quantity,
+    /// The one of the chart; `None` for all, where there is room.
+    pub(super) quantity: Option<Quantity>,
     span: usize,
     /// The start of the pause.
     pub(super) paused: Option<f64>,
@@ -92,6 +93,8 @@ pub(super) struct Model {
     pub(super) message: String,
     /// Colours may be used.
     pub(super) colour: bool,
+    /// What was recorded before.
+    logs: Vec<Past>,
     /// Time between two samples, in seconds.
     every: f64,
     /// The time of the last report of each mount.
@@ -104,17 +107,37 @@ impl Model {
         Self {
             gauges: Vec::new(),
             selected: 0,
-            quantity: Quantity::VOLTAGE,
+            quantity: None,
             span: 1,
             paused: None,
             help: false,
             learning: false,
             message: String::new(),
             colour,
+            logs: Vec::new(),
             every,
             reported: Vec::new(),
             orders: Vec::new(),
         }
+    }
+
+    pub(super) fn with(mut self, logs: Vec<Past>) -> Self {
+        self.logs = logs;
+        self
+    }
+
+    /// What a log has of a gauge. It names no mount, so two gauges of that name have none of it; and the time of a simulated
+    /// battery that was faster than the clock is another one.
+    pub(super) fn past(&self, gauge: &Gauge) -> Option<&Past> {
+        let name = gauge.name();
+        let is_other = |other: &Gauge| other.folder != gauge.folder && other.name() == name;
+        let is_slow = |sample: &Sample| {
+            let ahead = sample.battery_time().duration_since(sample.time).as_secs_f64();
+            ahead.abs() < 1.0 && sample.simulated.is_none_or(|(_, speed)| speed == 1.0)
+        };
+        let has_one =
+            self.gauges.iter().all(|other| !is_other(other)) && gauge.shown.as_ref().is_none_or(is_slow);
+        self.logs.iter().find(|past| past.gauge == name).filter(|_| has_one)
     }
 
     /// Span of the chart in seconds, and in words.
@@ -223,7 +246,8 @@ impl Model {
                 self.learning = true;
                 self.order(Order::ReadLearned, "reading data flash");
             }
-            KeyCode::Char(other) => self.quantity = Quantity::of_key(other).unwrap_or(self.quantity),
+            KeyCode::Char('a') => self.quantity = None,
+            KeyCode::Char(other) => self.quantity = Quantity::of_key(other).or(self.quantity),
             _ => {}
         }
         Action::Nothing

@@ -20,7 +20,7 @@ use ratatui::{DefaultTerminal, Terminal};
 use signal_hook::consts::SIGTSTP;
 
 use super::draw;
-use super::history::seconds;
+use super::history::{Past, seconds};
 use super::model::{Action, Model};
 use gauge_bus::clock::{Clock, RealClock};
 use gaugefs_client::watch::Watch;
@@ -38,7 +38,7 @@ pub(crate) fn failed(error: &io::Error) -> Error {
 }
 
 /// Shows the screen until the user quits. ratatui restores the terminal after a panic too.
-pub(super) fn run(watch: Watch, every: Duration) -> Result<()> {
+pub(super) fn run(watch: Watch, every: Duration, logs: Vec<Past>) -> Result<()> {
     let ends = Arc::new(AtomicBool::new(false));
     let stops = Arc::new(AtomicBool::new(false));
     for signal in signals::ends() {
@@ -46,8 +46,10 @@ pub(super) fn run(watch: Watch, every: Duration) -> Result<()> {
     }
     signal_hook::flag::register(SIGTSTP, stops.clone()).map_err(|error| failed(&error))?;
     let left = watch_terminal(ends.clone())?;
+    let colour = std::env::var_os("NO_COLOR").is_none_or(|value| value.is_empty());
+    let model = Model::new(every.as_secs_f64(), colour).with(logs);
     let mut terminal = ratatui::try_init().map_err(|error| failed(&error))?;
-    let outcome = show(&mut terminal, watch, every, &ends, &stops);
+    let outcome = show(&mut terminal, watch, model, &ends, &stops);
     left.store(true, Ordering::SeqCst);
     ratatui::try_restore().map_err(|error| failed(&error))?;
     outcome
@@ -85,12 +87,10 @@ fn watch_terminal(ends: Arc<AtomicBool>) -> Result<Arc<AtomicBool>> {
 fn show(
     terminal: &mut DefaultTerminal,
     mut watch: Watch,
-    every: Duration,
+    mut model: Model,
     ends: &AtomicBool,
     stops: &AtomicBool,
 ) -> Result<()> {
-    let colour = std::env::var_os("NO_COLOR").is_none_or(|value| value.is_empty());
-    let mut model = Model::new(every.as_secs_f64(), colour);
     let mut drawn = 0.0;
     let mut changed = true;
     loop {

@@ -13,6 +13,7 @@ use ratatui::backend::TestBackend;
 use ratatui::buffer::Buffer;
 use ratatui::style::Color;
 
+use super::history::{Past, Quantity};
 use super::model::{Action, Model};
 use super::{draw, picture};
 use gaugefs_client::sample::Sample;
@@ -359,8 +360,10 @@ fn columns_do_not_touch() {
         let table = screen.lines().skip(1).take_while(|line| !line.starts_with("polled"));
         for line in table {
             for cell in line.split("  ").map(str::trim).filter(|cell| !cell.is_empty()).skip(1) {
-                let is_title = ["MODEL", "V", "A", "Ah", "%", "°C", "TIME", "SEAL", "3.700", "bq27621-G1"]
-                    .contains(&cell);
+                let is_bar = cell.chars().all(|letter| "\u{2588}\u{2591}".contains(letter));
+                let is_title = is_bar
+                    || ["MODEL", "V", "A", "Ah", "CHARGE", "%", "°C", "TIME", "SEAL", "3.700", "bq27621-G1"]
+                        .contains(&cell);
                 assert!(is_title || values.contains(&cell), "{width}x{height}: `{cell}` in {screen}");
             }
         }
@@ -409,7 +412,15 @@ fn sampled(seen: &Sample, time: f64, passed: f64, fields: &[(String, String)]) -
         ("state_of_health", scaled("state of health (%)", 1.0)),
     ];
     let attributes = attributes.into_iter().filter_map(|(name, value)| Some((name.to_string(), value.ok()?)));
-    let words = [("present", "1"), ("status", field("status")), ("model_name", field("part"))];
+    let flags = |flag: &str| field("flags").split(' ').any(|set| set == flag);
+    let level = if flags("SOCF") { "Critical" } else { "Low" };
+    let level = if flags("SOCF") || flags("SOC1") { level } else { "Normal" };
+    let words = [
+        ("present", "1"),
+        ("status", field("status")),
+        ("model_name", field("part")),
+        ("capacity_level", level),
+    ];
     seen.attributes = attributes.chain(words.map(|(name, value)| (name.into(), value.into()))).collect();
     let words = [("control_status", "control status"), ("flags", "flags"), ("flags_b", "flags b")];
     let words = words.map(|(name, title)| (name.to_string(), field(title).to_string()));
@@ -418,19 +429,123 @@ fn sampled(seen: &Sample, time: f64, passed: f64, fields: &[(String, String)]) -
     seen
 }
 
-/// docs/top.svg, the README's picture: an hour of three simulated packs, one of which rests for a while.
+/// docs/top.svg, the README's picture: an hour of three simulated packs, one of which rests for a while. The first half is
+/// from a log.
 #[test]
 fn the_picture_in_docs_is_what_top_draws() {
-    let mut model = Model::new(1.0, true);
     let rows = recorded();
     let (first, last) = (rows[0].1, rows.iter().map(|row| row.1).fold(0.0, f64::max));
+    let begin = (first + last) / 2.0;
+    let mut model = Model::new(1.0, true).with(past(include_str!("recorded.csv")));
     model.add_mounts(&[PathBuf::from("/run/gauges")], last);
     let seen = Tree::new("PACK-A", -850_000).sample(NOON);
-    for (name, time, fields) in &rows {
+    for (name, time, fields) in rows.iter().filter(|(_, time, _)| *time > begin) {
         model.update(report(name, sample(&sampled(&seen, *time, time - first, fields))), last);
     }
     press(&mut model, '+');
     press(&mut model, '+');
-    let svg = picture::svg(&drawn(&model, 80, 24, last + 1.0));
-    matches(Path::new("docs/top.svg"), &svg);
+    let screen = drawn(&model, 112, 34, last + 1.0);
+    matches(Path::new("docs/top.svg"), &picture::svg(&screen));
+    for shown in ["capacity in %", "voltage in V", "current in A", "temperature in °C", "charge low"] {
+        assert!(text(&screen).contains(shown), "{shown}");
+    }
+}
+
+/// What a log has, as `top` reads it.
+fn past(log: &str) -> Vec<Past> {
+    let file = std::env::temp_dir().join(format!("gaugefs-log-{}-{}", std::process::id(), log.len()));
+    fs::write(&file, log).expect("a file");
+    let series = crate::plot::recorded(&file).expect("a log");
+    fs::remove_file(&file).expect("it is there");
+    Past::of(series)
+}
+
+#[test]
+fn a_large_screen_shows_the_quantities_together() {
+    let mut model = model(true);
+    let titles = |model: &Model, width, height| {
+        let screen = text(&drawn(model, width, height, NOON));
+        let quantities = ["capacity in %", "voltage in V", "current in A", "temperature in °C"];
+        quantities.map(|title| usize::from(screen.contains(title)))
+    };
+    let (all, voltage) = ([1, 1, 1, 1], [0, 1, 0, 0]);
+    for (width, height, shown) in
+        [(200, 50, all), (102, 30, all), (60, 50, all), (80, 24, voltage), (102, 20, voltage)]
+    {
+        assert_eq!(titles(&model, width, height), shown, "{width} x {height}");
+    }
+    press(&mut model, 'i');
+    assert_eq!(titles(&model, 200, 50), [0, 0, 1, 0]);
+    press(&mut model, 'a');
+    assert_eq!(titles(&model, 200, 50), all);
+    // The learned values beside them leave room for one column.
+    press(&mut model, 'l');
+    assert_eq!(titles(&model, 200, 50), all);
+}
+
+#[test]
+fn the_charge_is_a_bar_whose_colour_is_what_the_gauge_says_of_it() {
+    let show = |level: &str, capacity: &str, colour: bool| {
+        let mut model = model(colour);
+        let mut seen = Tree::new("PACK-A", -500_000).sample(NOON + 1.0);
+        seen.attributes.retain(|(name, _)| name != "capacity");
+        seen.attributes.push(("capacity".into(), capacity.into()));
+        seen.attributes.push(("capacity_level".into(), level.into()));
+        model.update(report("PACK-A", sample(&seen)), NOON + 1.0);
+        drawn(&model, 200, 50, NOON + 1.0)
+    };
+    for (level, capacity, blocks, colour, words) in [
+        ("Normal", "60", 12, Color::Green, None),
+        ("Low", "12", 2, Color::Yellow, Some("charge low")),
+        ("Critical", "1", 1, Color::Red, Some("charge critical")),
+        ("Critical", "0", 0, Color::Red, Some("charge critical")),
+        ("Unknown", "60", 12, Color::Reset, None),
+    ] {
+        let screen = show(level, capacity, true);
+        // The row of the gauge that is selected.
+        let row: Vec<_> = (0..screen.area.width).map(|column| &screen[(column, 2)]).collect();
+        let bar = || row.iter().filter(|cell| ["\u{2588}", "\u{2591}"].contains(&cell.symbol()));
+        assert_eq!((bar().count(), bar().filter(|cell| cell.symbol() == "\u{2588}").count()), (20, blocks));
+        assert!(bar().all(|cell| cell.fg == colour), "{level}");
+        let plain = show(level, capacity, false);
+        assert!(plain.content().iter().all(|cell| cell.fg == Color::Reset && cell.bg == Color::Reset));
+        let said = ["charge low", "charge critical"].into_iter().find(|said| text(&plain).contains(said));
+        assert_eq!(said, words, "{level}");
+    }
+}
+
+#[test]
+fn the_charts_begin_with_what_a_log_has_of_the_time_before() {
+    let row = |name: &str, minutes: i64, voltage: f64| {
+        let time = jiff::Timestamp::from_second(NOON as i64 + 60 * minutes).expect("a time");
+        format!("{time},{name},{voltage},,,\n")
+    };
+    let head = "time (UTC),gauge,voltage (V),current (A),capacity (%),temperature (°C)\n";
+    // It goes on while top is there.
+    let log: String = (-30..0).map(|at| row("PACK-A", at, 4.2) + &row("PACK-B", at, 3.0)).collect();
+    let lines = |model: &Model, name: &str| {
+        let gauge = model.gauges.iter().find(|gauge| gauge.name() == name).expect("it is there");
+        gauge.history.lines(model.past(gauge), Quantity::VOLTAGE, NOON, 3600.0, 4000)
+    };
+    let model = || model(true).with(past(&format!("{head}{log}")));
+    let shown = lines(&model(), "PACK-A");
+    // The polls of four minutes, with an absence, go on where the log was.
+    assert_eq!(shown.len(), 2, "{shown:?}");
+    assert_eq!(shown[0].first().map(|(time, value)| (time.round(), *value)), Some((-1800.0, 4.2)));
+    let logged = shown.iter().flatten().filter(|(_, value)| *value == 4.2);
+    assert!(logged.clone().count() == 26 && logged.clone().all(|(time, _)| *time < -240.0), "{shown:?}");
+    assert!(text(&drawn(&model(), 80, 24, NOON)).contains("voltage in V"));
+    // Of another mount there is a gauge of the same name: the log does not say which one it is of.
+    let mut two = model();
+    two.add_mounts(&[PathBuf::from("/run/gauges"), PathBuf::from("/run/other")], NOON);
+    let other = Tree::new("PACK-A", -500_000).sample(NOON);
+    two.update(Report { root: 1, gauge: "/run/other/PACK-A".into(), seen: sample(&other) }, NOON);
+    assert!(lines(&two, "PACK-A").iter().flatten().all(|(_, value)| *value != 4.2));
+    assert!(lines(&two, "PACK-B").iter().flatten().any(|(_, value)| *value == 3.0));
+    // The time of its battery was faster.
+    let mut fast = model();
+    let mut seen = Tree::new("PACK-B", 250_000).sample(NOON + 1.0);
+    seen.simulated = Some((seen.time, 60.0));
+    fast.update(report("PACK-B", sample(&seen)), NOON + 1.0);
+    assert!(lines(&fast, "PACK-B").iter().flatten().all(|(_, value)| *value != 3.0));
 }
