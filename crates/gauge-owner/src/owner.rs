@@ -50,6 +50,8 @@ mod poll;
 mod report;
 #[cfg(any(test, feature = "rig"))]
 pub mod rig;
+#[cfg(test)]
+mod wire;
 mod words;
 
 pub use attempt::Attempt;
