@@ -186,11 +186,13 @@ impl Operations for Staging<'_> {
         let handle = &self.0.handle;
         let mut unread: Vec<usize> = transaction::compared(self.0.chip(), data).into_iter().collect();
         unread.retain(|&at| handle.kept(at).is_none());
-        if unread.is_empty() {
+        let begins = transaction::begins(data) && self.0.staged().is_none();
+        if unread.is_empty() && !begins {
             return self.0.stage(caller, data, done);
         }
         let (supply, data) = (Arc::clone(self.0), data.to_vec());
-        handle.ask(&op::READ, unread, Box::new(move |_| supply.stage(caller, &data, done)));
+        // What the pack is known by has to be known for the commit to see that it is still the one.
+        handle.ask(&op::KNOW, unread, Box::new(move |_| supply.stage(caller, &data, done)));
     }
 }
 

@@ -391,7 +391,7 @@ impl State {
 }
 
 /// Whether the first line of a write(2) is `begin`, with a presence or without.
-fn begins(data: &[u8]) -> bool {
+pub(super) fn begins(data: &[u8]) -> bool {
     let mut lines = data.split(|&byte| byte == b'\n').map(<[u8]>::trim_ascii);
     let first = lines.find(|line| !line.is_empty());
     first.and_then(|line| line.split(u8::is_ascii_whitespace).next()) == Some(b"begin")

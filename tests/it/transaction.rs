@@ -133,6 +133,8 @@ fn a_flat_part_is_addressed_by_its_path_in_df() {
 #[test]
 fn lines_are_checked_at_once() {
     let tree = tree("bq34z100-g1");
+    // The first one reads what the pack is known by.
+    assert_eq!(tree.stage("begin\nabort"), Ok(()));
     let (flash, transfers) = (tree.sim.flash(), tree.count("transfers"));
     for line in ["commit", "abort", "80/53 3100", "nonsense"] {
         assert_eq!(tree.stage(line), Err(Errno::ENODATA), "{line}");
@@ -347,8 +349,8 @@ fn a_subclass_that_is_not_in_the_table_is_written_on_request() {
 #[test]
 fn raw_lines_reach_undocumented_bytes_only() {
     let tree = tree("bq34z100-g1");
-    let transfers = tree.count("transfers");
     assert_eq!(tree.stage("begin"), Ok(()));
+    let transfers = tree.count("transfers");
     for (line, errno, says) in [
         ("raw 112/24 00", Errno::EPERM, "keys"),
         ("raw 112/0 00000000", Errno::EPERM, "keys"),
@@ -749,4 +751,24 @@ fn regression_what_one_daemon_had_read_was_written_by_the_next_one() {
     assert_eq!(trees[1].stage(&format!("begin {}\n80/53 3100\ncommit", first.trim())), Err(Errno::ENODEV));
     assert_eq!(trees[1].count("flash_writes"), 0);
     assert_eq!(trees[0].stage(&format!("begin {}\n80/53 3100\ncommit", first.trim())), Ok(()));
+}
+
+/// One with the factory's serial number and another CC gain came while one poll failed. Nothing had been read before `begin`.
+#[test]
+fn regression_a_pack_with_another_calibration_got_what_was_staged_for_the_one_before() {
+    for (is_other, outcome) in [(true, Err(Errno::ENODEV)), (false, Ok(()))] {
+        let tree = tree("bq34z100-g1");
+        assert_eq!(tree.stage("begin\n80/53 3100"), Ok(()));
+        tree.sim.set("power", "off").expect("a knob");
+        assert!(tree.write("gauge/refresh", "1").is_err());
+        if is_other {
+            tree.sim.set_flash(104, 0, &[0x7f, 0x71, 0x20, 0x5c]);
+        }
+        tree.sim.set("power", "on").expect("a knob");
+        tree.clock.sleep(Duration::from_secs(3));
+        assert_eq!(tree.write("gauge/refresh", "1"), Ok(()));
+        let flash = tree.sim.flash();
+        assert_eq!(tree.stage("commit"), outcome);
+        assert_eq!(tree.sim.flash() == flash, is_other);
+    }
 }

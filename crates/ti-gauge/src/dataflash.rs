@@ -229,6 +229,15 @@ impl DataFlash {
         read.map(Option::unwrap_or_default)
     }
 
+    /// Reads what distinguishes the pack, unless that is known. A gauge with RAM reports what an exchange is to it.
+    pub fn learn_pack(&mut self, gauge: &mut Gauge, waited: Duration) -> Result<()> {
+        let windows = pack::mark_windows(gauge.chip);
+        if gauge.chip.volatile.is_some() || windows.iter().all(|place| self.known().get(*place).is_some()) {
+            return Ok(());
+        }
+        self.read(gauge, &[], waited).map(drop)
+    }
+
     /// Reads whole subclasses of a gauge that is open. `None` from one that is sealed: it is left alone.
     pub fn read_if_open(
         &mut self,

@@ -28,6 +28,13 @@ pub static READ: Operation<Vec<usize>, Vec<Arc<[u8]>>> =
         .attempting(|wanted| Attempt::Read(wanted.clone()))
         .reporting();
 
+/// Reads subclasses, and what the pack is known by, so that a later access sees whether it is still the one. A failure is
+/// none of a program's: it has asked for something else.
+pub static KNOW: Operation<Vec<usize>> =
+    Operation::new("know", |owner, wanted: Vec<usize>, asked| owner.know(&wanted, asked.waited))
+        .attempting(|wanted| Attempt::Read(wanted.clone()))
+        .reporting();
+
 /// Writes parameters, all or none.
 pub static WRITE: Operation<Vec<Change>> =
     Operation::new("write", Owner::write).attempting(|changes| Attempt::Write(places(changes)));
@@ -223,6 +230,14 @@ impl Owner {
         let rows: Vec<&Subclass> = wanted.iter().map(|&index| &self.gauge.chip.subclasses[index]).collect();
         if rows.is_empty() {
             return Ok(Vec::new());
+    fn know(&mut self, wanted: &[usize], waited: Duration) -> Result<()> {
+        if !wanted.is_empty() {
+            return self.read(wanted, waited).map(drop);
+        }
+        let outcome = self.dataflash.learn_pack(&mut self.gauge, waited);
+        Ok(self.noted(outcome)?)
+    }
+
         }
         let read = self.dataflash.read(&mut self.gauge, &rows, waited);
         self.keep(wanted, read)
