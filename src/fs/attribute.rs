@@ -94,7 +94,7 @@ const fn hex(name: &'static str, show: fn(&Reading<'_>) -> Option<i64>) -> Row {
 static ATTRIBUTES: &[Row] = &[
     text("type", |_| Some("Battery")),
     text("status", |reading| reading.status()),
-    text("present", |reading| Some(if reading.is_present() { "1" } else { "0" })),
+    text("present", |reading| Some(if reading.is_there() { "1" } else { "0" })),
     text("health", |reading| reading.health()),
     text("technology", |reading| Some(reading.technology())),
     text("scope", |_| Some("System")),
@@ -386,14 +386,14 @@ impl Reading<'_> {
         (mask & !shown == 0).then_some(false)
     }
 
-    /// Whether the gauge answers and has a battery. Parts without a flag for it have one whenever they answer, unless all
-    /// flags say that nothing does.
+    /// Whether the gauge answers and has a battery.
     pub(super) fn is_present(&self) -> bool {
-        let condition = &self.chip.condition;
-        let mask = condition.present;
-        let flag = |flags| flags & i64::from(mask) != 0;
-        let is_absent = condition.absent != 0 && self.flags() == Some(i64::from(condition.absent));
-        self.snapshot.is_some() && !is_absent && (mask == 0 || self.flags().is_some_and(flag))
+        self.snapshot.is_some() && self.chip.condition.shows_battery(self.flags())
+    }
+
+    /// The same, also while an access takes so long that no poll is recent enough to be shown.
+    fn is_there(&self) -> bool {
+        if self.snapshot.is_some() { self.is_present() } else { self.handle.is_present() }
     }
 
     /// By the current that `current_now` shows. The full flag counts more than a charging current, which hardly ever is

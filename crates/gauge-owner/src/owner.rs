@@ -358,6 +358,11 @@ impl Owner {
         }
     }
 
+    /// Another presence begins: whatever was read of the gauge is to be read again before anything follows from it.
+    fn begin_anew(&mut self) {
+        self.shared.publish(|published| published.presence = now::presence());
+    }
+
     /// Forgets what was read of data flash, and its copies in registers: it may hold something else now.
     fn forget_dataflash(&mut self) {
         self.forget_values();

@@ -56,6 +56,8 @@ pub(super) struct Block {
     cc_offset: i16,
     /// A sealed gauge acknowledges registers that it withholds.
     ignores_sealed: bool,
+    /// The pin detects no battery.
+    is_away: bool,
     /// Challenge and digest are sent most significant byte first, instead of least significant.
     as_sent: bool,
     /// The registers before the last reset.
@@ -178,6 +180,7 @@ impl Block {
             board_offset: (options.seed % 17) as i8 - 8,
             cc_offset: -1200 + (options.seed % 101) as i16 - 50,
             ignores_sealed: false,
+            is_away: false,
             as_sent: false,
             before: [0; 0x80],
         };
@@ -232,7 +235,7 @@ impl Block {
 
     /// Whether the gauge knows of a battery: a pin detects it, or the host has said so.
     fn present(&self, flash: &Flash) -> bool {
-        self.ram.inserted || self.part.battery_insert.is_none() || self.part.has_pin(flash)
+        self.ram.inserted || self.part.battery_insert.is_none() || self.part.has_pin(flash) && !self.is_away
     }
 
     /// Voltage() as the host reads it.
@@ -764,6 +767,7 @@ impl Wire for Block {
             "protocol" => knob::PROTOCOL.show(device.flash.hdq),
             "cc_gain_inverted" => knob::CC_GAIN_INVERTED.show(device.flash.inverted),
             "sealed_writes" => knob::SEALED_WRITES.show(self.ignores_sealed),
+            "bat_det" => knob::BATTERY.show(self.is_away),
             "auth_order" => knob::AUTH_ORDER.show(self.as_sent),
             "cells" => knob::show_or_auto(self.gauging.battery().series),
             "real_mah" => knob::show_or_auto(self.gauging.own_capacity()),
@@ -805,6 +809,18 @@ impl Wire for Block {
             }
             "sealed_writes" => {
                 self.ignores_sealed = knob::SEALED_WRITES.read(name, text)?;
+                Ok(())
+            }
+            "bat_det" => {
+                let is_away = knob::BATTERY.read(name, text)?;
+                if is_away && !self.part.has_pin(&device.flash) {
+                    return Err(Error::new(
+                        name,
+                        Kind::NotPermitted,
+                        "no pin of this gauge detects a battery",
+                    ));
+                }
+                self.is_away = is_away;
                 Ok(())
             }
             "cells" => {

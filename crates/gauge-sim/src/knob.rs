@@ -87,6 +87,7 @@ pub(super) static KNOBS: &[Knob] = &[
     ),
     Of::Block
         .set("cc_offset_ma", "current in mA that the gauge adds, from which CC Offset is subtracted; `auto` if that fits"),
+    Of::Block.set("bat_det", "`in` or `out`: whether the gauge's pin detects a battery; the gauge keeps its power"),
     Of::Block.set("temperature_error", "error of the temperature sensors in 0.1 K"),
     Of::Block.set("noise_mv", "largest noise of Voltage() in mV"),
     Of::Block.set("noise_ma", "largest noise of Current() in mA"),

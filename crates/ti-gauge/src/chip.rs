@@ -370,6 +370,16 @@ pub struct Condition {
     pub primary: Option<Primary>,
 }
 
+impl Condition {
+    /// Whether the flags show a battery. Parts without a flag for it have one whenever they answer, unless all flags say
+    /// that nothing does.
+    pub fn shows_battery(&self, flags: Option<i64>) -> bool {
+        let is_set = |flags: i64| flags & i64::from(self.present) != 0;
+        let is_absent = self.absent != 0 && flags == Some(self.absent.into());
+        !is_absent && (self.present == 0 || flags.is_some_and(is_set))
+    }
+}
+
 /// A gauge for primary cells, which are never charged: `status` is `Discharging` while a current flows, whatever
 /// its sign, and otherwise `Not charging`; never `Charging` or `Full`.
 #[derive(Debug)]

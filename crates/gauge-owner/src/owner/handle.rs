@@ -18,7 +18,7 @@ use crate::error::{Error, Result};
 use gauge_bus::clock::Clock;
 use ti_gauge::authentication::{Message, Order};
 use ti_gauge::calibration::Measured;
-use ti_gauge::chip::{Chip, Limited, Parameter, Register, Subclass};
+use ti_gauge::chip::{Chip, Limited, Parameter, Register, Role, Subclass};
 use ti_gauge::codec;
 use ti_gauge::dataflash::{Change, Place};
 use ti_gauge::epoch::{Epoch, Fact};
@@ -57,6 +57,8 @@ impl Snapshot {
 pub struct Published {
     /// The last poll; `None` while the gauge is gone.
     pub snapshot: Option<Arc<Snapshot>>,
+    /// A poll has failed since.
+    pub(super) is_failing: bool,
     /// Another one whenever the gauge was away, or may be another one than before.
     pub presence: Epoch<Presence>,
     /// The answers of the gauge when it was identified.
@@ -172,6 +174,7 @@ impl Shared {
     ) -> Self {
         let published = Published {
             snapshot: None,
+            is_failing: false,
             presence: now::presence(),
             answers: Answers::default(),
             limited: (!gauge.chip.has_table()).then_some(Limited::NoTable),
@@ -221,6 +224,16 @@ impl Shared {
             *published = Arc::new(next);
         }
         self.raise();
+    }
+
+    /// Whether the gauge answers and has a battery. A poll that is too old to be shown is no sign that it does not, unless
+    /// others have failed since: an access may take long.
+    pub(super) fn is_present(&self) -> bool {
+        let published = self.published();
+        let Some(last) = &published.snapshot else { return false };
+        let flags = self.chip.register(Role::Flags).and_then(|flags| last.value(flags));
+        let is_old = || self.clock.now().saturating_sub(last.taken) > published.interval * 3;
+        self.chip.condition.shows_battery(flags) && !(published.is_failing && is_old())
     }
 
     fn raise(&self) {
@@ -470,6 +483,11 @@ impl Handle {
         Some(self.shared.clock.now().saturating_sub(taken))
     }
 
+    /// Whether the gauge answers and has a battery.
+    pub fn is_present(&self) -> bool {
+        self.shared.is_present()
+    }
+
     /// The owner's clock.
     pub fn now(&self) -> Duration {
         self.shared.clock.now()
@@ -612,7 +630,6 @@ mod tests {
     use super::super::rig::{INTERVAL, Rig};
     use super::*;
     use crate::error::Cause;
-    use ti_gauge::chip::Role;
 
     #[test]
     fn a_published_snapshot_is_replaced_as_a_whole() {

@@ -15,10 +15,10 @@ use jiff::{SignedDuration, Timestamp};
 use super::operation::Asked;
 use super::{Attempt, Owner};
 use crate::error::{Cause, Error, Result};
-use ti_gauge::chip::{Chip, Parameter, Stays, Subclass};
+use ti_gauge::chip::{Chip, Parameter, Row, Stays, Subclass};
 use ti_gauge::dataflash::{self, Change, Place};
 use ti_gauge::gauge::Seal;
-use ti_gauge::image::{Image, toml};
+use ti_gauge::image::{Entry, Image, toml};
 use ti_gauge::journal;
 use ti_gauge::value::Value;
 
@@ -102,6 +102,11 @@ impl Learned {
     #[must_use]
     pub fn trusting(self, account: Option<u32>) -> Self {
         Self { trusted: account, ..self }
+    }
+
+    /// The name of its pack.
+    pub(super) fn pack_name(&self) -> Option<&str> {
+        self.pack.as_deref()
     }
 
     /// What a pack of another name, or of none, learns there.
@@ -332,7 +337,10 @@ impl Owner {
 
     /// The profile with what the pack has learned in the place of the profile's own, and from when that is.
     pub(super) fn profile_with_learned(&mut self) -> (Vec<Change>, Option<Version>) {
-        let profile = self.memory.profile().to_vec();
+        let mut profile = self.memory.profile().to_vec();
+        if self.memory.is_of_another_pack() {
+            profile = over(unlearned(self.gauge.chip, self.shared.published().answers.dm_code), profile);
+        }
         let Some(store) = self.learned.clone() else { return (profile, None) };
         if store.pack.is_none() {
             if !store.files(self.gauge.chip).is_empty() {
@@ -556,6 +564,18 @@ impl Owner {
     }
 }
 
+/// What a gauge that has learned nothing yet has in the place of that, where a source prints it.
+fn unlearned(chip: &'static Chip, dm_code: Option<u16>) -> Vec<Change> {
+    let rows = chip.rows().filter(|row| !row.1.unproven && chip.stays(*row) == Stays::Pack);
+    let default = |(subclass, parameter): Row| {
+        let value = Value::Int(parameter.int_default(dm_code)?);
+        Some(Entry { subclass, parameter, value, line: 0 })
+    };
+    let mut image = Image::new(chip, None);
+    image.entries = rows.filter_map(default).collect();
+    restored(&image).unwrap_or_default()
+}
+
 /// Changes, with others in the place of those of the same parameters.
 fn over(mut changes: Vec<Change>, others: Vec<Change>) -> Vec<Change> {
     changes.retain(|change| others.iter().all(|other| other.place() != change.place()));
@@ -642,6 +662,77 @@ mod tests {
             let mut rig = self::rig(&folder, Some(pack));
             lose_power(&mut rig);
             assert_eq!(words(&mut rig), expected, "{pack}");
+        }
+        fs::remove_dir_all(folder).expect("it is there");
+    }
+
+    /// The gauge has power of its own, and another battery comes.
+    fn exchange_battery(rig: &mut Rig, between: impl FnOnce()) {
+        let then = rig.handle.published().presence;
+        rig.sim.set("bat_det", "out").expect("a knob");
+        rig.poll_after(INTERVAL);
+        assert!(!rig.handle.is_present());
+        let away = rig.handle.published().presence;
+        between();
+        rig.sim.set("bat_det", "in").expect("a knob");
+        for _ in 0..3 {
+            rig.poll_after(INTERVAL);
+        }
+        let now = rig.handle.published().presence;
+        assert!(rig.handle.is_present() && then != away && away != now && then != now);
+    }
+
+    #[test]
+    fn regression_a_battery_that_was_inserted_had_what_another_one_had_taught() {
+        // Without a name it may be any; the one of a name is that one.
+        for (pack, expected) in [(None, (16_000, 102)), (Some("A"), (15_432, 77))] {
+            let folder = folder(&format!("inserted-{}", pack.is_some()));
+            let mut rig = rig(&folder, pack);
+            learn(&mut rig, 15_432);
+            exchange_battery(&mut rig, || {});
+            assert_eq!(words(&mut rig), expected, "{pack:?}");
+            assert_eq!(*rig.handle.published().last_error, *"");
+            fs::remove_dir_all(folder).expect("it is there");
+        }
+    }
+
+    #[test]
+    fn a_battery_that_was_inserted_gets_the_profile_and_the_name_of_its_pack() {
+        let folder = folder("chosen");
+        fs::create_dir_all(&folder).expect("a folder");
+        let shows = folder.join("pack");
+        let name = |name: &str| fs::write(&shows, name).expect("a file");
+        let choice = |text: &str, design: u16| {
+            let evidence = Some(crate::choose::Evidence::File(shows.clone()));
+            let rule = crate::Rule {
+                evidence,
+                text: Some(text.into()),
+                pack_by_text: true,
+                profile: text.into(),
+                ..crate::Rule::default()
+            };
+            let image =
+                format!("chip = \"bq27441-g1\"\n[state]\ndesign-capacity = {design}\nqmax-cell-0 = 16000\n");
+            let image = Image::parse(&image, Some(chip())).expect("an image");
+            crate::Choice { rule, profile: image.to_restore().expect("values in range") }
+        };
+        let learned = Learned::new(folder.clone(), "i2c-1-55".into(), None);
+        let choices = vec![choice("A", 1234), choice("B", 1300)];
+        let settings = Settings { choices, learned: Some(learned), ..Settings::default() };
+        name("A");
+        let mut rig = Rig::of("bq27441-g1", settings, Startup::default());
+        rig.start().expect("it answers");
+        (0..2).for_each(|_| rig.poll_after(INTERVAL));
+        learn(&mut rig, 15_432);
+        let design = |rig: &mut Rig| {
+            let index = rig.index(82);
+            let read = rig.ask(&op::READ, vec![index]).expect("it is read");
+            u16::from_be_bytes([read[0][10], read[0][11]])
+        };
+        for (pack, expected, capacity) in [("B", (16_000, 102), 1300), ("A", (15_432, 77), 1234)] {
+            exchange_battery(&mut rig, || name(pack));
+            assert_eq!((words(&mut rig), design(&mut rig)), (expected, capacity), "{pack}");
+            assert!(told(&mut rig).contains(&format!("of the pack {pack}")), "{}", told(&mut rig));
         }
         fs::remove_dir_all(folder).expect("it is there");
     }

@@ -37,11 +37,19 @@ pub(super) struct Memory {
     lost_again: u32,
     /// The gauge was told that it has a battery.
     inserted: Fact<(), Presence>,
+    /// The gauge has reported another battery, and still has what it has learned of the one before, of this name.
+    exchanged: Option<Before>,
+    /// It has reported that its battery was taken out.
+    is_away: bool,
     /// When what it has learned is looked at.
     pub(super) next_look: Option<Duration>,
     /// What was found there first since it has come, or was written.
     pub(super) first: Option<Vec<Change>>,
 }
+
+/// The name of the pack that was there before an exchange, if it had one.
+#[derive(Debug)]
+struct Before(Option<String>);
 
 /// The loss of the configuration.
 #[derive(Debug, Default)]
@@ -71,6 +79,8 @@ impl Memory {
             design: None,
             lost_again: 0,
             inserted: Fact::default(),
+            exchanged: None,
+            is_away: false,
             next_look: None,
             first: None,
         }
@@ -83,6 +93,11 @@ impl Memory {
     /// What was chosen, and why; empty where there is no choice, or none was made.
     pub(super) fn why(&self) -> &str {
         &self.why
+    }
+
+    /// Whether what the gauge has learned is of another pack than the one that is there.
+    pub(super) fn is_of_another_pack(&self) -> bool {
+        self.exchanged.is_some()
     }
 
     /// Whether a loss of it is looked for.
@@ -103,6 +118,10 @@ impl Memory {
     /// A gauge has come, or come back.
     pub(super) fn arrives(&mut self) {
         (self.loss, self.lost_again, self.first) = (Loss::None, 0, None);
+        self.is_away = false;
+        if self.exchanged.is_some() {
+            self.loss = Loss::Owed { attempts: 0, failure: String::new() };
+        }
         self.is_doubtful();
     }
 
@@ -157,7 +176,9 @@ impl Owner {
         let published = self.shared.published();
         let is_shown = published.snapshot.as_ref().is_none_or(|snapshot| snapshot.is_configured);
         // What has failed is tried again after its pause.
-        if !is_shown && matches!(self.memory.loss, Loss::None | Loss::Written) {
+        if !is_shown
+            && matches!(self.memory.loss, Loss::None | Loss::Written | Loss::Owed { attempts: 0, .. })
+        {
             self.repair_memory();
         }
     }
@@ -166,9 +187,9 @@ impl Owner {
         let chip = self.gauge.chip;
         let Some(flag) = chip.volatile else { return };
         let published = self.shared.published();
-        let Some(snapshot) = published.snapshot.as_ref().filter(|_| published.limited.is_none()) else {
-            return;
-        };
+        let snapshot = published.snapshot.as_ref().filter(|_| published.limited.is_none());
+        // Another pack is identified first, with the next poll.
+        let Some(snapshot) = snapshot.filter(|_| !self.dataflash.doubts()) else { return };
         let is_reported = reports_loss(chip, &snapshot.registers);
         if flag == 0 && published.seal != Seal::Sealed && self.schedule.has_read_slow_tier() {
             self.memory.is_doubtful();
@@ -187,7 +208,7 @@ impl Owner {
             (Loss::Written, false) if flag == 0 => (0, false),
             (Loss::None | Loss::Accepted | Loss::Written | Loss::Stopped, false) => {
                 (self.memory.loss, self.memory.lost_again) = (Loss::None, 0);
-                if is_compared || !self.memory.is_managed() {
+                if is_compared || !self.memory.is_managed() || self.memory.is_away {
                     return;
                 }
                 (0, false)
@@ -214,6 +235,10 @@ impl Owner {
             return self.stop_restoring();
         }
         match self.choose_profile(is_lost) {
+            Ok(()) if !is_reported && self.is_pack_of_before() => {
+                (self.memory.exchanged, self.memory.loss) = (None, Loss::None);
+                self.write_profile(attempts, false);
+            }
             Ok(()) => self.write_profile(attempts, is_lost),
             Err(why) if is_lost => self.still_owed(&why, false, attempts),
             Err(why) => {
@@ -222,6 +247,45 @@ impl Owner {
                 self.shared.report(Attempt::RESTORE, &error);
             }
         }
+    }
+
+    /// The gauge, which has kept its power, reports that its battery was taken out, or that there is one again. It keeps what
+    /// it has learned of the one before.
+    pub(super) fn battery_has_changed(&mut self, is_there: bool) {
+        let chip = self.gauge.chip;
+        let name = self.shared.name();
+        log::info!(
+            "{name}: {}",
+            if is_there { "a battery was inserted" } else { "the battery was taken out" }
+        );
+        let was_told = self.memory.inserted.is_known(self.shared.published().presence);
+        self.begin_anew();
+        if was_told {
+            self.memory.inserted.learn(self.shared.published().presence, ());
+        }
+        // By its profile no pin detects one: the flag shows what a host has said.
+        if waits_for_insertion(chip, &self.memory.profile).is_some() {
+            return;
+        }
+        self.memory.is_away = !is_there;
+        if !is_there {
+            return;
+        }
+        if self.memory.is_watched(chip) {
+            let before = self.learned.as_ref().and_then(|learned| learned.pack_name().map(str::to_string));
+            self.memory.exchanged.get_or_insert(Before(before));
+            self.memory.loss = Loss::Owed { attempts: 0, failure: String::new() };
+        }
+        self.forget_dataflash();
+        self.dataflash.doubt_pack();
+        self.schedule.hurry();
+    }
+
+    /// Whether a battery that was taken out and inserted is certainly the same pack, by its name.
+    fn is_pack_of_before(&self) -> bool {
+        let now = self.learned.as_ref().and_then(|learned| learned.pack_name());
+        let before = self.memory.exchanged.as_ref().and_then(|before| before.0.as_deref());
+        before.is_some() && before == now
     }
 
     /// Makes the choice among several profiles, for a gauge that has come or has lost its memory.
@@ -269,7 +333,7 @@ impl Owner {
                 self.memory.compared.learn(now, ());
                 self.shared.succeeded(&Attempt::RESTORE);
                 if was_kept {
-                    self.memory.loss = Loss::None;
+                    (self.memory.loss, self.memory.exchanged) = (Loss::None, None);
                     self.memory.lost_again = 0;
                     self.show_configured();
                     return;
@@ -279,10 +343,11 @@ impl Owner {
                 self.shared.succeeded(&operations::SETTLE.itself());
                 let learned = learned.map(|time| format!(", with what it had learned until {time}"));
                 let learned = learned.unwrap_or_default();
-                log::info!(
-                    "{}: lost its configuration with its power; the profile is restored{learned}",
-                    self.shared.name()
-                );
+                let why = match self.memory.exchanged {
+                    Some(_) => "has another battery; its profile is written",
+                    None => "lost its configuration with its power; the profile is restored",
+                };
+                log::info!("{}: {why}{learned}", self.shared.name());
                 if self.gauge.chip.volatile == Some(0) && matches!(self.memory.loss, Loss::Written) {
                     self.memory.lost_again += 1;
                 }
@@ -309,7 +374,7 @@ impl Owner {
     /// All that was to be there was written.
     pub(super) fn has_written_memory(&mut self) {
         self.memory.compared.learn(self.shared.published().presence, ());
-        self.memory.loss = Loss::Written;
+        (self.memory.loss, self.memory.exchanged) = (Loss::Written, None);
         self.memory.design = None;
         self.memory.inserted = Fact::default();
         (self.memory.first, self.memory.next_look) = (None, None);

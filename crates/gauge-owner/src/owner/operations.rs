@@ -187,6 +187,10 @@ impl Owner {
     }
 
     fn set_interval(&mut self, interval: Duration, _: Asked) -> Result<()> {
+        // By a longer interval it may seem that it has been there all the time.
+        if self.shared.published().snapshot.is_some() && !self.shared.is_present() {
+            self.begin_anew();
+        }
         self.shared.publish(|published| published.interval = interval);
         Ok(())
     }
@@ -226,10 +230,6 @@ impl Owner {
         Ok(kept.into_iter().filter_map(|kept| kept.or_else(|| read.next())).collect())
     }
 
-    pub(super) fn read_anew(&mut self, wanted: &[usize], waited: Duration) -> Result<Vec<Arc<[u8]>>> {
-        let rows: Vec<&Subclass> = wanted.iter().map(|&index| &self.gauge.chip.subclasses[index]).collect();
-        if rows.is_empty() {
-            return Ok(Vec::new());
     fn know(&mut self, wanted: &[usize], waited: Duration) -> Result<()> {
         if !wanted.is_empty() {
             return self.read(wanted, waited).map(drop);
@@ -238,6 +238,10 @@ impl Owner {
         Ok(self.noted(outcome)?)
     }
 
+    pub(super) fn read_anew(&mut self, wanted: &[usize], waited: Duration) -> Result<Vec<Arc<[u8]>>> {
+        let rows: Vec<&Subclass> = wanted.iter().map(|&index| &self.gauge.chip.subclasses[index]).collect();
+        if rows.is_empty() {
+            return Ok(Vec::new());
         }
         let read = self.dataflash.read(&mut self.gauge, &rows, waited);
         self.keep(wanted, read)
@@ -279,6 +283,7 @@ impl Owner {
         if self.dataflash.doubts() {
             log::warn!("{}: another pack answers, as data flash shows; it is read anew", self.shared.name());
             self.forget_dataflash();
+            self.begin_anew();
             self.schedule.hurry();
         }
         for (&index, bytes) in wanted.iter().zip(&read) {

@@ -201,6 +201,7 @@ impl Owner {
         if was_gone {
             return;
         }
+        self.shared.publish(|published| published.is_failing = true);
         self.shared.report(Attempt::Poll, error);
         if self.schedule.is_gone() {
             log::warn!("{}: the gauge is gone", self.shared.name());
@@ -242,7 +243,14 @@ impl Owner {
             return Err(Error::new(chip.name, Cause::Protocol, why).at(Step::Read));
         }
         let value = |code| word(chip, &registers, code);
-        if self.dataflash.misreads_loss(&mut self.gauge, value)? || self.dataflash.is_surprised(chip, value) {
+        let last = self.shared.published().snapshot.clone();
+        let had_battery = last.map(|last| has_battery(chip, &last.registers));
+        let has_changed =
+            |registers: &Registers| had_battery.is_some_and(|had| had != has_battery(chip, registers));
+        if self.dataflash.misreads_loss(&mut self.gauge, value)?
+            || self.dataflash.is_surprised(chip, value)
+            || has_changed(&registers)
+        {
             self.schedule.reads(taken);
             self.gauge.wait(self.schedule.wait(self.gauge.clock.now()));
             taken = self.gauge.clock.now();
@@ -259,7 +267,13 @@ impl Owner {
             let name = contradicted.unwrap_or("data flash");
             log::warn!("{}: another pack answers, as {name} shows; it is read anew", self.shared.name());
             self.forget_dataflash();
+            self.begin_anew();
             self.schedule.hurry();
+        }
+        if has_changed(&registers) {
+            self.battery_has_changed(has_battery(chip, &registers));
+        } else if had_battery == Some(true) && !self.shared.is_present() {
+            self.begin_anew();
         }
         self.unmeasured = if self.has_measured(&registers) { 0 } else { self.unmeasured.saturating_add(1) };
         if self.unmeasured > 0 {
@@ -276,7 +290,9 @@ impl Owner {
         let has_current = primary.is_none_or(|primary| control_status & primary.active != 0);
         let snapshot =
             Snapshot { taken, number, registers, control_status, is_valid, is_configured, has_current };
-        self.shared.publish(|published| published.snapshot = Some(Arc::new(snapshot)));
+        self.shared.publish(|published| {
+            (published.snapshot, published.is_failing) = (Some(Arc::new(snapshot)), false);
+        });
         self.shared.succeeded(&Attempt::Poll);
         Ok(())
     }
@@ -297,6 +313,11 @@ impl Owner {
             && read(registers, Role::VoltageNow) != Some(0)
             && !has_started
     }
+}
+
+/// Whether the registers of a poll show a battery.
+pub(super) fn has_battery(chip: &Chip, registers: &Registers) -> bool {
+    chip.condition.shows_battery(chip.register(Role::Flags).and_then(|flags| registers.value(flags)))
 }
 
 /// The register at an address, in two bytes.
@@ -351,6 +372,88 @@ mod tests {
         rig.clock.sleep(INTERVAL);
         rig.owner.poll_on_time();
         assert!(rig.handle.published().snapshot.is_some(), "the gauge is back");
+    }
+
+    const SHORT: Duration = Duration::from_millis(500);
+
+    /// A gauge that is polled twice a second.
+    fn polled_often() -> Rig {
+        let mut rig = Rig::open();
+        rig.ask(&op::POLL_INTERVAL, SHORT).expect("it is set");
+        rig.poll_after(Duration::from_secs(1));
+        rig
+    }
+
+    /// Another pack in that gap got what was staged for the one before.
+    #[test]
+    fn regression_an_absence_that_present_had_shown_left_the_presence_as_it_was() {
+        for (away, is_shown) in [(Duration::ZERO, false), (Duration::from_millis(900), true)] {
+            let mut rig = polled_often();
+            let then = rig.handle.published().presence;
+            rig.sim.set("power", "off").expect("a knob");
+            rig.poll_after(SHORT);
+            assert!(rig.handle.is_present(), "one poll has failed");
+            rig.clock.sleep(away);
+            assert_eq!(rig.handle.is_present(), !is_shown);
+            rig.sim.set("power", "on").expect("a knob");
+            rig.poll_after(SHORT);
+            assert!(!rig.owner.schedule.has_failed() && rig.handle.is_present());
+            assert_eq!(rig.handle.published().presence != then, is_shown);
+        }
+    }
+
+    #[test]
+    fn a_longer_interval_does_not_hide_that_the_gauge_was_away() {
+        let mut rig = polled_often();
+        let then = rig.handle.published().presence;
+        rig.sim.set("power", "off").expect("a knob");
+        rig.poll_after(SHORT);
+        rig.clock.sleep(4 * SHORT);
+        assert!(!rig.handle.is_present());
+        rig.ask(&op::POLL_INTERVAL, INTERVAL).expect("it is set");
+        assert!(rig.handle.published().presence != then);
+    }
+
+    #[test]
+    fn a_gauge_that_is_busy_for_longer_than_three_polls_is_there() {
+        let mut rig = polled_often();
+        let then = rig.handle.published().presence;
+        rig.clock.sleep(20 * SHORT);
+        assert!(rig.handle.is_present());
+        rig.owner.poll_on_time();
+        assert!(rig.handle.published().presence == then);
+    }
+
+    #[test]
+    fn a_register_that_shows_another_pack_begins_a_presence_at_once() {
+        let mut rig = Rig::open();
+        rig.poll_after(INTERVAL);
+        let then = rig.handle.published().presence;
+        rig.sim.set("power", "off").expect("a knob");
+        rig.poll_after(INTERVAL);
+        rig.sim.set_flash(48, 4, &[0, 7]);
+        rig.sim.set("power", "on").expect("a knob");
+        rig.poll_after(Duration::from_secs(3));
+        assert!(rig.owner.dataflash.doubts() && rig.handle.published().presence != then);
+    }
+
+    /// I2C has no error detection.
+    #[test]
+    fn one_wrong_bit_of_a_poll_takes_no_battery_out() {
+        for byte in 1..=40 {
+            for transfer in 1..=2 {
+                let mut rig = Rig::of("bq27441-g1", Settings::default(), Startup::default());
+                rig.owner.open().expect("it answers");
+                rig.poll_after(INTERVAL);
+                let then = rig.handle.published().presence;
+                rig.sim.set("fault", &format!("flip {transfer} {byte} 3")).expect("a fault");
+                rig.poll_after(INTERVAL);
+                assert!(
+                    rig.handle.is_present() && rig.handle.published().presence == then,
+                    "{transfer} {byte}"
+                );
+            }
+        }
     }
 
     /// A driver that hangs in a transfer, as `gauge_bus::bounded` shows it.
