@@ -23,7 +23,7 @@ use fuser::{
     TimeOrNow, WriteFlags,
 };
 
-use super::inodes::{self, Inodes, Now, Sharing, Shown, Value};
+use super::inodes::{self, Inode, Inodes, Now, Sharing, Shown, Value};
 use super::notify::{Announcer, hash};
 use super::{Options, Table, lock, present};
 use crate::error::{Error, Result};
@@ -43,6 +43,9 @@ const CLOSES: Duration = Duration::from_secs(1);
 const CAPABILITY: &str = "security.capability";
 /// The size of that attribute; any but 0 will do.
 const CAPABILITY_SIZE: u32 = 20;
+
+/// The unit of a file's blocks.
+const BLOCK: u64 = 512;
 
 /// A request that is answered when an unread value has arrived.
 pub(super) enum Waiter {
@@ -118,7 +121,8 @@ impl Adapter {
         FileAttr {
             ino: INodeNo(shown.ino),
             size,
-            blocks: 0,
+            // Programs look for holes in a file with fewer blocks than its size needs.
+            blocks: if kind == FileType::RegularFile { size.div_ceil(BLOCK) } else { 0 },
             atime: shown.since,
             mtime: shown.since,
             ctime: shown.since,
@@ -395,9 +399,9 @@ impl Filesystem for Adapter {
     fn getattr(&self, _: &Request, ino: INodeNo, handle: Option<FileHandle>, reply: ReplyAttr) {
         self.guard(ino, || {
             let (number, now) = (u64::from(ino), Now::read());
-            // `fstat` passes no handle.
-            let reads = handle.is_some();
             let mut inodes = self.using(number);
+            // A read passes a handle, and `fstat` does not.
+            let reads = inodes.is_open(number) || handle.is_some();
             if let Some(node) = inodes.due(number, now) {
                 let value = present(&self.fs, node);
                 // The estimated size of an unread value would be wrong for whoever is reading the old value.
@@ -411,6 +415,10 @@ impl Filesystem for Adapter {
                 drop(inodes);
                 return reply.attr(&self.attr_ttl(&shown), &self.attr(&shown));
             };
+            // The errno of a READ becomes EIO from Linux 7.2 on, and that of this answer does not.
+            if inode.is_gone() {
+                return reply.error(Errno::ENODEV);
+            }
             if reads && inode.is_unread() {
                 return self.answer_when_read(inodes, number, Waiter::SizeToRead(reply));
             }
@@ -455,6 +463,9 @@ impl Filesystem for Adapter {
             let shown = inodes.shown(number, Now::read()).unwrap_or_else(|| inodes.fixed(node));
             // The kernel takes over the time from this answer, but keeps its bytes; the next time has to differ.
             inodes.touch(number);
+            if size.is_some() {
+                inodes.is_truncated(number);
+            }
             drop(inodes);
             if size.is_some() && !self.fs.may_be_written(shown.node) {
                 return reply.error(Errno::EACCES);
@@ -546,6 +557,24 @@ impl Filesystem for Adapter {
             let process = self.fs.is_stream(node).then(|| Process::of_thread(request.pid()));
             let caller = Caller { file: number, process: process.flatten() };
             self.write_in_turn(number, node, caller, offset, data, reply);
+        });
+    }
+
+    /// SEEK_DATA and SEEK_HOLE. No file has a hole, and a gauge is not asked: an ENXIO of it would mean that the file ends
+    /// here. Whoever reads what this promises gets the errno then.
+    fn lseek(&self, _: &Request, ino: INodeNo, _: FileHandle, offset: i64, whence: i32, reply: ReplyLseek) {
+        self.guard(ino, || {
+            let inodes = self.using(ino.into());
+            let Some(shown) = inodes.shown(ino.into(), Now::read()) else {
+                return reply.error(Errno::ESTALE);
+            };
+            let size = i64::try_from(shown.size).unwrap_or(i64::MAX);
+            match whence {
+                _ if inodes.get(ino.into()).is_some_and(Inode::is_gone) => reply.error(Errno::ENODEV),
+                _ if !(0..size).contains(&offset) => reply.error(Errno::ENXIO),
+                nix::libc::SEEK_HOLE => reply.offset(size),
+                _ => reply.offset(offset),
+            }
         });
     }
 
@@ -672,10 +701,6 @@ impl Filesystem for Adapter {
         _: PollFlags,
         reply: ReplyPoll,
     ) {
-        reply.error(Errno::ENOSYS);
-    }
-
-    fn lseek(&self, _: &Request, _: INodeNo, _: FileHandle, _: i64, _: i32, reply: ReplyLseek) {
         reply.error(Errno::ENOSYS);
     }
 

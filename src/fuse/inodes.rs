@@ -133,6 +133,8 @@ pub(super) struct Inode<W> {
     waiting: Option<Vec<W>>,
     /// A thread that may be about to write, and how often it has asked for the attribute that says so.
     asked: (u32, u32),
+    /// How often its attributes were asked for since it was looked up; `None` once it was opened to be overwritten.
+    looks: Option<u32>,
     /// When something was last asked of it.
     used: Instant,
     /// The kernel has been given the whole value.
@@ -157,6 +159,7 @@ impl<W> Inode<W> {
             writing: 0,
             waiting: None,
             asked: (0, 0),
+            looks: Some(0),
             used: now.instant,
             is_read: false,
             was_dropped: false,
@@ -176,6 +179,11 @@ impl<W> Inode<W> {
     /// Whether its value has to be read from the gauge.
     pub(super) fn is_unread(&self) -> bool {
         matches!(self.value, Value::Unread(_))
+    }
+
+    /// Whether its value does not exist any more.
+    pub(super) fn is_gone(&self) -> bool {
+        self.value == Value::Gone
     }
 
     fn is_idle(&self) -> bool {
@@ -203,7 +211,8 @@ impl<W> Inode<W> {
         // One that is not shared may rest sooner, and whoever reads past the kernel's copy (O_DIRECT) has to ask before.
         let most = if self.sharing == Sharing::All { RENEWAL_DELAY } else { READ_THROUGH / 2 };
         let valid = match self.superseded {
-            _ if self.renewed.is_some() => Duration::ZERO,
+            // Whoever reads an unread value has to ask before: from Linux 7.2 on, only that answer's errno reaches programs.
+            _ if self.renewed.is_some() || self.is_unread() => Duration::ZERO,
             // Even if it is superseded at once, it is not renewed earlier.
             None => most,
             Some(_) => {
@@ -330,6 +339,7 @@ impl<W> Inodes<W> {
             let own = inode.sharing == sharing && sharing != Sharing::By(0) && !inode.is_awaited();
             if inode.value == value && (own || !matches!(value, Value::Unread(_))) {
                 inode.lookups += 1;
+                inode.looks = Some(0);
                 inode.used = now.instant;
                 return inode.shown(number, now).expect("it is of this node");
             }
@@ -425,6 +435,23 @@ impl<W> Inodes<W> {
         if inode.lookups == 0 {
             self.live.remove(&number);
             self.drop_current(number);
+        }
+    }
+
+    /// The attributes of a nodeid are asked for. Returns whether somebody has it open: both `stat` and `open` look the name up
+    /// and ask once, so that only `fstat` can ask again. Nobody who has opened the file to overwrite it wants its value.
+    pub(super) fn is_open(&mut self, number: u64) -> bool {
+        let Some(looks) = self.live.get_mut(&number).and_then(|inode| inode.looks.as_mut()) else {
+            return false;
+        };
+        *looks = looks.saturating_add(1);
+        *looks > 1
+    }
+
+    /// A nodeid is to be overwritten.
+    pub(super) fn is_truncated(&mut self, number: u64) {
+        if let Some(inode) = self.live.get_mut(&number) {
+            inode.looks = None;
         }
     }
 
@@ -830,7 +857,7 @@ mod tests {
         assert_eq!(node(entered.number), Some(FILE));
         inodes.wake(entered.number, bytes("22\n"), Sharing::Alone, at(60_000));
         let woken = shown(&inodes, entered.number, 60_000);
-        assert_eq!((woken.ino, woken.size, woken.valid), (entered.ino, 3, Duration::ZERO));
+        assert_eq!((woken.size, woken.valid), (3, Duration::ZERO));
         assert!(woken.since > entered.since, "the kernel drops the bytes that it has");
         // Nobody knows how often it was looked up.
         inodes.forget(entered.number, 1);
@@ -898,21 +925,18 @@ mod tests {
     }
 
     #[test]
-    fn a_file_that_may_be_written_has_a_nodeid_for_each_lookup_and_one_inode_number() {
+    fn a_file_that_may_be_written_has_a_nodeid_for_each_lookup() {
         let mut inodes = inodes();
         let first = inodes.enter(FILE, bytes("1\n"), Sharing::Alone, at(0));
         let second = inodes.enter(FILE, bytes("1\n"), Sharing::Alone, at(1));
         let other = inodes.enter(OTHER, Value::Unread(4096), Sharing::Alone, at(1));
-        assert!(first.number != second.number && first.ino == second.ino && first.ino != other.ino);
-        assert_eq!(shown(&inodes, first.number, 2).ino, first.ino);
+        assert!(first.number != second.number && first.node == second.node);
         inodes.wait(other.number, 1);
-        let (arrived, _) =
-            inodes.arrived(other.number, Some(&b"2\n"[..].into()), at(3)).expect("it is known");
-        assert_eq!((arrived.ino, inodes.current(OTHER)), (other.ino, None));
+        inodes.arrived(other.number, Some(&b"2\n"[..].into()), at(3)).expect("it is known");
+        assert_eq!(inodes.current(OTHER), None);
         assert_ne!(inodes.enter(OTHER, bytes("2\n"), Sharing::Alone, at(4)).number, other.number);
         inodes.forget(first.number, 1);
         inodes.forget(second.number, 1);
-        assert_eq!(inodes.enter(FILE, bytes("1\n"), Sharing::Alone, at(5)).ino, first.ino);
         // A write through one of them leaves the others as they are, until its outcome is known.
         let writes = inodes.enter(FILE, bytes("1\n"), Sharing::Alone, at(6)).number;
         let reads = inodes.enter(FILE, bytes("1\n"), Sharing::Alone, at(6)).number;
@@ -922,6 +946,39 @@ mod tests {
         assert_eq!((inodes.due(reads, at(9)), inodes.due(writes, at(9))), (Some(FILE), None));
         inodes.write_ends(writes, bytes("22\n"), at(9));
         assert_eq!(value(&inodes, writes), &bytes("22\n"));
+    }
+
+    /// Before each read of one, the kernel has to ask.
+    #[test]
+    fn attributes_of_an_unread_value_are_not_valid_for_any_time() {
+        for sharing in [Sharing::Alone, THREAD] {
+            let mut inodes = inodes();
+            let number = inodes.enter(FILE, Value::Unread(4096), sharing, at(0)).number;
+            assert_eq!(shown(&inodes, number, 0).valid, Duration::ZERO, "{sharing:?}");
+            inodes.wait(number, 1);
+            inodes.arrived(number, None, at(1));
+            assert_eq!(shown(&inodes, number, 1).valid, Duration::ZERO, "{sharing:?}");
+            inodes.wait(number, 1);
+            inodes.arrived(number, Some(&b"3000\n"[..].into()), at(1));
+            assert_eq!(shown(&inodes, number, 1).valid, READ_THROUGH / 2, "{sharing:?}");
+        }
+    }
+
+    #[test]
+    fn who_asks_twice_without_a_lookup_has_the_file_open() {
+        for sharing in [Sharing::Alone, THREAD] {
+            let mut inodes = inodes();
+            let mut enter = |at_time| inodes.enter(FILE, Value::Unread(4096), sharing, at(at_time)).number;
+            let (first, second) = (enter(0), enter(1));
+            assert!(!inodes.is_open(second), "stat or open: {sharing:?}");
+            assert!(inodes.is_open(second) && inodes.is_open(second), "fstat: {sharing:?}");
+            assert_eq!(inodes.is_open(first), sharing == THREAD, "threads have one nodeid: {sharing:?}");
+            let third = inodes.enter(FILE, Value::Unread(4096), sharing, at(2)).number;
+            inodes.is_truncated(third);
+            assert!(!inodes.is_open(third) && !inodes.is_open(third), "to overwrite it: {sharing:?}");
+            let fourth = inodes.enter(FILE, Value::Unread(4096), sharing, at(3)).number;
+            assert!(!inodes.is_open(fourth) && inodes.is_open(fourth), "looked up again: {sharing:?}");
+        }
     }
 
     #[test]
@@ -1089,8 +1146,6 @@ mod tests {
         /// The nodeid of each file's last lookup, until something but the file's value replaces it.
         last: HashMap<u32, u64>,
         known: BTreeMap<u64, Known>,
-        /// The inode number of the file that may be written.
-        ino: Option<u64>,
         /// Makes values and requests unique.
         count: u32,
     }
@@ -1106,7 +1161,7 @@ mod tests {
     impl Model {
         fn new() -> Self {
             let files = (0..3).map(|file| (vec![b'a' + file], true)).collect();
-            Self { now: 0, files, last: HashMap::new(), known: BTreeMap::new(), ino: None, count: 0 }
+            Self { now: 0, files, last: HashMap::new(), known: BTreeMap::new(), count: 0 }
         }
 
         fn bytes(&self, file: u32) -> Option<Vec<u8>> {
@@ -1253,7 +1308,6 @@ mod tests {
             let (bytes, number) = (self.bytes(file), shown.number);
             if file == WRITABLE {
                 assert!(!self.known.contains_key(&number), "each lookup has a nodeid of its own");
-                assert_eq!(shown.ino, *self.ino.get_or_insert(shown.ino), "and all have one inode number");
             } else if let Some(last) = self.last.insert(file, number)
                 && bytes.is_some()
                 && self.known.get(&last).is_some_and(|known| known.bytes == bytes)

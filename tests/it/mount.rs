@@ -796,25 +796,6 @@ fn a_first_read_in_pieces_is_complete() {
     }
 }
 
-/// `cp` compares the opened file with the result of an earlier stat(2).
-#[test]
-fn files_can_be_copied() {
-    let Some(mount) = quiet("bq34z100-g1") else { return };
-    let copy = mount.folder.with_extension("copy");
-    for name in ["df/index", "df/80/53", "df/80/raw", "capacity"] {
-        let cp = std::process::Command::new("cp").arg(mount.path(name)).arg(&copy).output().expect("cp");
-        assert!(
-            cp.status.success() && cp.stderr.is_empty(),
-            "{name}: {}",
-            String::from_utf8_lossy(&cp.stderr)
-        );
-        let (copied, there) = (fs::read(&copy).expect("a copy"), fs::read(mount.path(name)).expect("a file"));
-        assert!(copied == there, "{name}: {} bytes of {}", copied.len(), there.len());
-        // It has the mode of the file, which does not let its owner write to it.
-        fs::remove_file(&copy).expect("removed");
-    }
-}
-
 /// Every listed file exists, from the start and whatever values the gauge has, and only files of this part are listed.
 #[test]
 fn listed_files_exist() {

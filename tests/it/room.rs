@@ -21,6 +21,6 @@ pub(crate) use commands::{
     users_can_mount, within,
 };
 pub(crate) use documents::{TEXT, readme, root, rows, table, within_code};
-pub(crate) use mounted::{Mount, Swift, errno, mapped, quiet, statistic, write_cut};
+pub(crate) use mounted::{Mount, Swift, errno, mapped, quiet, statistic, swift, write_cut};
 pub(crate) use scratch::{Connections, Folder, folder, folder_named, remove};
 pub(crate) use session::{Session, Step, steps};

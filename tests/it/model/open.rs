@@ -132,6 +132,17 @@ impl Model {
         self.open = kept;
     }
 
+    /// What a call may answer that asks for the size of an open file, which fails as a read would.
+    fn sized(&self, class: Class, disturbed: bool) -> Expected {
+        let expected = Expected::success().perhaps(&self.failures());
+        match class {
+            Class::Secret | Class::SecretRaw => expected.perhaps(&[Errno::EPERM]),
+            Class::Measured if disturbed => expected.perhaps(&[Errno::ENODEV]),
+            Class::Fleeting => expected.perhaps(&[Errno::ENODEV]),
+            _ => expected,
+        }
+    }
+
     /// Calls that take an open file.
     pub(super) fn on_open_file(&mut self, user: usize) {
         let Some(at) = self.held() else { return };
@@ -151,14 +162,24 @@ impl Model {
             }
             1 => {
                 let answer = who.does(move || rustix::fs::fstat(&fd)).map_err(of_io);
-                self.check("fstat", &what, answer, Expected::success());
+                self.check("fstat", &what, answer, self.sized(class, disturbed));
             }
             2 => {
-                let wanted = self.random.pick(&[SeekFrom::End(0), SeekFrom::Current(-5), SeekFrom::Start(0)]);
-                // For the end the kernel asks for the size, which fails as a read would.
-                let refused: &[_] = if class.is_secret() { &[Errno::EPERM] } else { &[] };
-                let expected = Expected::success().perhaps(&[Errno::EINVAL]).perhaps(refused);
-                let expected = expected.perhaps(&self.failures());
+                let wanted = [
+                    SeekFrom::End(0),
+                    SeekFrom::Current(-5),
+                    SeekFrom::Start(0),
+                    SeekFrom::Data(0),
+                    SeekFrom::Hole(0),
+                    SeekFrom::Data(1 << 20),
+                ];
+                let wanted = self.random.pick(&wanted);
+                let expected = self.sized(class, disturbed).perhaps(&[Errno::EINVAL]);
+                // Of a file that is empty, or ends before.
+                let expected = match wanted {
+                    SeekFrom::Data(_) | SeekFrom::Hole(_) => expected.perhaps(&[Errno::ENXIO]),
+                    _ => expected,
+                };
                 let answer = self.users[user].does(move || rustix::fs::seek(&fd, wanted)).map_err(of_io);
                 self.check("lseek", &what, answer, expected);
             }

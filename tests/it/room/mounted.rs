@@ -170,6 +170,18 @@ impl Swift {
         access: Access,
         prepare: impl FnOnce(&Sim),
     ) -> Self {
+        Self::behind(chip, folder, settings, access, prepare, |sim| Box::new(sim.bus()))
+    }
+
+    /// The same behind a given bus.
+    pub(crate) fn behind(
+        chip: &'static Chip,
+        folder: Folder,
+        settings: Settings,
+        access: Access,
+        prepare: impl FnOnce(&Sim),
+        bus: impl FnOnce(&Sim) -> Box<dyn Bus>,
+    ) -> Self {
         let at = PathBuf::from(folder.file("m"));
         fs::create_dir(&at).expect("a folder");
         let clock = Arc::new(HurriedClock::default());
@@ -178,8 +190,7 @@ impl Swift {
         prepare(&sim);
         clock.sleep(Duration::from_secs(2));
         let signal = Arc::new(Signal::default());
-        let handle = owner::spawn(chip, Box::new(sim.bus()), clock.clone(), settings, signal.clone())
-            .expect("a gauge");
+        let handle = owner::spawn(chip, bus(&sim), clock.clone(), settings, signal.clone()).expect("a gauge");
         let gauge = MountedGauge {
             name: "BAT0".into(),
             handle: handle.clone(),
@@ -190,6 +201,17 @@ impl Swift {
         let mounted = fuse::mount(tree, &at, fuse::Options::default(), signal).expect("a mount");
         Self { root: at.join("BAT0"), clock, sim, handle, _mounted: mounted, folder }
     }
+}
+
+/// A gauge behind a given bus, polled once an hour; `None` if this machine cannot mount FUSE.
+pub(crate) fn swift(keys: Keys, bus: impl FnOnce(&Sim) -> Box<dyn Bus>) -> Option<Swift> {
+    if !super::can_mount() {
+        return None;
+    }
+    let settings = Settings { keys, interval: Duration::from_secs(3600), ..Settings::default() };
+    let (uid, gid) = (nix::unistd::geteuid().as_raw(), nix::unistd::getegid().as_raw());
+    let chip = Chip::by_name(super::CHIP).expect("a chip of the tables");
+    Some(Swift::behind(chip, Folder::new(), settings, Access { uid, gid, group: false }, |_| {}, bus))
 }
 
 pub(crate) fn statistic(handle: &Handle, wanted: &str) -> u64 {
