@@ -8,6 +8,7 @@
 //!   until nobody has used it for a while. So no reader gets the size of one value with the bytes of another, and a value that
 //!   has not changed comes from the kernel's page cache without a message. A file that may be written has a nodeid
 //!   for each lookup, so that nobody reads what the kernel has copied there for a writer and gaugefs then refuses.
+//! - `entry` is the answer to a LOOKUP.
 //! - `notify` is the thread that notifies the kernel that files have a new value.
 //!
 //! `open` is answered ENOSYS once, after which the kernel does not ask again; so is `opendir`, except over
@@ -30,6 +31,7 @@ use crate::fs::{Fs, Node};
 use gauge_owner::Signal;
 
 mod adapter;
+mod entry;
 mod inodes;
 pub mod knobs;
 pub mod needs;
@@ -132,8 +134,9 @@ fn start(
         _alive: alive,
     };
     let session = begin(adapter)?;
+    announcer.device.open(session.as_fd()).map_err(|error| host("/dev/fuse", &error))?;
     if !options.names_not_kept {
-        announcer.keep_names(session.as_fd());
+        announcer.keep_names();
     }
     let notifier = session.notifier();
     announcer.start(fs, table, notifier)?;

@@ -17,12 +17,13 @@ use std::time::{Duration, Instant, SystemTime};
 
 use fuser::{
     AccessFlags, BsdFileFlags, CopyFileRangeFlags, Errno, FileAttr, FileHandle, FileType, Filesystem,
-    FopenFlags, Generation, INodeNo, InitFlags, IoctlFlags, KernelConfig, LockOwner, OpenFlags, PollEvents,
-    PollFlags, PollNotifier, RenameFlags, ReplyAttr, ReplyCreate, ReplyData, ReplyDirectory, ReplyEmpty,
-    ReplyEntry, ReplyIoctl, ReplyLseek, ReplyOpen, ReplyPoll, ReplyStatfs, ReplyWrite, ReplyXattr, Request,
-    TimeOrNow, WriteFlags,
+    FopenFlags, INodeNo, InitFlags, IoctlFlags, KernelConfig, LockOwner, OpenFlags, PollEvents, PollFlags,
+    PollNotifier, RenameFlags, ReplyAttr, ReplyCreate, ReplyData, ReplyDirectory, ReplyEmpty, ReplyEntry,
+    ReplyIoctl, ReplyLseek, ReplyOpen, ReplyPoll, ReplyStatfs, ReplyWrite, ReplyXattr, Request, TimeOrNow,
+    WriteFlags,
 };
 
+use super::entry::Entry;
 use super::inodes::{self, Inode, Inodes, Now, Sharing, Shown, Value};
 use super::notify::{Announcer, hash};
 use super::{Options, Table, lock, present};
@@ -119,7 +120,8 @@ impl Adapter {
         };
         let (uid, gid) = self.fs.owner();
         FileAttr {
-            ino: INodeNo(shown.ino),
+            // Not the nodeid: 32-bit programs without large-file support cannot take a larger number.
+            ino: INodeNo(shown.node.place().into()),
             size,
             // Programs look for holes in a file with fewer blocks than its size needs.
             blocks: if kind == FileType::RegularFile { size.div_ceil(BLOCK) } else { 0 },
@@ -379,10 +381,8 @@ impl Filesystem for Adapter {
             };
             let Some(shown) = shown else { return reply.error(Errno::ENOENT) };
             let (attr_ttl, entry_ttl) = (self.attr_ttl(&shown), self.name_ttl(node));
-            // The crate `fuser` takes the nodeid from here as well. Where the inode number is another one, the kernel asks
-            // for it before it shows it, because these attributes are not valid for any time.
-            let attr = FileAttr { ino: INodeNo(shown.number), ..self.attr(&shown) };
-            reply.entry_with_ttls(&attr_ttl, &entry_ttl, &attr, Generation(0));
+            let entry = Entry { nodeid: shown.number, attr: self.attr(&shown), attr_ttl, entry_ttl };
+            self.announcer.device.answer(request, &entry, reply);
         });
     }
 

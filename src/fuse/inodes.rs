@@ -94,8 +94,6 @@ impl Value {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Shown {
     pub(super) number: u64,
-    /// The inode number that `stat` shows. `cp` takes a file whose inode number changes for another file.
-    pub(super) ino: u64,
     pub(super) node: Node,
     pub(super) size: u64,
     /// When the nodeid got its present value.
@@ -207,7 +205,6 @@ impl<W> Inode<W> {
     /// What `stat` shows of it; `number` is its own.
     fn shown(&self, number: u64, now: Now) -> Option<Shown> {
         let node = node(number)?;
-        let ino = if self.sharing == Sharing::Alone { node.place().into() } else { number };
         // One that is not shared may rest sooner, and whoever reads past the kernel's copy (O_DIRECT) has to ask before.
         let most = if self.sharing == Sharing::All { RENEWAL_DELAY } else { READ_THROUGH / 2 };
         let valid = match self.superseded {
@@ -219,7 +216,7 @@ impl<W> Inode<W> {
                 self.due().map_or(Duration::ZERO, |due| due.saturating_duration_since(now.instant)).min(most)
             }
         };
-        Some(Shown { number, ino, node, size: self.value.size(), since: self.since, valid })
+        Some(Shown { number, node, size: self.value.size(), since: self.since, valid })
     }
 }
 
@@ -283,7 +280,7 @@ impl<W> Inodes<W> {
     pub(super) fn fixed(&self, node: Node) -> Shown {
         let number = node.place().into();
         let since = self.listings.get(&node).map_or(self.started, |listing| listing.since);
-        Shown { number, ino: number, node, size: 0, since, valid: Duration::ZERO }
+        Shown { number, node, size: 0, since, valid: Duration::ZERO }
     }
 
     /// A new nodeid of a file.

@@ -19,15 +19,14 @@
 //! The last one makes the kernel look up every name again. Linux has it since 6.16; an older one may not keep the
 //! names of files at all, so that it sends a LOOKUP each time a file is opened.
 
-use std::fs::File;
 use std::hash::{DefaultHasher, Hash, Hasher};
-use std::io::Write;
-use std::os::fd::BorrowedFd;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::{Arc, Mutex, OnceLock, mpsc};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, mpsc};
 
 use fuser::{INodeNo, Notifier};
 
+use super::entry::Device;
 use super::inodes::{self, Now};
 use super::{Shared, Table, host, lock, present};
 use crate::error::{Cause, Error, Result};
@@ -45,8 +44,9 @@ pub(super) type Answer = Box<dyn FnOnce() + Send>;
 pub struct Announcer {
     queue: Arc<Mutex<Queue>>,
     signal: Arc<Signal>,
-    /// `/dev/fuse`, if the kernel keeps names. The crate `fuser` does not have the notification that this takes.
-    names: Arc<OnceLock<File>>,
+    pub(super) device: Device,
+    /// The kernel keeps names.
+    keeps_names: Arc<AtomicBool>,
     /// The daemon is ending. Locked while a request is passed on to a gauge's owner.
     ending: Arc<Mutex<bool>>,
 }
@@ -102,21 +102,21 @@ pub(super) fn end(queue: &impl Shared<Queue>) {
 impl Announcer {
     /// An announcer whose thread has not been started; `signal` wakes it.
     pub(super) fn new(signal: Arc<Signal>) -> Self {
-        Self { queue: Arc::default(), signal, names: Arc::default(), ending: Arc::default() }
+        let (queue, device, ending) = Default::default();
+        Self { queue, signal, device, keeps_names: Arc::default(), ending }
     }
 
     /// Lets the kernel keep the names of files, if it can be notified that they are out of date.
-    pub(super) fn keep_names(&self, device: BorrowedFd<'_>) {
-        let Ok(device) = device.try_clone_to_owned().map(File::from) else { return };
-        match look_up_again(&device) {
-            Ok(()) => drop(self.names.set(device)),
+    pub(super) fn keep_names(&self) {
+        match look_up_again(&self.device) {
+            Ok(()) => self.keeps_names.store(true, Ordering::Relaxed),
             Err(_) => log::info!("Linux 6.16 and later read attributes faster"),
         }
     }
 
     /// Whether the kernel may keep the names of files.
     pub(super) fn keeps_names(&self) -> bool {
-        self.names.get().is_some()
+        self.keeps_names.load(Ordering::Relaxed)
     }
 
     /// Starts the thread, before the first request is answered. It ends when the session has ended.
@@ -214,8 +214,9 @@ impl Announcing {
             |node| self.fs.may_be_cached(node),
             Now::read,
         );
-        if let Some(device) = self.announcer.names.get().filter(|_| outdated)
-            && let Err(error) = look_up_again(device)
+        if outdated
+            && self.announcer.keeps_names()
+            && let Err(error) = look_up_again(&self.announcer.device)
         {
             log::warn!("/dev/fuse: the kernel shows some values two seconds late: {error}");
         }
@@ -250,11 +251,11 @@ pub(super) fn hash(names: &[(String, Node)]) -> u64 {
     hasher.finish()
 }
 
-/// Makes the kernel look up every name again before it uses it.
-fn look_up_again(mut device: &File) -> std::io::Result<()> {
+/// Makes the kernel look up every name again before it uses it. The crate `fuser` does not have this notification.
+fn look_up_again(device: &Device) -> std::io::Result<()> {
     // struct fuse_out_header: length, code, and 0 in place of a request's number.
     let mut message = [0; 16];
     message[..4].copy_from_slice(&16_u32.to_ne_bytes());
     message[4..8].copy_from_slice(&FUSE_NOTIFY_INC_EPOCH.to_ne_bytes());
-    device.write_all(&message)
+    device.write(&message)
 }

@@ -241,6 +241,30 @@ fn the_size_of_an_open_file_is_that_of_its_value() {
     assert_eq!((file.metadata().expect("there").len(), mount.transfers()), (4096, before));
 }
 
+/// 32-bit programs without large-file support get EOVERFLOW otherwise.
+#[test]
+fn regression_inode_numbers_have_32_bits() {
+    fn walk(folder: &Path, count: &mut usize) {
+        for entry in fs::read_dir(folder).expect("a folder") {
+            let path = entry.expect("an entry").path();
+            let status = fs::symlink_metadata(&path).expect("there");
+            assert!(u32::try_from(status.ino()).is_ok(), "{}: {:#x}", path.display(), status.ino());
+            *count += 1;
+            if status.is_file() && status.mode() & 0o444 != 0 && !path.display().to_string().contains("/df/")
+            {
+                let file = File::open(&path).expect("opens");
+                assert_eq!(file.metadata().expect("there").ino(), status.ino(), "{}", path.display());
+            } else if status.is_dir() {
+                walk(&path, count);
+            }
+        }
+    }
+    let Some(mount) = quiet(CHIP) else { return };
+    let mut count = 0;
+    walk(&mount.folder, &mut count);
+    assert!(count > 300, "{count}");
+}
+
 /// Messages that this process has read from the kernel: the mount's thread reads nothing else.
 fn messages() -> u64 {
     let threads =
