@@ -20,6 +20,7 @@ mod auth;
 mod batch;
 mod bringup;
 mod calibrate;
+mod capacity;
 mod chips;
 mod completions;
 mod diff;

@@ -13,7 +13,7 @@ use crate::error::Result;
 use crate::output::say;
 use gaugefs_client::Gauge;
 use ti_gauge::chip::Row;
-use ti_gauge::unit;
+use ti_gauge::{quantity, unit};
 
 const GET: &str = "\
 NAME is a parameter's name in df/by-name, without its class if no other class has one of that
@@ -60,7 +60,7 @@ fn get(gauge: &Gauge, names: &[String], report: &mut Report) -> Result<u8> {
     let mut values = Vec::new();
     for entry in &image.entries {
         let (name, value) = (image.name(entry), entry.shown());
-        report.say(format!("{name}: {value}{}", unit::suffix(entry.parameter)));
+        report.say(format!("{name}: {}", quantity::with_unit(&value, unit::shown(entry.parameter))));
         values.push(Value { name, value, unit: unit::shown(entry.parameter) });
     }
     report.values = Some(values);

@@ -9,7 +9,7 @@ use clap::{Args, ValueEnum};
 
 use super::assignment::{self, Assignment};
 use super::batch::{Batch, FAILED, Report, TROUBLE};
-use super::{counted, mounted, trouble};
+use super::{capacity, counted, mounted, trouble};
 use crate::config::chip_names;
 use crate::error::{Cause, Error, Result};
 use crate::output::say;
@@ -150,6 +150,7 @@ impl Import {
             outcome?;
         }
         report.change(&changes, &raw);
+        capacity::say_what_stays(gauge, &image, &[&file, set.image()], &changes);
         let head = if self.gauges.len() > 1 { format!("{path}: ") } else { String::new() };
         for line in &passed_over {
             say(format_args!("{head}{}: {line}", source.name));

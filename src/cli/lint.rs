@@ -16,7 +16,7 @@ use crate::output::{print, print_json};
 use gaugefs_host::input;
 use ti_gauge::chip::Chip;
 use ti_gauge::image::{Faults, Group, Image, Reading};
-use ti_gauge::unit;
+use ti_gauge::{quantity, unit};
 
 const LINT: &str = "\
 No gauge is needed. A FlashStream is interpreted as a gauge would do it. A line that writes
@@ -134,7 +134,7 @@ impl Lint {
         let mut text = format!("{}: {}\n", image.chip.model, counted(image.entries.len()));
         let rows = image.entries.iter().map(|entry| {
             let mark = if matches!(entry.not_imported(false), Ok(Some(_))) { "not imported" } else { "" };
-            let value = format!("{}{}", entry.shown(), unit::suffix(entry.parameter));
+            let value = quantity::with_unit(&entry.shown(), unit::shown(entry.parameter));
             [image.name(entry), value, format!("line {}", entry.line), mark.to_string()]
         });
         let raw = image.raw.iter().filter(|_| self.raw);

@@ -9,9 +9,10 @@ use clap::{Args, ValueHint};
 
 use super::assignment::{self, Assignment};
 use super::batch::{Batch, FAILED, Report, TROUBLE};
-use super::{mounted, trouble};
+use super::{capacity, mounted, trouble};
 use crate::error::{Cause, Error, Result};
 use gaugefs_client::Gauge;
+use ti_gauge::chip::Row;
 use ti_gauge::image::Changes;
 
 const SET: &str = "\
@@ -79,9 +80,12 @@ fn set(gauge: &Gauge, assignments: &[Assignment], dry_run: bool, report: &mut Re
     let stored = gauge.values(chip, &wanted.rows())?;
     // Whether unproven ones may be written is the mount's to decide.
     let Changes { changes, .. } = stored.changes(wanted.image(), &[], true)?;
+    let energy: Vec<Row> = capacity::energy(chip, &[wanted.image()]).into_iter().collect();
+    let beside = gauge.values(chip, &energy)?;
     if !dry_run {
         gauge.apply(&presence, &changes, &[])?;
     }
     report.change(&changes, &[]);
+    capacity::say_what_stays(gauge, &beside, &[wanted.image()], &changes);
     Ok(report.done(dry_run))
 }

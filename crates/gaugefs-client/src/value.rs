@@ -4,7 +4,7 @@
 
 use std::fmt;
 
-use ti_gauge::{text, unit};
+use ti_gauge::{quantity, text, unit};
 
 /// A value as a file has it, and its unit.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -32,8 +32,7 @@ impl Value {
 /// The text, and its unit behind a space.
 impl fmt::Display for Value {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.text)?;
-        if self.unit.is_empty() { Ok(()) } else { write!(f, " {}", self.unit) }
+        f.write_str(&quantity::with_unit(&self.text, self.unit))
     }
 }
 
@@ -52,5 +51,6 @@ mod tests {
         assert_eq!(value("Full", "").in_unit("V"), None);
         assert_eq!(value("0x0107", "").number(), Some(263.0));
         assert_eq!(value("3855000", "uV").to_string(), "3855000 uV");
+        assert_eq!(value("251", "0.1°C").to_string(), "25.1 °C (251)");
     }
 }

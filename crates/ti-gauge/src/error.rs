@@ -10,6 +10,7 @@ use std::borrow::Cow;
 use std::sync::Arc;
 use std::{error, fmt, io};
 
+use crate::quantity;
 use gauge_bus::error::{Driver, errno_of, reason};
 use gauge_bus::{BusError, ErrorKind};
 use rustix::io::Errno;
@@ -270,7 +271,7 @@ macro_rules! reasons {
 reasons! {
     /// A value is outside of what is allowed.
     OutOfRange { least: String, greatest: String, unit: &'static str } "out-of-range", OutOfRange,
-        "the value is outside {least} to {greatest}{}{unit}", if unit.is_empty() { "" } else { " " };
+        "the value is outside {}", quantity::pair(least, " to ", greatest, unit);
     /// A value would do harm.
     Unsafe { number: i64, least: i64; why: &'static str } "unsafe", OutOfRange, "{number} is below {least}: {why}";
     /// The supply of the gauge is outside of what the part works from, in mV.

@@ -55,6 +55,7 @@ pub mod keys;
 pub mod learning;
 pub mod notation;
 pub mod probe;
+pub mod quantity;
 pub mod registers;
 pub mod rom;
 pub mod text;

@@ -7,6 +7,7 @@ use crate::chip::{Parameter, Range};
 use crate::codec;
 use crate::date;
 use crate::error::{Cause, Error, Reason, Result};
+use crate::quantity;
 use crate::text::unhex;
 use crate::unit;
 use crate::value::{Type, Value};
@@ -221,6 +222,12 @@ fn integer(text: &str) -> Option<Option<i64>> {
 pub fn parse_with_unit(parameter: &Parameter, text: &str) -> Result<Value> {
     let invalid = |why: String| Error::new(parameter.name, Cause::Invalid, why);
     let text = text.trim();
+    // As it is shown, with the stored number behind it.
+    let stored = text.strip_suffix(')').and_then(|text| text.rsplit_once(" (")).map(|(_, stored)| stored);
+    if let Some(stored) = stored.filter(|stored| quantity::with_unit(stored, unit::shown(parameter)) == text)
+    {
+        return parse(parameter, stored.as_bytes());
+    }
     let plain = match parse(parameter, text.as_bytes()) {
         Err(error) if matches!(error.cause(), Cause::Invalid) => error,
         plain => return plain,

@@ -9,6 +9,7 @@
 use crate::chip::Parameter;
 use crate::date;
 use crate::error::Result;
+pub(crate) use crate::quantity::split;
 use crate::value::Type;
 
 /// A number times a unit, exactly: `num / den` of a base unit.
@@ -72,13 +73,6 @@ impl Unit {
         })?;
         Some(Self { num: num * size.0, den: den * size.1, base: format!("{symbol}{per}") })
     }
-}
-
-/// A number at the beginning of a text, and the rest.
-pub(crate) fn split(text: &str) -> (&str, &str) {
-    let is_of_number = |letter: char| letter.is_ascii_digit() || ".+-".contains(letter);
-    let end = text.find(|letter| !is_of_number(letter)).unwrap_or(text.len());
-    (&text[..end], text[end..].trim_start())
 }
 
 /// A decimal number as a fraction.
@@ -243,14 +237,6 @@ pub fn shown(parameter: &Parameter) -> &'static str {
     match parameter.unit {
         date::UNIT | "hex" | "Hex" | "flags" | "Num" => "",
         unit => unit,
-    }
-}
-
-/// The unit as it is printed behind a number, with a space before it.
-pub fn suffix(parameter: &Parameter) -> String {
-    match shown(parameter) {
-        "" => String::new(),
-        unit => format!(" {unit}"),
     }
 }
 
@@ -440,7 +426,7 @@ mod tests {
                 if matches!(parameter.kind, Type::H(_)) {
                     continue;
                 }
-                let with_unit = format!("{shown}{}", suffix(parameter));
+                let with_unit = crate::quantity::with_unit(&shown, super::shown(parameter));
                 prop_assert_eq!(parse(parameter, &with_unit), Ok(value), "{}", with_unit);
             }
         });

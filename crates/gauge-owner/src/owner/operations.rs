@@ -13,12 +13,13 @@ use super::{Attempt, Owner, Presence, Seal, Wish, words};
 use crate::error::{Cause, Error, Reason, Result};
 use ti_gauge::authentication::{self, Message};
 use ti_gauge::calibration::Job;
-use ti_gauge::chip::{Parameter, Subclass};
+use ti_gauge::chip::Subclass;
 use ti_gauge::codec;
 use ti_gauge::dataflash::{Change, Decision, Outcome, Place};
 use ti_gauge::epoch::{Epoch, Fact};
 use ti_gauge::keys;
 use ti_gauge::notation;
+use ti_gauge::quantity;
 use ti_gauge::text;
 use ti_gauge::unit;
 
@@ -133,12 +134,8 @@ fn difference(change: &Change, old: &[u8]) -> String {
         Some((_, parameter)) => notation::show(parameter, &codec::decode(parameter.kind, bytes)),
         None => text::hex(bytes),
     };
-    let unit = match change.row() {
-        // The number says that already.
-        None | Some((_, Parameter { unit: "hex", .. })) => String::new(),
-        Some((_, parameter)) => unit::suffix(parameter),
-    };
-    format!("{} -> {}{unit}", show(old), show(&new))
+    let unit = change.row().map_or("", |(_, parameter)| unit::shown(parameter));
+    quantity::change(&show(old), &show(&new), unit)
 }
 
 impl Owner {

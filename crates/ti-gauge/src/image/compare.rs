@@ -9,6 +9,7 @@ use super::{Entry, Group, Image, LeftOut, Raw, at_line, listed};
 use crate::chip::{Safe, Subclass};
 use crate::codec::WINDOW;
 use crate::error::{Cause, Error, Result};
+use crate::quantity;
 use crate::text;
 use crate::unit;
 use crate::value::Value;
@@ -42,8 +43,9 @@ pub struct Difference<'a> {
 
 impl fmt::Display for Difference<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let unit = unit::suffix(self.new.parameter);
-        write!(f, "{}: {} -> {}{unit}", self.name, self.old.shown(), self.new.shown())
+        let unit = unit::shown(self.new.parameter);
+        let change = quantity::change(&self.old.shown(), &self.new.shown(), unit);
+        write!(f, "{}: {change}", self.name)
     }
 }
 

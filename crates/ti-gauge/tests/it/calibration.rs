@@ -141,7 +141,7 @@ fn what_is_noisy_or_out_of_range_is_refused() {
         (load, Job::Current(1000.0), "out-of-range", "negative"),
         (load, Job::Current(-500.0), "out-of-range", "5677445"),
         (&[], Job::Current(-20.0), "out-of-range", "100 mA"),
-        (&[], Job::Temperature(60.0), "out-of-range", "-128 to 127"),
+        (&[], Job::Temperature(60.0), "out-of-range", "-12.8 °C (-128) to 12.7 °C (127)"),
         (load, Job::BoardOffset, "not-now", "disconnect load"),
         (load, Job::CcOffset, "not-now", "disconnect load"),
         (
