@@ -3,13 +3,13 @@
 //! `NAME=VALUE` on a command line: a parameter by its name or place, and a value as people write it.
 
 use std::ffi::OsString;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use nix::errno::Errno;
 
 use crate::error::{Cause, Error, Result};
-use gaugefs_client::Wanted;
+use gaugefs_client::{Gauge, Wanted};
 use ti_gauge::chip::Chip;
 
 /// `NAME=VALUE`, not yet looked up.
@@ -40,17 +40,30 @@ pub(super) fn wanted(chip: &'static Chip, assignments: &[Assignment]) -> Result<
 }
 
 /// The words of a command line: gauges first, then what is done with each. A word is a gauge if it is a path, with `/` or
-/// `.` at its beginning or of a folder that is there.
+/// `.` at its beginning or of a folder that is there, or the name of a mounted gauge. Behind a path, no mount is searched for
+/// names: another one that hangs would delay the command.
 pub(super) fn split(words: Vec<OsString>) -> Result<(Vec<PathBuf>, Vec<String>)> {
     let is_path = |word: &OsString| {
         let text = word.to_string_lossy();
         text.starts_with(['/', '.']) || (!text.contains('=') && PathBuf::from(word).is_dir())
     };
-    let first = words.iter().position(|word| !is_path(word)).unwrap_or(words.len());
+    // One of several of that name is refused where it is opened.
+    let is_named = |word: &OsString| {
+        let path = Path::new(word);
+        !word.to_string_lossy().contains('=') && Gauge::named(path).map_or(true, |folder| folder != path)
+    };
+    let mut names_only = true;
+    let is_gauge = |word: &OsString| {
+        let path = is_path(word);
+        names_only &= !path;
+        path || names_only && is_named(word)
+    };
+    let first = words.iter().map(is_gauge).position(|is_gauge| !is_gauge).unwrap_or(words.len());
     let mut gauges = words;
     let rest = gauges.split_off(first);
     if gauges.is_empty() {
-        let why = "is no folder; name a gauge first, such as /run/gauges/BAT0";
+        let why =
+            "is neither a folder nor a mounted gauge; name a gauge first, such as /run/gauges/BAT0 or BAT0";
         return Err(Error::host(rest[0].to_string_lossy(), Errno::ENOENT, why));
     }
     let text = |word: OsString| {

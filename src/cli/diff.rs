@@ -71,6 +71,7 @@ impl Diff {
             return Err(Error::new("standard input", Cause::Invalid, why));
         }
         for side in [&mut self.a, &mut self.b] {
+            *side = Gauge::named(side)?;
             if side.is_dir() {
                 *side = Gauge::open(&*side)?.folder().into();
             }

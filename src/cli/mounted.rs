@@ -14,7 +14,7 @@ use ti_gauge::image::{Faults, Image, Reading};
 
 /// Reads a mounted gauge as it is now, or a file of any format, as [`Source::image`] does.
 pub(super) fn open(path: &Path, chip: Option<&'static Chip>, data_flash: bool) -> Result<Image> {
-    match is_mounted(path) {
+    match is_mounted(path)? {
         true => whole(&Gauge::open(path)?),
         false => Source::read(path)?.image(chip, data_flash),
     }
@@ -22,7 +22,7 @@ pub(super) fn open(path: &Path, chip: Option<&'static Chip>, data_flash: bool) -
 
 /// Reads a mounted gauge or a file as far as it goes, and lists all mistakes.
 pub(super) fn examine(path: &Path, chip: Option<&'static Chip>, data_flash: bool) -> Result<Reading> {
-    match is_mounted(path) {
+    match is_mounted(path)? {
         true => {
             now(&Gauge::open(path)?).map(|image| Reading { image: Some(image), faults: Faults::default() })
         }
@@ -30,8 +30,8 @@ pub(super) fn examine(path: &Path, chip: Option<&'static Chip>, data_flash: bool
     }
 }
 
-fn is_mounted(path: &Path) -> bool {
-    path.is_dir() || mounts::of(path).is_some()
+fn is_mounted(path: &Path) -> Result<bool> {
+    Ok(path.is_dir() || mounts::of(&Gauge::named(path)?).is_some())
 }
 
 /// Reads a mounted gauge with the bytes of subclasses without parameters, such as a chemistry.

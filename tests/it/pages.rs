@@ -5,7 +5,7 @@
 
 use std::fs;
 
-use crate::room::{Session, Step, can_mount, root, steps, table};
+use crate::room::{Session, Step, apart, can_mount, root, steps, table};
 
 /// The pages with code blocks. The first two have tests of their own.
 macro_rules! pages {
@@ -43,6 +43,8 @@ fn runs(page: &str, least: usize) {
     if !can_mount() {
         return;
     }
+    // Where root runs the tests, no gauge of another one has the name of a page's.
+    apart();
     let text = fs::read_to_string(root().join(page)).expect("the page");
     let mut session = Session::new();
     for step in steps(&text, None) {

@@ -61,6 +61,86 @@ fn json(text: &str) -> Vec<Value> {
 }
 
 #[test]
+fn a_gauge_is_found_by_its_name_if_only_one_has_it() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let name = format!("PACK-{}", std::process::id());
+    let [first, second] = ["m", "n"].map(|at| folder.file(at));
+    let mount = |at: &str| {
+        gaugefs(&["mount", "--sim", CHIP, "--fast", "--name", &name, at]).done();
+    };
+    mount(&first);
+    let whole = format!("{first}/{name}");
+    let told = gaugefs(&["set", &name, "cell-terminate-voltage=3.1V"]).done();
+    assert_eq!(told, format!("{NAME}: 3000 -> 3100 mV\n"));
+    assert_eq!(gaugefs(&["get", &name, NAME]).done(), format!("{NAME}: 3100 mV\n"));
+    for words in
+        [&["export", &name][..], &["wait", &name, "capacity>0"], &["settle", &name], &["diff", &name, &whole]]
+    {
+        gaugefs(words).done();
+    }
+    gaugefs(&["top", "--json", "--count", "1", &name]).done();
+    // A file of that name is that file.
+    let file = folder.file(&name);
+    fs::write(&file, "").expect("a file");
+    let ran = Ran::of(command(&["get", &name, NAME]).current_dir(&folder.0).output().expect("gaugefs runs"));
+    ran.troubled(&["is neither a folder nor a mounted gauge"]);
+    mount(&second);
+    let both = format!("several gauges have that name; write one of {whole}, {second}/{name}");
+    gaugefs(&["get", &name, NAME]).failed(&[&name, &both]);
+    gaugefs(&["wait", &name, "capacity>0"]).failed(&[&both]);
+    gaugefs(&["umount", &second]).done();
+    // An alias.
+    gaugefs(&["unmount", &first]).done();
+    gaugefs(&["get", &name, NAME]).troubled(&["is neither a folder nor a mounted gauge"]);
+}
+
+#[test]
+fn the_right_name_is_found_by_part_of_a_word() {
+    let Some(gauge) = Gauge::new(&[]) else { return };
+    let get = |name: &str| gaugefs(&["get", &gauge.path(), name]);
+    get("terminate-voltage").failed(&["did you mean it-cfg/cell-terminate-voltage?"]);
+    get("voltage_now").failed(&["did you mean the file voltage_now of the gauge's folder?"]);
+    get("voltage")
+        .failed(&["a bq34z100-G1 has no such parameter", "or the file voltage_now of the gauge's folder?"]);
+    gauge.set(&["voltage_now=3V"]).failed(&["the file voltage_now of the gauge's folder?"]);
+    let wait = |condition: &str| gaugefs(&["wait", "--timeout", "0", &gauge.path(), condition]);
+    assert!(wait("voltage<3V").err.contains("did you mean voltage_now?"));
+    assert!(wait("terminate-voltage<3V").err.contains("cell-terminate-voltage is a parameter of data flash"));
+}
+
+#[test]
+fn values_in_steps_are_shown_as_a_person_reads_them() {
+    let Some(gauge) = Gauge::new(&[]) else { return };
+    let told = gauge.set(&["ot-chg=60C"]).done();
+    assert_eq!(told, "safety/ot-chg: 55.0 °C (550) -> 60.0 °C (600)\n");
+    assert_eq!(gaugefs(&["get", &gauge.path(), "ot-chg"]).done(), "safety/ot-chg: 60.0 °C (600)\n");
+    let json = gaugefs(&["get", "--json", &gauge.path(), "ot-chg"]).done();
+    assert_eq!(self::json(&json)[0]["values"][0]["value"], "600");
+    gauge.set(&["ot-chg=200C"]).failed(&["outside 0.0 °C (0) to 120.0 °C (1200)"]);
+}
+
+#[test]
+fn a_new_design_capacity_says_what_stays() {
+    let Some(gauge) = Gauge::new(&[]) else { return };
+    let ran = gauge.set(&["design-capacity=850"]);
+    let (path, energy) = (gauge.path(), "configuration-data/design-energy");
+    for says in [
+        "Design Energy stays 5400 mWh, which fits 1000 mAh",
+        &format!("gaugefs set {path} {energy}=4590 fits 850 mAh"),
+        "Qmax Cell 0 is learned later",
+    ] {
+        assert!(ran.gauges.iter().any(|line| line.contains(says)), "{says}: {:?}", ran.gauges);
+    }
+    let told = gauge.set(&["design-capacity=900", "design-energy=4860"]).gauges.concat();
+    assert!(!told.contains("Design Energy") && told.contains("Qmax Cell 0"), "{told}");
+    let told = gauge.set(&["ot-chg=61C"]).gauges.concat();
+    assert!(!told.contains("Qmax"), "{told}");
+}
+
+#[test]
 fn set_writes_names_and_units_in_one_transaction() {
     let Some(gauge) = Gauge::new(&[]) else { return };
     let (writes, resets) = (gauge.number("flash_writes"), gauge.number("resets"));

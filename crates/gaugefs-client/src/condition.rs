@@ -10,6 +10,7 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::str::FromStr;
 
+use ti_gauge::chip::CHIPS;
 use ti_gauge::{text, unit};
 
 use crate::names::{attribute, attributes, files};
@@ -276,11 +277,14 @@ fn unknown(name: &str) -> String {
     let attributes = attributes().map(|attribute| attribute.name.to_string());
     let names: Vec<_> = attributes.chain(files().map(|file| format!("gauge/{}", file.name))).collect();
     let shown = name.escape_debug();
-    match text::nearest(name, names.iter().map(String::as_str)) {
-        Some(meant) => format!("no gauge has a file `{shown}`; did you mean {meant}?"),
-        None => {
-            format!("no gauge has a file `{shown}`; name one of its folder, such as capacity or gauge/flags")
+    let what = format!("no gauge has a file `{shown}`");
+    let parameter = || CHIPS.iter().find_map(|chip| Some(chip.name_of(*chip.with_parts(name).first()?)));
+    match (text::nearest(name, names.iter().map(String::as_str)), parameter()) {
+        (Some(meant), _) => format!("{what}; did you mean {meant}?"),
+        (None, Some(parameter)) => {
+            format!("{what}, and {parameter} is a parameter of data flash: `gaugefs get` shows it")
         }
+        (None, None) => format!("{what}; name one of its folder, such as capacity or gauge/flags"),
     }
 }
 
@@ -441,6 +445,9 @@ mod tests {
     fn what_could_never_come_true_is_refused_with_a_suggestion() {
         for (text, words) in [
             ("capcity<20", "did you mean capacity?"),
+            ("voltage<3V", "no gauge has a file `voltage`; did you mean voltage_now?"),
+            ("registers/voltage<3", "did you mean gauge/registers/voltage?"),
+            ("terminate-voltage<3V", "voltage is a parameter of data flash: `gaugefs get` shows it"),
             ("volatge_now<3", "did you mean voltage_now?"),
             ("gauge/flag has FC", "did you mean gauge/flags?"),
             ("gauge/registers/voltag<3", "did you mean gauge/registers/voltage?"),

@@ -131,9 +131,10 @@ fn next_poll(folder: &Path) -> Option<Duration> {
     Some(Duration::try_from_secs_f64(left).unwrap_or_default() + sample::SETTLED)
 }
 
-/// The gauges at a path, which is a mount point or a gauge's folder; an error after 5 s without an answer.
+/// The gauges at a path, which is a mount point or a gauge's folder or name; an error after 5 s without an answer.
 pub fn gauges_at(path: &Path) -> Result<Vec<PathBuf>> {
     let name = path.display().to_string();
+    let path = &Gauge::named(path)?;
     // Symbolic links are not resolved: that may hang.
     let path = std::path::absolute(path).unwrap_or_else(|_| path.to_path_buf());
     let found = within(PATIENCE, move || place::gauges_at(&path).map_err(|error| trouble(&path, &error)));

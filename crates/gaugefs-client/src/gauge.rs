@@ -4,7 +4,7 @@
 
 use std::fmt;
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 use std::sync::mpsc;
 
 use gauge_bus::regular;
@@ -48,9 +48,10 @@ pub enum Decision {
 }
 
 impl Gauge {
-    /// The mounted gauge at a path: its folder, or the mount point of only one gauge.
+    /// The mounted gauge at a path: its folder, the mount point of only one gauge, or its name, such as `BAT0`, if no other
+    /// mounted gauge has that name.
     pub fn open(path: impl AsRef<Path>) -> Result<Self> {
-        let path = path.as_ref();
+        let path = &Self::named(path.as_ref())?;
         let Err(error) = fs::metadata(path.join(EVERY)) else { return Ok(Self::of(path)) };
         if is_dead(&error) {
             return Err(not_a_gauge(path));
@@ -66,6 +67,31 @@ impl Gauge {
             several => {
                 let names: Vec<_> = several.iter().map(|gauge| shown(&gauge.folder)).collect();
                 let why = format!("{} gauges are mounted there; name one: {}", names.len(), names.join(", "));
+                Err(invalid(path.display().to_string(), why).into())
+            }
+        }
+    }
+
+    /// The folder of the gauge that a name alone means, such as `BAT0`. Any other path is left as it is, and so is the name
+    /// of a file that is there, or of no gauge.
+    pub fn named(path: &Path) -> Result<PathBuf> {
+        let mut parts = path.components();
+        let is_name = matches!((parts.next(), parts.next()), (Some(Component::Normal(_)), None));
+        let file = path.to_path_buf();
+        // The current folder may be in a mount that hangs.
+        let is_there =
+            || hang::within(hang::PATIENCE, move || file.symlink_metadata().is_ok()).unwrap_or(true);
+        if !is_name || is_there() {
+            return Ok(path.into());
+        }
+        let mut found: Vec<PathBuf> = Self::find()?.into_iter().map(|gauge| gauge.folder).collect();
+        found.retain(|folder| folder.file_name() == path.file_name());
+        match &*found {
+            [] => Ok(path.into()),
+            [one] => Ok(one.clone()),
+            several => {
+                let several: Vec<_> = several.iter().map(|folder| shown(folder)).collect();
+                let why = format!("several gauges have that name; write one of {}", several.join(", "));
                 Err(invalid(path.display().to_string(), why).into())
             }
         }
@@ -148,9 +174,19 @@ impl Gauge {
     /// The write that was interrupted and waits for a decision: its parameters with old, new and present values. `None`
     /// if there is none. Before it shows that, the daemon tries to settle it.
     pub fn unsettled(&self) -> Result<Option<String>> {
+        self.examine().map(|(told, owed)| Some(told).filter(|_| owed))
+    }
+
+    /// What there is to say about interrupted writes, and whether something is owed.
+    pub fn examine(&self) -> Result<(String, bool)> {
         let told = self.settling("show")?;
         let owed = self.text(OWED).map_err(|error| error.doing("cannot read whether anything is owed"))?;
-        Ok(is_set(&owed).then_some(told))
+        Ok((told, is_set(&owed)))
+    }
+
+    /// The last failure, with what is owed first; empty without one.
+    pub fn last_error(&self) -> Result<String> {
+        Ok(with_path(self.text(EVERY)?.trim(), &self.folder))
     }
 
     /// Carries out what somebody has decided about the write that was interrupted, and returns what was done. What is

@@ -7,10 +7,12 @@ use ti_gauge::chip::{Chip, Kind, Row, Unnamed};
 use ti_gauge::dataflash::Place;
 use ti_gauge::error::Cause;
 use ti_gauge::image::{Changes, Difference, Entry, Image};
+use ti_gauge::text;
 use ti_gauge::unit;
 
 use crate::error::{Error, Result};
 use crate::gauge::Gauge;
+use crate::names;
 use crate::value::Value;
 use ti_gauge::notation;
 
@@ -36,21 +38,41 @@ impl Gauge {
     }
 }
 
-/// Finds a parameter by its name or place; otherwise the error suggests the nearest.
+/// Finds a parameter by its name or place; otherwise the error suggests what was probably meant.
 pub fn row(chip: &'static Chip, name: &str) -> Result<Row> {
-    chip.find(name).map_err(|unnamed| match (unnamed, chip.nearest(name)) {
-        (Unnamed::Several(names), _) => {
+    chip.find(name).map_err(|unnamed| match unnamed {
+        Unnamed::Several(names) => {
             let why = format!("several parameters have that name; write one of {}", names.join(", "));
             ti_gauge::error::Error::new(name, Cause::Invalid, why).into()
         }
-        (Unnamed::Unknown, nearest) => {
-            let what = match nearest {
-                Some(row) => format!("did you mean {}?", chip.name_of(row)),
-                None => "`gaugefs get` without a name lists them".into(),
-            };
-            Error::host(name, Errno::ENOENT, format!("a {} has no such parameter; {what}", chip.model))
+        Unnamed::Unknown => {
+            let why = format!("a {} has no such parameter; {}", chip.model, meant(chip, name));
+            Error::host(name, Errno::ENOENT, why)
         }
     })
+}
+
+/// What was probably meant by a name that is none of a parameter.
+fn meant(chip: &'static Chip, name: &str) -> String {
+    const SHOWN: usize = 3;
+    let file = |name: &str| format!("the file {name} of the gauge's folder");
+    if names::attribute(name).is_some() {
+        return format!("did you mean {}?", file(name));
+    }
+    let mut found: Vec<String> = chip.with_parts(name).into_iter().map(|row| chip.name_of(row)).collect();
+    found.truncate(SHOWN);
+    if found.is_empty() {
+        found.extend(chip.nearest(name).map(|row| chip.name_of(row)));
+    }
+    let attributes: Vec<&str> = names::attributes().map(|attribute| attribute.name).collect();
+    found.extend(
+        text::with_parts(name, attributes.iter().map(|&name| (name, name))).first().map(|name| file(name)),
+    );
+    match &*found {
+        [] => "`gaugefs get` without a name lists them".into(),
+        [one] => format!("did you mean {one}?"),
+        [several @ .., last] => format!("did you mean {} or {last}?", several.join(", ")),
+    }
 }
 
 /// Parameters and the values that they are to have. They are checked as far as that is possible without the gauge.

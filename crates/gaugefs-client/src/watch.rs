@@ -17,6 +17,7 @@ use ti_gauge::learning::Limits;
 
 use crate::error::{Error, Result};
 use crate::file::{content, is_dead, send, text};
+use crate::gauge::Gauge;
 use crate::hang::{Calling, PATIENCE, SILENT, is_served, thread};
 use crate::mounts;
 use crate::place::{dead, gauges_at};
@@ -87,7 +88,7 @@ pub struct Watch {
 }
 
 impl Watch {
-    /// Watches a mount point or a gauge's folder, or else every gaugefs that is mounted. Without an interval,
+    /// Watches a mount point or a gauge by its folder or name, or else every gaugefs that is mounted. Without an interval,
     /// it takes one sample after each poll.
     pub fn start(named: Option<&Path>, every: Option<Duration>) -> Result<Self> {
         let (sender, reports) = mpsc::channel();
@@ -95,7 +96,10 @@ impl Watch {
         let mut watch = Self { roots, orders, reports, sender, calls, every, named: named.is_some() };
         match named {
             // Symbolic links are not resolved: that may hang.
-            Some(path) => watch.add(std::path::absolute(path).unwrap_or_else(|_| path.to_path_buf()))?,
+            Some(path) => {
+                let path = Gauge::named(path)?;
+                watch.add(std::path::absolute(&path).unwrap_or(path))?;
+            }
             None => watch.find_mounts()?,
         }
         if watch.roots.is_empty() {

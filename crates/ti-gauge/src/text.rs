@@ -69,13 +69,43 @@ pub fn unhex(digits: &[u8]) -> Option<Vec<u8>> {
     if digits.len().is_multiple_of(2) { digits.chunks_exact(2).map(byte).collect() } else { None }
 }
 
-/// The name that was probably meant by a word that is none of these names.
+/// The name that was probably meant by a word that is none of these names: one with its parts, or else with its letters.
 pub fn nearest<'a>(word: &str, names: impl Iterator<Item = &'a str>) -> Option<&'a str> {
-    let tolerated = 1 + word.len() / 4;
-    // At least as many letters are wrong as are too many, and there may be very many.
-    let names = names.filter(|name| word.chars().count().abs_diff(name.len()) <= tolerated);
-    let (wrong, name) = names.map(|name| (strsim::damerau_levenshtein(word, name), name)).min()?;
-    (wrong <= tolerated).then_some(name)
+    let names: Vec<&str> = names.collect();
+    let parts = with_parts(word, names.iter().map(|&name| (name, name)));
+    parts.into_iter().next().or_else(|| {
+        let tolerated = 1 + word.len() / 4;
+        // At least as many letters are wrong as are too many, and there may be very many.
+        let names = names.into_iter().filter(|name| word.chars().count().abs_diff(name.len()) <= tolerated);
+        let (wrong, name) = names.map(|name| (strsim::damerau_levenshtein(word, name), name)).min()?;
+        (wrong <= tolerated).then_some(name)
+    })
+}
+
+/// Of names and what they name, those with all parts of a text, such as `voltage_now` for `voltage`; the ones with the
+/// fewest other parts first. A part is a word, or the beginning of one.
+pub fn with_parts<'a, T>(text: &str, names: impl Iterator<Item = (&'a str, T)>) -> Vec<T> {
+    const LONGEST: usize = 64;
+    const SHORTEST: usize = 3;
+    let parts = |text: &str| -> Vec<String> {
+        let words = text.split(|letter: char| !letter.is_ascii_alphanumeric());
+        words.filter(|word| !word.is_empty()).map(str::to_ascii_lowercase).collect()
+    };
+    if text.len() > LONGEST || text.chars().filter(char::is_ascii_alphanumeric).count() < SHORTEST {
+        return Vec::new();
+    }
+    let wanted = parts(text);
+    let mut found: Vec<((usize, usize), T)> = names
+        .filter_map(|(name, named)| {
+            let words = parts(name);
+            let whole = wanted.iter().filter(|part| words.contains(part)).count();
+            let begins = |part: &String| words.iter().any(|word| word.starts_with(part.as_str()));
+            let has_all = wanted.iter().all(begins);
+            has_all.then(|| ((words.len().saturating_sub(wanted.len()), wanted.len() - whole), named))
+        })
+        .collect();
+    found.sort_by_key(|(others, _)| *others);
+    found.into_iter().map(|(_, named)| named).collect()
 }
 
 #[cfg(test)]
@@ -85,6 +115,25 @@ mod tests {
 
     fn cases(cases: u32) -> ProptestConfig {
         ProptestConfig { cases, failure_persistence: None, ..ProptestConfig::default() }
+    }
+
+    #[test]
+    fn the_name_that_was_meant_has_the_parts_or_the_letters() {
+        let names = ["voltage_min_design", "voltage_now", "gauge/registers/voltage", "capacity", "status"];
+        for (word, meant) in [
+            ("voltage", Some("voltage_now")),
+            ("Voltage Now", Some("voltage_now")),
+            ("registers/voltage", Some("gauge/registers/voltage")),
+            ("design-volt", Some("voltage_min_design")),
+            ("capcity", Some("capacity")),
+            ("volatge_now", Some("voltage_now")),
+            ("voltage_elsewhere", None),
+            ("no", None),
+            ("", None),
+        ] {
+            assert_eq!(nearest(word, names.into_iter()), meant, "{word}");
+        }
+        assert_eq!(with_parts(&"voltage".repeat(1000), names.iter().map(|name| (*name, ()))), []);
     }
 
     #[test]

@@ -60,14 +60,26 @@ impl Chip {
         self.rows().filter(move |(_, row)| begins(row) && kebab_case(row.name) == name)
     }
 
-    /// The parameter that was probably meant: at the nearest place in the same subclass, or with a name that is much like
-    /// this one.
+    /// The parameters whose names have all parts of this one; those with the fewest other parts first.
+    pub fn with_parts(&self, name: &str) -> Vec<Row> {
+        let rows: Vec<(String, Row)> = self.rows().map(|row| (self.name_of(row), row)).collect();
+        let is_whole = name.contains('/');
+        let own = |name: &str| if is_whole { 0 } else { name.find('/').map_or(0, |slash| slash + 1) };
+        let names = rows.iter().map(|(name, row)| (&name[own(name)..], *row));
+        text::with_parts(name, names)
+    }
+
+    /// The parameter that was probably meant: at the nearest place in the same subclass, with a name that has all parts of
+    /// this one, or with one that is much like it.
     pub fn nearest(&self, name: &str) -> Option<Row> {
         let (class, own) = name.rsplit_once('/').unwrap_or(("", name));
         if let Some(at) = text::unsigned::<u16>(own) {
             let id = if class == "flash" { FLAT } else { text::unsigned(class)? };
             let near = self.rows().filter(|(subclass, _)| subclass.id == id);
             return near.min_by_key(|(_, row)| row.offset.abs_diff(at));
+        }
+        if let Some(row) = self.with_parts(name).into_iter().next() {
+            return Some(row);
         }
         let (own, whole) = (kebab_case(own), format!("{}/{}", kebab_case(class), kebab_case(own)));
         // A text of more than four times the length is never that much alike, and may be very long.
@@ -165,6 +177,8 @@ mod tests {
             ("it-cfg/cell-terminate-voltag", Some("it-cfg/cell-terminate-voltage")),
             ("it-cfg/cell-treminate-voltage", Some("it-cfg/cell-terminate-voltage")),
             ("power/cell-terminate-voltage", Some("it-cfg/cell-terminate-voltage")),
+            ("terminate-voltage", Some("it-cfg/cell-terminate-voltage")),
+            ("it-cfg/terminate-volt", Some("it-cfg/cell-terminate-voltage")),
             ("cell-terminate-volts", Some("it-cfg/cell-terminate-voltage")),
             ("serial-numbr", Some("configuration-data/serial-number")),
             ("80/54", Some("it-cfg/cell-terminate-voltage")),
