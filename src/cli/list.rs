@@ -10,14 +10,15 @@ use nix::errno::Errno;
 use serde::Serialize;
 
 use super::align;
-use crate::daemon::look::{self, Found, Listed};
+use crate::daemon::look::{self, Found, Listed, Seen};
 use crate::error::{Error, Result, shown};
 use crate::output::{print, print_json, say};
 use gaugefs_client::mounts;
 
 const LIST: &str = "\
 What is shown is of the last poll of each mount; nothing is sent to a gauge. A mount whose daemon
-has died or does not answer within 5 s is shown as that. Exit code 0: all answer, 1: one does not,
+has died or does not answer within 5 s is shown as that. What is owed to a gauge, such as a decision about
+an interrupted write, is named below the list, with what to type. Exit code 0: all answer, 1: one does not,
 or none is mounted.
 
 Examples:
@@ -49,11 +50,17 @@ impl List {
             let why = "no gaugefs is mounted; to mount one, see: gaugefs mount --help";
             return Err(Error::host("", Errno::ENOENT, why));
         }
-        let mut code = ExitCode::SUCCESS;
+        let (mut code, mut notes) = (ExitCode::SUCCESS, Vec::new());
         let mut rows = vec![["GAUGE", "PART", "SERIAL", "CAPACITY", "STATUS", "AGE"].map(String::from)];
         for (mount, found) in look::gauges(&mounts)? {
-            for gauge in &found.gauges {
-                if self.json { print_json(gauge)? } else { rows.push(row(gauge)) }
+            for Seen { listed, notes: its } in &found.gauges {
+                if self.json {
+                    print_json(listed)?
+                } else {
+                    rows.push(row(listed))
+                }
+                let path = ti_gauge::text::printable(&listed.path);
+                notes.extend(its.iter().map(|note| format!("{path}: {note}")));
             }
             let Some(error) = trouble(&mount, &found) else { continue };
             code = ExitCode::FAILURE;
@@ -66,6 +73,7 @@ impl List {
         if rows.len() > 1 {
             print(&align(&rows))?;
         }
+        notes.iter().for_each(say);
         Ok(code)
     }
 }

@@ -24,7 +24,7 @@ pub(super) struct Names {
 impl Names {
     pub(super) fn run(self) -> Result<ExitCode> {
         let listed = look::gauges(&[self.gauge])?;
-        let part = listed.first().and_then(|(_, found)| found.gauges.first()?.part.clone());
+        let part = listed.first().and_then(|(_, found)| found.gauges.first()?.listed.part.clone());
         let chip = part.and_then(|part| Chip::by_model(&part));
         let rows = chip.into_iter().flat_map(|chip| chip.rows().map(move |row| (chip, row)));
         let rows = rows.filter(|(_, (subclass, _))| subclass.kind != Kind::Security);

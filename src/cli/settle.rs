@@ -37,7 +37,8 @@ pub(super) struct Settle {
     /// Write the new values, verify them and reset the gauge
     #[arg(long, group = "writes", conflicts_with = "discard")]
     finish: bool,
-    /// Leave data flash as it is; the journal is kept under another name
+    /// Leave data flash as it is; the journal is kept under another name. Without an interrupted write, this puts aside the
+    /// journals that wait for another pack
     #[arg(long)]
     discard: bool,
     /// The serial number of the pack, if it is another one than the write was begun on
@@ -59,10 +60,9 @@ impl Settle {
             mounted::poll(&gauge)?;
         }
         let Some(decision) = decision else {
-            let pending = gauge.unsettled()?;
-            let told = pending.as_deref().unwrap_or("nothing to settle");
+            let (told, owed) = gauge.examine()?;
             print(&format!("{}\n", told.trim_end()))?;
-            return Ok(if pending.is_some() { ExitCode::FAILURE } else { ExitCode::SUCCESS });
+            return Ok(if owed { ExitCode::FAILURE } else { ExitCode::SUCCESS });
         };
         let told = gauge.settle(decision, self.serial.as_deref())?;
         // What was decided is done, whether it can be printed or not.

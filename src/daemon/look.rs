@@ -50,7 +50,22 @@ pub(crate) struct Found {
     /// The time limit has passed.
     pub(crate) late: bool,
     /// The gauges there, if they were asked for.
-    pub(crate) gauges: Vec<Listed>,
+    pub(crate) gauges: Vec<Seen>,
+}
+
+/// A mounted gauge, and what a person has to know of it.
+#[derive(Debug, Deserialize, Serialize)]
+pub(crate) struct Seen {
+    pub(crate) listed: Listed,
+    /// A line for each.
+    pub(crate) notes: Vec<String>,
+}
+
+impl Seen {
+    fn read(gauge: &Gauge) -> Self {
+        let owed = gauge.is_owed().then(|| gauge.last_error().unwrap_or_default());
+        Self { listed: Listed::read(gauge), notes: owed.into_iter().collect() }
+    }
 }
 
 /// A mounted gauge at its last poll.
@@ -83,6 +98,11 @@ impl Look {
     /// Begins to look at a path.
     pub(crate) fn begin(path: &Path) -> Result<Self> {
         Self::begin_with(path, &[])
+    }
+
+    /// Begins to look at the gauges of a path, too.
+    pub(crate) fn begin_gauges(path: &Path) -> Result<Self> {
+        Self::begin_with(path, &["--gauges"])
     }
 
     fn begin_with(path: &Path, options: &[&str]) -> Result<Self> {
@@ -160,7 +180,7 @@ fn waits(status: &str) -> Option<String> {
 /// The gauges that are mounted at each of these paths, or that are at it. All are looked at together, so it takes no longer
 /// than one look.
 pub(crate) fn gauges(paths: &[PathBuf]) -> Result<Vec<(PathBuf, Found)>> {
-    let looks = paths.iter().map(|path| Look::begin_with(path, &["--gauges"])).collect::<Result<Vec<_>>>()?;
+    let looks = paths.iter().map(|path| Look::begin_gauges(path)).collect::<Result<Vec<_>>>()?;
     Ok(paths.iter().cloned().zip(looks.into_iter().map(Look::end)).collect())
 }
 
@@ -187,7 +207,7 @@ pub(crate) fn answer(path: &Path, gauges: bool) -> Result<()> {
             gauges => gauges,
         };
         for gauge in below {
-            tell(&serde_json::to_vec(&Listed::read(&gauge)).expect("keys are strings, so it cannot fail"))?;
+            tell(&serde_json::to_vec(&Seen::read(&gauge)).expect("keys are strings, so it cannot fail"))?;
         }
     }
     Ok(())

@@ -486,7 +486,7 @@ fn owed(path: &Path) -> Vec<String> {
         // Before it shows what is owed, it tries to pay it.
         let _ = gauge.send("gauge/settle", b"show");
         if gauge.is_owed() {
-            let why = gauge.text("gauge/last_error").unwrap_or_default();
+            let why = gauge.last_error().unwrap_or_default();
             remains.push(format!("{}: {}", shown(gauge.folder()), why.trim()));
         }
     }

@@ -870,6 +870,10 @@ fn a_seal_that_stays_owed_is_a_failure_of_umount_and_of_the_daemon() {
     );
     assert!(!gaugefs_client::mounts::is_gaugefs(Path::new(&at)), "it is unmounted all the same");
     assert!(is_journal("first"), "the next start finds it");
+    // At once, while the daemon still tries to pay: the next one was refused for some seconds.
+    mount("first", true);
+    gaugefs(&["umount", &at]).done();
+    assert!(!is_journal("first"), "it has been paid");
 
     for by_signal in [true, false] {
         let mut daemon = mount("second", false).expect("a child");
@@ -1345,9 +1349,9 @@ fn a_write_of_a_killed_daemon_is_settled_by_the_next() {
     let log = folder.file("log");
     let _daemon = Foreground::new(&at, &[&kept[..], &["--log", &log]].concat());
     let last_error = read(&at, "BAT0/gauge/last_error");
-    assert!(last_error.contains("a write was interrupted"), "{last_error}");
+    assert!(last_error.contains("the write of Cell Terminate Voltage was interrupted"), "{last_error}");
     let log = fs::read_to_string(log).expect("the log");
-    assert!(log.contains("a write was interrupted"), "{log}");
+    assert!(log.contains("the write of Cell Terminate Voltage was interrupted"), "{log}");
     let left: Vec<_> = files().filter(|path| path.extension().is_some_and(|end| end == "journal")).collect();
     assert!(left.is_empty(), "{left:?}");
     assert!(["3000", "3100"].contains(&&*read(&at, "BAT0/df/80/53")));

@@ -36,8 +36,10 @@ use gauge_bus::regular;
 /// Looks at the kernel's list of locks before one counts as free: it is passed on in pieces, and one whose neighbours are
 /// taken or released meanwhile may be left out.
 const LOOKS: u32 = 3;
-/// How long a holder that is about to end is waited for, and the time between two attempts.
+/// How long a holder is waited for of which it is not known whether it is about to end, one that is, which may have to pay
+/// what it owes to its gauges, and the time between two attempts.
 const PATIENCE: Duration = Duration::from_secs(3);
+const ENDS: Duration = Duration::from_secs(60);
 const STEP: Duration = Duration::from_millis(50);
 
 /// The files of the locks that this process holds, for [`remove_all`].
@@ -98,16 +100,29 @@ impl Lock {
         clock: &dyn Clock,
         ending: impl Fn(&Path) -> bool,
     ) -> Result<Self> {
-        let start = clock.now();
+        let (start, mut known) = (clock.now(), None);
         loop {
+            // The kernel's list may leave it out for a moment.
             let holder = match Self::attempt(key, mountpoint)? {
                 Ok(lock) => return Ok(lock),
-                Err(holder) => holder,
+                Err(holder) => holder.or(known.take()),
             };
+            known.clone_from(&holder);
             let mountpoint = holder.as_ref().and_then(|holder| holder.mountpoint.as_deref());
-            let wait = mountpoint.is_none_or(&ending);
-            if !wait || clock.now().saturating_sub(start) > PATIENCE {
+            let patience = match mountpoint {
+                None => PATIENCE,
+                Some(mountpoint) if ending(mountpoint) => ENDS,
+                Some(_) => Duration::ZERO,
+            };
+            if clock.now().saturating_sub(start) >= patience {
                 let what = match &holder {
+                    Some(Holder { pid, mountpoint: Some(place) }) if patience == ENDS => {
+                        let (holder, place) = (process(Path::new("/"), *pid), shown(place));
+                        format!(
+                            "in use by {holder}, which is not mounted at {place} any more and does not end: something there \
+                             may still be open; end it with: kill {pid}"
+                        )
+                    }
                     Some(holder) => format!("in use by {holder}"),
                     None => "in use by another process, which /proc/locks does not show".into(),
                 };
@@ -350,8 +365,9 @@ mod tests {
             "{text}"
         );
         assert_eq!(clock.now(), Duration::ZERO);
-        lock(true).expect_err("held by one that does not end");
-        assert!(clock.now() > PATIENCE);
+        let refused = lock(true).expect_err("held by one that does not end").to_string();
+        assert!(clock.now() >= ENDS, "it may still pay what it owes");
+        assert!(refused.ends_with(&format!("end it with: kill {pid}")), "{refused}");
         drop(first);
         assert!(!file(&state).exists(), "the file is left behind");
         lock(false).expect("released");

@@ -7,7 +7,7 @@ use std::path::Path;
 
 use super::host::Host;
 use super::{Finding, ok, problem, warning};
-use crate::daemon::look::Look;
+use crate::daemon::look::{Look, Seen};
 use crate::error::shown;
 use gauge_bus::regular;
 use gauge_owner::lock::{holding, mountpoint_of, process};
@@ -22,7 +22,7 @@ pub(super) fn check(host: &Host) -> Vec<Finding> {
     let table = regular::read(&host.at("/proc/self/mountinfo"), regular::SYSTEM).unwrap_or_default();
     let all: Vec<_> = parse(&table).collect();
     // Daemons that do not answer are waited for at the same time.
-    let look = |mount: &Mount| Look::begin(&host.at(&mount.path.to_string_lossy())).ok();
+    let look = |mount: &Mount| Look::begin_gauges(&host.at(&mount.path.to_string_lossy())).ok();
     let looks = all.iter().map(|mount| mount.is_gaugefs().then(|| look(mount)).flatten());
     let looks: Vec<_> = looks.collect();
     let mut findings = Vec::new();
@@ -39,6 +39,14 @@ pub(super) fn check(host: &Host) -> Vec<Finding> {
             findings.push(warning(&what, says, format!("Unmount what covers it: umount {what}")));
         } else {
             let found = look.map(Look::end).unwrap_or_default();
+            findings.extend(found.gauges.iter().flat_map(|Seen { listed, notes }| {
+                let note = |note: &String| {
+                    let remedy =
+                        format!("What is known of it, and what to type: gaugefs settle {}", listed.path);
+                    problem(&listed.path, note, remedy)
+                };
+                notes.iter().map(note).collect::<Vec<_>>()
+            }));
             findings.push(if found.late {
                 let says = "a gaugefs whose process does not answer";
                 let remedy = format!(
@@ -78,7 +86,7 @@ fn journals(host: &Host) -> Vec<Finding> {
     let waiting = (
         "a write was interrupted, and the pack that was then found may be another one",
         "Keep this file until its pack has come back: what it lacks is settled when its data flash is read. If that pack \
-         is lost, or was the one that was found, remove the file.",
+         is lost, or was the one that was found, put the file aside where it is mounted: gaugefs settle GAUGE --discard",
     );
     let seal = (
         "a gauge that was found sealed is being read, or may have been left open",

@@ -6,6 +6,7 @@ use super::Change;
 use super::io::COMMITTED;
 use super::schemes::sequence;
 use super::window::{Dirty, Window, learned, secrets};
+use crate::chip::{Chip, Row};
 use crate::codec::WINDOW;
 use crate::error::Result;
 use crate::gauge::Gauge;
@@ -55,6 +56,19 @@ impl PlannedBlock {
 }
 
 impl Plan {
+    /// The names of the parameters that were about to be written.
+    fn names(&self, chip: &Chip) -> Vec<&'static str> {
+        let is_written = |(subclass, row): &Row| {
+            self.blocks.iter().filter(|block| block.subclass == subclass.id).any(|block| {
+                let bytes = usize::from(row.offset)..usize::from(row.offset) + row.kind.size();
+                bytes
+                    .filter_map(|at| at.checked_sub(block.base.into()))
+                    .any(|at| at < WINDOW && block.written.has(at))
+            })
+        };
+        chip.rows().filter(is_written).map(|(_, row)| row.name).collect()
+    }
+
     /// Nothing but what is known of the pack.
     pub(super) fn of_marks(marks: Vec<Mark>) -> Self {
         Self { marks, ..Self::default() }
@@ -95,6 +109,26 @@ impl Plan {
 }
 
 impl Entry {
+    /// What was interrupted, for a message: `the write of Cell Terminate Voltage`.
+    pub(super) fn subject(&self) -> String {
+        const NAMED: usize = 2;
+        let plan = self.plan.as_ref().filter(|_| !self.owes_seal());
+        let Some(plan) = plan else { return "an access".into() };
+        if let Some(key) = &plan.key {
+            return format!("a change of the {} key", key.names());
+        }
+        let names = Chip::by_name(&self.identity.chip).map_or(Vec::new(), |chip| plan.names(chip));
+        match &*names {
+            [] => "a write".into(),
+            [name] => format!("the write of {name}"),
+            [first, second] => format!("the write of {first} and {second}"),
+            several => {
+                let (named, more) = (several[..NAMED].join(", "), several.len() - NAMED);
+                format!("the write of {named} and {more} more")
+            }
+        }
+    }
+
     /// Whether nothing but the seal is owed.
     pub(super) fn owes_seal(&self) -> bool {
         self.plan.as_ref().is_none_or(|plan| plan.blocks.is_empty() && plan.key.is_none())

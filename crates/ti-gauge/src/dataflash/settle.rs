@@ -29,6 +29,7 @@ mod task;
 
 pub use pending::Owed;
 pub(super) use pending::Pending;
+use pending::interrupted;
 pub(super) use search::Searched;
 use search::{Where, may_be_of};
 pub(super) use task::Shown;
@@ -158,6 +159,7 @@ impl DataFlash {
             matches!(error.cause(), Cause::StateUnknown) && error.step() == Some(Step::Restore)
         });
         let tries = pending.tries + u32::from(reads_wrong);
+        let what = pending.entry.as_ref().map_or("a write".into(), Entry::subject);
         let (error, undecided) = match verdict {
             Ok(Verdict::Done(message) | Verdict::Plausible(message)) => {
                 self.pending = None;
@@ -176,8 +178,8 @@ impl DataFlash {
                 let file = pending.file.as_ref().filter(|_| pending.elsewhere);
                 let file = file.map_or(String::new(), |file| format!(" (journal {})", file.display()));
                 let why = format!(
-                    "an interrupted write is not settled: {why}{file}; nothing was touched and nothing is written to \
-                     this gauge until somebody decides: gaugefs settle"
+                    "{what} was interrupted and is not settled: {why}{file}; nothing was touched and nothing is \
+                     written to this gauge until you decide: gaugefs settle GAUGE shows what to type"
                 );
                 (owed(gauge.chip.name, why, true), true)
             }
@@ -190,12 +192,15 @@ impl DataFlash {
             }
             Err(error) if reads_wrong && tries >= TRIES => {
                 let why = format!(
-                    "an interrupted write is not settled: {error}; that was tried {tries} times, and nothing more is \
-                     written to this gauge until somebody decides: gaugefs settle"
+                    "{what} was interrupted and is not settled: {error}; that was tried {tries} times, and nothing \
+                     more is written to this gauge until you decide: gaugefs settle GAUGE shows what to type"
                 );
                 (owed(gauge.chip.name, why, true), true)
             }
-            Err(error) => (error.within("cannot settle an interrupted write"), false),
+            Err(error) => {
+                let next = pending.entry.as_ref().map(interrupted);
+                (error.within(next.as_deref().unwrap_or("cannot settle an interrupted write")), false)
+            }
         };
         let why = error.to_string();
         self.pending = Some(Pending { why, undecided, tries, ..pending.clone() });
@@ -318,13 +323,18 @@ impl DataFlash {
                     }
                     // It may be on its way into CONFIG UPDATE, which its flags show up to a second later.
                     self.mode_left_on = true;
-                    let why = "a write was interrupted, and the gauge has since lost power and with it its data memory";
-                    return Ok(Verdict::Done(why.into()));
+                    let why = format!(
+                        "{} was interrupted, and the gauge has since lost power and with it its data memory",
+                        entry.subject()
+                    );
+                    return Ok(Verdict::Done(why));
                 }
                 let then = &entry.identity;
                 let (watched, certain) = (pending.watched, pending.certain.map(|(moment, _)| moment));
                 let shown = self.shown.as_ref().filter(|shown| shown.entry == *entry);
-                let task = Task { plan, then, now: identity, watched, certain, decision, shown, elsewhere };
+                let subject = entry.subject();
+                let task =
+                    Task { plan, subject, then, now: identity, watched, certain, decision, shown, elsewhere };
                 task.run(gauge, session)
             }
         }

@@ -55,7 +55,8 @@ fn the_journal_stays_until_the_outcome_is_proven() {
         rig.settle().expect_err(fault);
         for _ in 0..2 {
             let error = rig.write(58, 3, "0x5a").expect_err(fault);
-            assert!(error.to_string().contains("interrupted write"), "{fault}: {error}");
+            let says = "interrupted, and it is finished or undone as soon as that is possible";
+            assert!(error.to_string().contains(says), "{fault}: {error}");
             let owed = rig.dataflash.owed().expect("it is owed");
             assert!(!owed.needs_decision, "{fault}: {}", owed.why);
         }
@@ -150,6 +151,12 @@ fn a_stale_journal_changes_nothing_until_a_person_decides() {
         let present = u16::from_be_bytes([present[0], present[1]]);
         let shown = rig.dataflash.examine(&mut rig.gauge, Duration::ZERO).expect("it can be read");
         let line = format!("48/11\tDesign Capacity\t1000\t2200\t{present}\n");
+        let serial = if name == "another pack" { " --serial 0x0001" } else { "" };
+        for what in ["--undo", "--finish"] {
+            let line = format!("  gaugefs settle GAUGE {what}{serial} ");
+            assert!(shown.contains(&line), "{name}: {line}: {shown}");
+        }
+        assert!(shown.contains("  gaugefs settle GAUGE --discard ") && shown.lines().count() > 5, "{shown}");
         assert!(shown.contains(&line) && shown.contains("80/53\t"), "{name}: {shown}");
         // What the write did not change and is not as it was is shown as well.
         let other = shown.contains("48/15\tSOH Load I\t-400\t-400\t-300\n");
@@ -303,6 +310,14 @@ fn a_factory_pack_that_holds_the_old_values_is_not_touched_and_the_journal_is_ke
     assert!(rig.sim.flash() == flash);
     assert_eq!((rig.get("programmed"), rig.get("resets")), (programmed, resets));
     assert_eq!((rig.seal(), folder.files()), (Seal::Sealed, vec!["i2c-1-55.waiting".to_string()]));
+    // Nobody may ever need it again, and only a person knows that.
+    let shown = rig.dataflash.examine(&mut rig.gauge, Duration::ZERO).expect("it is shown");
+    let what = "i2c-1-55.waiting: the write of Design Capacity and Cell Terminate Voltage was interrupted on a bq34z100-g1";
+    assert!(shown.contains(what) && shown.contains("gaugefs settle GAUGE --discard"), "{shown}");
+    rig.dataflash.decide(&mut rig.gauge, Decision::Discard, Duration::ZERO).expect("it is put aside");
+    assert_eq!((rig.sim.flash() == flash, folder.files()), (true, vec!["i2c-1-55.dismissed".to_string()]));
+    let shown = rig.dataflash.examine(&mut rig.gauge, Duration::ZERO).expect("it is shown");
+    assert_eq!(shown, "nothing to settle\n");
 }
 
 /// SerialNumber() then reads 0xFFFF.

@@ -322,7 +322,10 @@ fn regression_a_seal_was_lost_while_a_write_waited_for_a_decision() {
         let owed = rig.dataflash.owed().expect("a write and a seal");
         assert!(owed.data && !owed.needs_decision, "the seal can be tried again: {}", owed.why);
         let why = owed.why.to_string();
-        assert!(why.contains("restoring the sealed state failed") && why.contains("decides"), "{why}");
+        assert!(
+            why.contains("restoring the sealed state failed") && why.contains("until you decide"),
+            "{why}"
+        );
         if restart {
             rig.start(&folder);
         }

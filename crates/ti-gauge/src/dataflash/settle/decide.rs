@@ -2,6 +2,7 @@
 
 //! What a person is shown of an interrupted write, and what becomes of it as they decide.
 
+use std::path::PathBuf;
 use std::time::Duration;
 
 use super::Decision;
@@ -24,10 +25,13 @@ impl DataFlash {
     pub fn examine(&mut self, gauge: &mut Gauge, waited: Duration) -> Result<String> {
         let seal = self.find_seal().map_or(String::new(), |seal| format!("{}\n", seal.why));
         let Some(pending) = self.find_pending() else {
-            return Ok(if seal.is_empty() { "nothing to settle\n".into() } else { seal });
+            let nothing = if seal.is_empty() { "nothing to settle\n".into() } else { seal };
+            return Ok(nothing + &self.waiting());
         };
         let mut text = format!("{seal}{}\n", pending.why);
-        let Some(entry) = pending.entry else { return Ok(text) };
+        let Some(entry) = pending.entry else {
+            return Ok(if pending.undecided { text + "To give it up, type\n" + DISCARD } else { text });
+        };
         let Identity { chip, firmware, serial, .. } = &entry.identity;
         text += &format!(
             "begun on {chip}, firmware 0x{firmware:04x}, serial number 0x{serial:04x}, found {}\n",
@@ -56,20 +60,51 @@ impl DataFlash {
                 let same = compare_seen(gauge, [&entry.identity, &now], &plan, &seen)?;
                 Ok((seen, same))
             })?;
+            let mut serial = String::new();
             if let Match::Other(name) = same {
                 text += &match number_of(gauge.chip, &now) {
-                    Some(serial) => format!(
-                        "{name} is not what it was then: this is another pack, serial number {serial}; to write to it all \
-                         the same, add --serial {serial}\n"
-                    ),
+                    Some(number) => {
+                        serial = format!(" --serial {number}");
+                        format!(
+                            "{name} is not what it was then: this is another pack, serial number {number}\n"
+                        )
+                    }
                     None => format!("{name} is not what it was then: this is another pack\n"),
                 };
             }
             let blocks = seen.iter().map(|seen| seen.stored).collect();
             text += &table(gauge.chip, &seen);
+            text += &format!("To decide, type one of\n{}{DISCARD}", to_write(&serial));
             self.shown = Some(Shown { entry, identity: now, blocks });
             Ok(text)
         })
+    }
+
+    /// The journals of this place that wait for their packs, which may never come back, or be this one.
+    fn waiting(&self) -> String {
+        let waiting = self.journal.as_ref().and_then(|journal| journal.waiting().ok()).unwrap_or_default();
+        let line = |(path, entry): &(PathBuf, Entry)| {
+            let Identity { chip, serial, .. } = &entry.identity;
+            let what = entry.subject();
+            format!("{}: {what} was interrupted on a {chip}, serial number 0x{serial:04x}\n", path.display())
+        };
+        match waiting.iter().map(line).collect::<String>() {
+            none if none.is_empty() => none,
+            lines => {
+                format!("{lines}These wait for their packs. If those are lost or this one, type\n{DISCARD}")
+            }
+        }
+    }
+
+    /// Gives up the journals of this place that wait for their packs. Returns a message for the log, empty without one.
+    fn dismiss_waiting(&self) -> Result<String> {
+        let Some(journal) = &self.journal else { return Ok(String::new()) };
+        let mut kept = Vec::new();
+        for (path, _) in journal.waiting()? {
+            kept.push(journal.dismiss(&path)?.display().to_string());
+        }
+        let what = "given up; the journals that waited for their packs are kept as";
+        Ok(if kept.is_empty() { String::new() } else { format!("{what} {}", kept.join(" and ")) })
     }
 
     /// Settles an interrupted write as a person has decided. Returns a message for the log.
@@ -78,6 +113,10 @@ impl DataFlash {
             let sealed = self.pay_seal(gauge, waited);
             if decision == Decision::Discard {
                 self.forget_seal();
+                let dismissed = self.dismiss_waiting()?;
+                if !dismissed.is_empty() {
+                    return Ok(dismissed);
+                }
             }
             let nothing = || Error::new(gauge.chip.name, Cause::Invalid, "there is nothing to settle");
             return sealed?.ok_or_else(nothing);
@@ -159,6 +198,17 @@ impl DataFlash {
         }
         ended
     }
+}
+
+/// What to type.
+const DISCARD: &str =
+    "  gaugefs settle GAUGE --discard   leave data flash as it is, and put the journal aside\n";
+
+fn to_write(serial: &str) -> String {
+    format!(
+        "  gaugefs settle GAUGE --undo{serial}      write the old values, verify, seal\n  gaugefs settle GAUGE \
+         --finish{serial}    write the new values, verify, seal\n"
+    )
 }
 
 /// The changed parameters of a plan, and others that are not what they were, one a line: place, name, old, new, and

@@ -104,8 +104,9 @@ impl DataFlash {
             }
         }
         let file = self.held.as_ref().map(|held| held.path().to_path_buf());
+        let why = if left.data { format!("{}: {}", interrupted(&entry), left.why) } else { left.why };
         let certain = left.certain.map(|moment| (moment, gauge.clock.now()));
-        let pending = Pending { file, watched: true, certain, ..Pending::of(Some(entry), left.why) };
+        let pending = Pending { file, watched: true, certain, ..Pending::of(Some(entry), why) };
         self.pending = Some(pending);
     }
 
@@ -186,6 +187,12 @@ impl DataFlash {
     }
 }
 
+/// What happened to a gauge, and what happens next.
+pub(super) fn interrupted(entry: &Entry) -> String {
+    let next = if entry.owes_seal() { "the gauge is sealed" } else { "it is finished or undone" };
+    format!("{} was interrupted, and {next} as soon as that is possible", entry.subject())
+}
+
 impl Pending {
     pub(super) fn of(entry: Option<Entry>, why: String) -> Self {
         Self {
@@ -205,7 +212,7 @@ impl Pending {
         let file = Some(found.path);
         match found.content {
             Content::Entry(entry) => {
-                let why = "a write was interrupted and is not settled yet".to_string();
+                let why = interrupted(&entry);
                 Self { file, ..Self::of(Some(entry), why) }
             }
             Content::InUse(why) => Self { file, ..Self::of(None, why) },

@@ -40,6 +40,8 @@ impl Shown {
 /// One interrupted write.
 pub(super) struct Task<'a> {
     pub(super) plan: &'a Plan,
+    /// What it is, for a message.
+    pub(super) subject: String,
     pub(super) then: &'a Identity,
     pub(super) now: &'a Identity,
     pub(super) watched: bool,
@@ -82,7 +84,8 @@ impl Task<'_> {
                 Whose::Another(pack) => Verdict::Plausible(format!(
                     "another pack than an interrupted write was begun on, {pack}, has the old values already"
                 )),
-                whose => whose.settled("a write was interrupted; data flash holds the old values".into()),
+                whose => whose
+                    .settled(format!("{} was interrupted; data flash holds the old values", self.subject)),
             });
         }
         let keys = match job.blocks.iter().any(|seen| has_erased_keys(chip, seen)) {
@@ -105,12 +108,14 @@ impl Task<'_> {
         }
         let message = match (forward, self.plan.by_gauge) {
             (true, false) => {
-                "a write was interrupted after its last block; it has been finished and verified"
+                format!("{} was interrupted after its last block; it has been finished and verified", self.subject)
             }
-            (false, false) => "a write was interrupted half way; the old values were restored and verified",
-            (true, true) => "what the gauge has measured and stored was kept",
+            (false, false) => {
+                format!("{} was interrupted half way; the old values were restored and verified", self.subject)
+            }
+            (true, true) => "what the gauge has measured and stored was kept".into(),
             (false, true) => {
-                "what the gauge has measured and stored was not judged; the old values were restored and verified"
+                "what the gauge has measured and stored was not judged; the old values were restored and verified".into()
             }
         };
         Ok(whose.settled(format!("{message}{keys}")))
@@ -155,7 +160,7 @@ impl Task<'_> {
             }
             Doubt::Weak if whole => {
                 let held = if all_old { "old" } else { "new" };
-                let why = format!("a write was interrupted; data flash holds the {held} values");
+                let why = format!("{} was interrupted; data flash holds the {held} values", self.subject);
                 Ok(ControlFlow::Break(Verdict::Plausible(why)))
             }
             Doubt::Weak => undecided(
