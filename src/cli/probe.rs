@@ -20,6 +20,7 @@ use gauge_bus::linux::{Adapter, LinuxBus, adapters};
 use gauge_bus::{Bus, GAUGE_ADDRESS};
 use ti_gauge::chip::Role;
 use ti_gauge::probe::{self, ROM_ADDRESS, Reading, Target};
+use ti_gauge::rom;
 
 const PROBE: &str = "\
 Without --address it only reads registers: at 0x55, and at 0x0b where a gauge in ROM mode answers.
@@ -195,7 +196,9 @@ fn advice(found: &[Found], bus: &str) -> String {
     } else if at(GAUGE_ADDRESS, &[State::Nothing]) && at(ROM_ADDRESS, &[State::Rom]) {
         format!(
             "If it is a gauge, it answers at 0x0b only because its firmware is not whole. Switch its power off and on; if that\n\
-             does not help: gaugefs rescue FILE.bq.fs --bus {bus} --chip CHIP\n"
+             does not help: gaugefs rescue FILE.bq.fs --bus {bus} --chip CHIP\n\
+             CHIP is {}; no other part can be brought back.\n",
+            rom::supported()
         )
     } else {
         String::new()

@@ -19,7 +19,7 @@
 
 use std::time::Duration;
 
-use crate::chip::{Chip, FirmwareFile};
+use crate::chip::{CHIPS, Chip, FirmwareFile};
 use crate::error::{Cause, Error, Result};
 use crate::image::at_line;
 use crate::image::flashstream::{self, Command};
@@ -56,6 +56,12 @@ const FETCHING: Duration = Duration::from_millis(20);
 /// How often a transfer without consequences is tried, and the time in between.
 const TRIES: usize = 5;
 const PAUSE: Duration = Duration::from_millis(20);
+
+/// The names of the chips that a firmware file brings back, in words.
+pub fn supported() -> String {
+    let chips = CHIPS.iter().filter(|chip| chip.firmware_file.is_some());
+    chips.map(|chip| chip.name).collect::<Vec<_>>().join(" or ")
+}
 
 /// Commands of the boot loader.
 mod code {

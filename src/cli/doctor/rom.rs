@@ -11,6 +11,7 @@ use gauge_bus::GAUGE_ADDRESS;
 use gauge_bus::clock::RealClock;
 use gauge_bus::linux::{Adapter, LinuxBus};
 use ti_gauge::probe::{ROM_ADDRESS, answers_in_rom};
+use ti_gauge::rom;
 
 pub(super) fn check(bus: &Path) -> Result<Finding> {
     let adapter = Adapter::find(bus)?;
@@ -35,7 +36,8 @@ fn finding(bus: &str, gauge: bool, rom: bool) -> Finding {
                         a smart battery";
             let remedy = format!(
                 "If it is a gauge: switch its power off and on; if that does not help: gaugefs rescue FILE.bq.fs \
-                 --bus {bus} --chip CHIP"
+                 --bus {bus} --chip CHIP, which is {}; no other part can be brought back",
+                rom::supported()
             );
             problem(what, says, remedy)
         }

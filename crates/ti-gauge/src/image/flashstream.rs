@@ -7,7 +7,8 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use super::{Faults, Format, Group, Image, Raw, Reading, at_line, check_count, chip_of, is_written};
+use super::target::{chip_like, instead};
+use super::{Faults, Format, Group, Image, Raw, Reading, at_line, check_count, is_written};
 use crate::chip::{Chip, Effect, FLAT, Kind, Parameter, Scheme, Subclass};
 use crate::codec::{self, WINDOW, checksum};
 
@@ -140,9 +141,10 @@ fn is_register(byte: u8) -> bool {
 fn command(line: &str) -> Result<Command, String> {
     // The line itself is not repeated: it may hold key words.
     if is_record(line) {
-        return Err("a record of an Intel HEX or S-record file, which holds a memory and not what is sent to a gauge; \
-                    export a .gm.fs or .gg.csv of the same gauge"
-            .into());
+        return Err(format!(
+            "a record of an Intel HEX or S-record file, which holds a memory and not what is sent to a gauge; {}",
+            instead(None)
+        ));
     }
     let Some((letter, rest)) = line.split_once(':') else {
         return Err(match is_hex(line) {
@@ -225,7 +227,7 @@ pub(super) fn read(text: &str, told: Option<&'static Chip>, faults: &mut Faults)
     if romimage::is_one(&commands) && told.is_none_or(|chip| chip.rom_image.is_some()) {
         return romimage::read(&commands, told, faults);
     }
-    check_addresses(&commands, faults)?;
+    check_addresses(&commands, told, faults)?;
     let mark = |mark: &str| text.lines().find_map(|line| line.trim().strip_prefix(mark));
     let written = mark(COUNT_LINE).and_then(|count| count.trim().parse().ok());
     faults.keep(0, check_count(text, written, count, "commands"));
@@ -239,9 +241,14 @@ pub(super) fn read(text: &str, told: Option<&'static Chip>, faults: &mut Faults)
     }
     let (device_type, firmware) = identity(&commands);
     let codes = (device_type.map(|(_, code)| code), firmware.map(|(_, code)| code));
-    let chip = match (chip_of(named.or(told), codes.0, codes.1), device_type) {
+    let is_flat = commands.iter().any(|(_, command)| sets_length(command));
+    let is_blocks = !is_flat && commands.iter().any(|(_, command)| sets_sum(command));
+    let is_like = |chip: &Chip| if chip.access.scheme.is_flat() { !is_blocks } else { !is_flat };
+    let chip = match (chip_like(named.or(told), codes.0, codes.1, is_like), device_type) {
         (Ok(chip), _) => chip,
         (Err(error), Some((number, _))) => {
+            // What else is wrong with a file for another gauge does not matter.
+            *faults = Faults::default();
             return faults.stop(number, error.within(&format!("line {number}")));
         }
         // A line that cannot be read may be the one that says so.
@@ -293,8 +300,28 @@ pub(super) fn read(text: &str, told: Option<&'static Chip>, faults: &mut Faults)
     Some(image)
 }
 
+/// Whether a command sets MACDataLen(), as files for a flat address space do.
+fn sets_length(command: &Command) -> bool {
+    let Command::Write { address: GAUGE, register, bytes } = command else { return false };
+    let at = usize::from(LENGTH).checked_sub((*register).into());
+    *register >= DATA && at.and_then(|at| bytes.get(at)).is_some_and(|byte| *byte != 0)
+}
+
+/// Whether a command sets a checksum, as in all files that write anything.
+fn sets_sum(command: &Command) -> bool {
+    matches!(command, Command::Write { address: GAUGE, register: SUM, .. })
+}
+
 /// Checks that all commands are for the gauge. A file for ROM mode is not read any further.
-fn check_addresses(commands: &[(usize, Command)], faults: &mut Faults) -> Option<()> {
+fn check_addresses(
+    commands: &[(usize, Command)],
+    told: Option<&'static Chip>,
+    faults: &mut Faults,
+) -> Option<()> {
+    let of_file = || {
+        let (_, code) = identity(commands).0?;
+        Chip::all().find(|chip| chip.identity.device_type == code)
+    };
     let mut is_for_gauge = false;
     for (number, command) in commands {
         let address = match command {
@@ -307,11 +334,15 @@ fn check_addresses(commands: &[(usize, Command)], faults: &mut Faults) -> Option
             (GAUGE, Command::Write { register: CONTROL | SELECT, bytes, .. })
                 if bytes[..] == ROM_MODE.to_le_bytes() =>
             {
-                "Control(ROM_MODE): the rest writes flash row by row, bypassing or replacing the gauge's firmware, \
-                 which gaugefs never does; use a .gm.fs or .gg.csv of the same gauge"
+                format!(
+                    "Control(ROM_MODE): the rest writes flash row by row, bypassing or replacing the gauge's firmware, \
+                     which gaugefs never does; {}",
+                    instead(told.or_else(of_file))
+                )
             }
             (ROM | 0x0b, _) => {
                 "address 0x16 is the gauge in ROM mode, which gaugefs never uses: it would replace firmware"
+                    .into()
             }
             (GAUGE, _) => {
                 is_for_gauge = true;
@@ -1034,6 +1065,47 @@ mod tests {
     }
 
     #[test]
+    fn regression_a_file_for_other_firmware_was_taken_for_one_of_another_part() {
+        let text = "W: AA 00 01 00\nC: AA 00 00 01\nW: AA 00 02 00\nC: AA 00 99 00\nW: AA 3E 50 01\nW: AA 55 0C 1C\n\
+                    W: AA 60 7A\nW: AA 10 00\n";
+        for chip in [None, Chip::by_name("bq34z100-g1")] {
+            let reading = Image::examine_text(text, chip);
+            let told: Vec<_> = reading.faults.iter().map(ToString::to_string).collect();
+            let known = match chip {
+                Some(_) => "bq34z100-G1 with firmware 0x0016",
+                None => "bq34z100-G1 with firmware 0x0016 and a bq34z100-R2 with firmware 0x0202",
+            };
+            let says =
+                format!("line 2: it is for device type 0x0100, firmware 0x0099; gaugefs knows a {known}");
+            assert_eq!(told, [says]);
+        }
+        // A file in the form of a bq35100, whose versions nobody has listed, is one.
+        let flat = text.replace(
+            "W: AA 3E 50 01\nW: AA 55 0C 1C\nW: AA 60 7A\nW: AA 10 00\n",
+            "W: AA 3E 00 40\nW: AA 60 BF 05\n",
+        );
+        let reading = Image::examine_text(&flat, None);
+        assert_eq!(reading.image.expect("a chip").chip.name, "bq35100");
+    }
+
+    #[test]
+    fn what_is_advised_in_place_of_a_file_can_be_done() {
+        let rom = "W: AA 00 00 0F\nX: 1000\nW: 16 00 00 01\n";
+        let of_type = |code: &str| format!("W: AA 00 01 00\nC: AA 00 {code}\n{rom}");
+        for (text, chip, says) in [
+            (rom.to_string(), None, "if it is for a gauge that `gaugefs chips` lists with data flash"),
+            (rom.to_string(), Some("bq27541"), "gaugefs only reads the registers of a bq27541"),
+            (rom.to_string(), Some("bq34110"), "use a .gm.fs or .gg.csv of a bq34110"),
+            (of_type("41 05"), None, "gaugefs only reads the registers of a bq27541"),
+            (of_type("26 04"), None, "use a .gm.fs or .gg.csv of a BQ27426"),
+        ] {
+            let chip = chip.and_then(Chip::by_name);
+            let error = parse(&text, chip).expect_err("ROM mode").to_string();
+            assert!(error.contains("Control(ROM_MODE)") && error.contains(says), "{error}");
+        }
+    }
+
+    #[test]
     fn a_dangerous_or_broken_line_is_refused() {
         for (line, says) in [
             ("W: AA 00 00 0F", "line 2: Control(ROM_MODE)"),
@@ -1075,7 +1147,10 @@ mod tests {
         assert!(error.starts_with("line 6: it is for device type 0x0421, firmware 0x0109"), "{error}");
         let error =
             read("bq27441-g1", &STREAM.replace("C: AA 00 09 01", "C: AA 00 10 01")).expect_err("firmware");
-        assert!(error.to_string().contains("firmware 0x0110, which a bq27441-G1 is not"), "{error}");
+        assert!(
+            error.to_string().contains("firmware 0x0110; gaugefs knows a bq27441-G1 with firmware 0x0109"),
+            "{error}"
+        );
     }
 
     #[test]

@@ -7,7 +7,7 @@ use std::path::Path;
 
 use gauge_bus::regular;
 
-use super::target::fits;
+use super::target::{fits, instead, versions};
 use super::{Entry, Faults, Format, Image, LONGEST, Reading, flashstream, ggcsv, toml, twice};
 use crate::chip::Chip;
 use crate::error::{Cause, Error, Result};
@@ -31,8 +31,10 @@ impl Image {
         let is_dfi =
             Path::new(name).extension().is_some_and(|extension| extension.eq_ignore_ascii_case("dfi"));
         if is_dfi || is_binary(bytes) {
-            let why = "a binary image of data flash (.dfi), which does not say what it is for; export a .gg.csv or .gm.fs \
-                       with them, or a .df.fs for a bq34z100";
+            let why = format!(
+                "a binary image of data flash (.dfi), which does not say what it is for; {}, or a .df.fs of a bq34z100",
+                instead(None)
+            );
             let mut faults = Faults::default();
             faults.add(0, Error::new("", Cause::Invalid, why));
             return Reading { image: None, faults };
@@ -73,7 +75,8 @@ impl Image {
         if let Some(firmware) = image.firmware
             && !fits(image.chip.identity.firmware, firmware)
         {
-            let why = format!("firmware 0x{firmware:04x} is not known for a {}", image.chip.model);
+            let known = versions(&[image.chip]);
+            let why = format!("it is for firmware 0x{firmware:04x}; gaugefs knows a {known}");
             faults.add(0, invalid(why));
         }
         if image.entries.is_empty() && image.raw.is_empty() && faults.is_empty() {

@@ -283,7 +283,11 @@ fn gauges_of_two_kinds_are_not_compared() {
 fn a_file_for_another_gauge_is_refused() {
     let text = written(&defaults(CHIPS[0]), Format::Toml);
     for (from, to, says) in [
-        ("0x0016", "0x0017", "device type 0x0100, firmware 0x0017, which a bq34z100-G1 is not"),
+        (
+            "0x0016",
+            "0x0017",
+            "device type 0x0100, firmware 0x0017; gaugefs knows a bq34z100-G1 with firmware 0x0016",
+        ),
         ("chip = \"bq34z100-g1\"", "chip = \"bq27441-g1\"", "which a bq27441-G1 is not"),
         ("chip = \"bq34z100-g1\"", "", ""),
     ] {

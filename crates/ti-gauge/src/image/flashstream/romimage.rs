@@ -10,6 +10,7 @@ use super::{Command, DEVICE_TYPE, FW_VERSION, GAUGE, ROM, ROM_MODE, identity};
 use crate::chip::{CHIPS, Chip, Kind, RomImage, Subclass};
 use crate::codec::{self, WINDOW};
 use crate::error::{Cause, Error, Result};
+use crate::image::target::versions;
 use crate::image::{Faults, Group, Image, LeftOut, Raw, at_line, cut_short};
 use crate::notation;
 use crate::value::{Type, Value};
@@ -289,11 +290,11 @@ impl Rom {
                 && firmware.is_none_or(|code| chip.identity.firmware.contains(&code))
         };
         let of_firmware: Vec<_> = known.iter().copied().filter(|(chip, _)| is_of(chip)).collect();
-        let names = || known.iter().map(|(chip, _)| chip.model).collect::<Vec<_>>().join(" or ");
+        let names = || versions(&known.iter().map(|(chip, _)| *chip).collect::<Vec<_>>());
         let Some((first, _)) = of_firmware.first() else {
             let code = |code: Option<u16>| code.map_or("unknown".into(), |code| format!("0x{code:04x}"));
             return invalid(format!(
-                "it is for ROM mode, of device type {} and firmware {}: not a {}",
+                "it is for ROM mode, of device type {} and firmware {}; gaugefs knows a {}",
                 code(device_type),
                 code(firmware),
                 names()
@@ -538,11 +539,13 @@ mod tests {
         let error_of = |text: &str, chip: &str| {
             Image::parse(text, Chip::by_name(chip)).map(|_| ()).expect_err("another part").to_string()
         };
-        let why = "it is for ROM mode, of device type unknown and firmware 0x0016: not a bq34z100-R2";
+        let why = "it is for ROM mode, of device type unknown and firmware 0x0016; gaugefs knows a bq34z100-R2 with firmware \
+                   0x0202";
         assert_eq!(error_of(&g1, "bq34z100-r2"), why);
         let why = "its data flash is not laid out as that of a bq34z100-G1";
         assert_eq!(error(&file(&flash(true), 0x0016, 2)), why);
-        let why = "it is for ROM mode, of device type unknown and firmware 0x0204: not a bq34z100-G1 or bq34z100-R2";
+        let why = "it is for ROM mode, of device type unknown and firmware 0x0204; gaugefs knows a bq34z100-G1 with firmware \
+                   0x0016 and a bq34z100-R2 with firmware 0x0202";
         assert_eq!(error(&file(&flash(true), 0x0204, 2)), why);
         // Of a part whose layout is not known the mode is the reason.
         assert!(error_of(&g1, "bq34110").starts_with("line 4: Control(ROM_MODE)"));
