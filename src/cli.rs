@@ -54,6 +54,9 @@ Examples:
   cat /tmp/gauges/BAT0/voltage_now                its voltage in microvolts
   gaugefs umount /tmp/gauges
 
+  gaugefs set --help                              the options of a command
+  gaugefs man | man -l -                          all of it, and a glossary
+
   gaugefs probe --bus /dev/i2c-1                  scan a bus for gauges
   gaugefs mount --bus /dev/i2c-1 ~/gauges         mount it, for you alone
   sudo gaugefs mount --bus /dev/i2c-1 /run/gauges     for all users to read";
@@ -162,9 +165,69 @@ impl Command {
     }
 }
 
+/// The commands by what they are for. One that is in no group is listed at the end.
+const GROUPS: [(&str, &[&str]); 5] = [
+    ("Mount", &["mount", "umount", "list", "sim"]),
+    (
+        "Look",
+        &[
+            "top", "get", "export", "diff", "lint", "log", "plot", "learn", "wait", "probe", "chips",
+            "report", "doctor",
+        ],
+    ),
+    ("Write", &["set", "import", "settle", "learned", "calibrate", "bringup", "keys", "rescue"]),
+    ("Factory", &["program", "records", "auth"]),
+    ("Service", &["watch", "metrics", "events", "detach", "completions", "man"]),
+];
+
 /// The definition of the command line, whose prose takes the width of the terminal.
 pub fn definition() -> clap::Command {
-    flowing(Cli::command())
+    let command = flowing(Cli::command());
+    let commands = grouped(&command);
+    command.help_template(format!(
+        "{{about-with-newline}}\n{{usage-heading}} {{usage}}\n\n{commands}Options:\n{{options}}{{after-help}}"
+    ))
+}
+
+/// The list of the commands, with a heading for each group.
+fn grouped(command: &clap::Command) -> String {
+    let shown = |command: &&clap::Command| !command.is_hide_set();
+    let is_in = |name: &str| GROUPS.iter().any(|(_, names)| names.contains(&name));
+    let others =
+        command.get_subcommands().filter(shown).map(clap::Command::get_name).filter(|name| !is_in(name));
+    let others: Vec<&str> = others.collect();
+    let groups = GROUPS.iter().copied().chain([("Other", &*others)]);
+    let mut text = String::new();
+    for (heading, names) in groups {
+        // Some may not be in this build.
+        let named = names.iter().filter_map(|name| command.find_subcommand(name)).filter(shown);
+        let lines: String = named.map(listed).collect();
+        if !lines.is_empty() {
+            text += &format!("{heading}:\n{lines}\n");
+        }
+    }
+    text
+}
+
+/// A line of the list, and more where it is too long for a terminal of 80 columns.
+fn listed(command: &clap::Command) -> String {
+    const NAME: usize = 11;
+    const WIDTH: usize = 80 - NAME - 4;
+    let about = command.get_about().map(ToString::to_string).unwrap_or_default();
+    let aliases: Vec<&str> = command.get_visible_aliases().collect();
+    let about = if aliases.is_empty() { about } else { format!("{about} [alias: {}]", aliases.join(", ")) };
+    let mut lines = vec![String::new()];
+    for word in about.split(' ') {
+        match lines.last_mut() {
+            Some(line) if line.is_empty() => line.push_str(word),
+            Some(line) if line.chars().count() + 1 + word.chars().count() <= WIDTH => {
+                *line += &format!(" {word}")
+            }
+            _ => lines.push(word.into()),
+        }
+    }
+    let names = std::iter::once(command.get_name()).chain(std::iter::repeat(""));
+    names.zip(lines).map(|(name, line)| format!("  {name:NAME$}  {line}\n")).collect()
 }
 
 fn flowing(command: clap::Command) -> clap::Command {
@@ -293,6 +356,21 @@ mod tests {
     fn prose_takes_the_width_of_the_terminal_and_examples_stay() {
         let text = "One\ntwo.\n\nThree\nfour:\n  a\n  b\nFive\nsix";
         assert_eq!(flow(text), "One two.\n\nThree four:\n  a\n  b\nFive six");
+    }
+
+    #[test]
+    fn every_command_is_in_one_group_of_the_help() {
+        let command = definition();
+        let names: Vec<&str> = GROUPS.iter().flat_map(|(_, names)| *names).copied().collect();
+        for shown in command.get_subcommands().filter(|command| !command.is_hide_set()) {
+            let count = names.iter().filter(|name| **name == shown.get_name()).count();
+            assert_eq!(count, 1, "{}", shown.get_name());
+        }
+        let help = command.clone().render_help().to_string();
+        let headings = ["Mount:", "Look:", "Write:", "Factory:", "Service:", "Options:", "Examples:"];
+        let found: Vec<&str> = help.lines().filter(|line| headings.contains(line)).collect();
+        assert_eq!(found, headings, "{help}");
+        assert!(help.lines().all(|line| line.chars().count() <= 80), "{help}");
     }
 
     /// A terminal of 80 columns would break an example in the middle, with what it is about below it.

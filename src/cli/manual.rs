@@ -17,11 +17,17 @@ use crate::error::Result;
 use crate::output::print_file;
 
 const PROGRAM: &str = include_str!("../../docs/gaugefs.1.in");
+const WORDS: &str = include_str!("../../docs/COMMANDS.md");
 const FILE: &str = include_str!("../../docs/gaugefs.toml.5.in");
 
-/// Print a manual page
+const MAN: &str = "\
+Examples:
+  gaugefs man | man -l -
+  gaugefs man gaugefs.toml | man -l -";
+
+/// Print a manual page, with the meaning of its words
 #[derive(Args, Debug)]
-#[command(hide = true)]
+#[command(after_help = MAN)]
 pub(super) struct Man {
     /// The page
     #[arg(value_enum, default_value = "gaugefs")]
@@ -103,7 +109,21 @@ pub(super) fn program(mut gaugefs: Command) -> String {
             describe(command, &mut synopsis, &mut commands);
         }
     }
-    dated(PROGRAM).replace("@SYNOPSIS@\n", &synopsis.to_roff()).replace("@COMMANDS@\n", &commands.to_roff())
+    dated(PROGRAM)
+        .replace("@SYNOPSIS@\n", &synopsis.to_roff())
+        .replace("@COMMANDS@\n", &commands.to_roff())
+        .replace("@WORDS@\n", &words())
+}
+
+/// What the words of gaugefs mean, from the page that has them.
+fn words() -> String {
+    let (_, table) = WORDS.split_once("\n## Words\n").expect("the page has them");
+    let rows = table.lines().skip_while(|line| !line.starts_with("| --- ")).skip(1);
+    let mut section = Roff::new();
+    for row in rows.map_while(|line| line.strip_prefix("| ")?.strip_suffix(" |")?.split_once(" | ")) {
+        section.control("TP", []).text([bold(row.0)]).text([roman(row.1.replace('`', ""))]);
+    }
+    section.to_roff()
 }
 
 /// Adds a command to the synopsis and its section to the page.

@@ -90,13 +90,13 @@ fn the_pages_render_without_a_warning() {
 fn the_page_lists_every_command_with_its_options() {
     let page = plain(&page());
     assert!(page.contains(r#".TH GAUGEFS 1 "2023-11-14" "gaugefs "#), "{}", &page[..300]);
-    for place in ["@DATE@", "@VERSION@", "@SYNOPSIS@", "@COMMANDS@"] {
+    for place in ["@DATE@", "@VERSION@", "@SYNOPSIS@", "@COMMANDS@", "@WORDS@"] {
         assert!(!page.contains(place), "{place}");
     }
     let help = gaugefs(&["--help"]).done();
-    let commands = help.split("Commands:\n").nth(1).expect("commands").lines();
-    let commands =
-        commands.take_while(|line| !line.is_empty()).filter_map(|line| line.split_whitespace().next());
+    let (commands, _) = help.split_once("\nOptions:\n").expect("commands");
+    let names = commands.lines().filter_map(|line| line.strip_prefix("  ")?.split(' ').next());
+    let commands = names.filter(|name| !name.is_empty());
     let mut seen = 0;
     for name in commands.filter(|name| *name != "help") {
         let start = page.find(&format!(".SS \"gaugefs {name}\"\n")).unwrap_or_else(|| panic!("no {name}"));
@@ -112,7 +112,7 @@ fn the_page_lists_every_command_with_its_options() {
         }
     }
     assert!(seen > 40, "{seen}");
-    for section in ["FILES", "EXIT STATUS", "ERRORS", "EXAMPLES", "SEE ALSO"] {
+    for section in ["WORDS", "FILES", "EXIT STATUS", "ERRORS", "EXAMPLES", "SEE ALSO"] {
         assert!(page.contains(&format!(".SH {section}\n")), "{section}");
     }
 }
