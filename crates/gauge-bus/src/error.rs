@@ -72,7 +72,7 @@ pub struct Driver {
 }
 
 /// One failure: its subject, its kind, and one line that says what happened and what to do.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, PartialEq, Eq)]
 pub struct Error {
     /// The node, file or address that the error is about.
     pub subject: String,
@@ -110,6 +110,13 @@ impl fmt::Display for Error {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { subject, text, .. } = self;
         if subject.is_empty() { f.write_str(text) } else { write!(f, "{subject}: {text}") }
+    }
+}
+
+/// The same line: it is how `main` prints the error that it returns.
+impl fmt::Debug for Error {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        fmt::Display::fmt(self, f)
     }
 }
 

@@ -357,10 +357,10 @@ reasons! {
 }
 
 /// One failure: subject, step and reason.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, PartialEq, Eq)]
 pub struct Error(Box<Inner>);
 
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, PartialEq, Eq)]
 struct Inner {
     subject: String,
     step: Option<Step>,
@@ -524,6 +524,13 @@ impl fmt::Display for Error {
             write!(f, "{}: ", step.as_str())?;
         }
         self.0.reason.fmt(f)
+    }
+}
+
+/// The same line: it is how `main` prints the error that it returns.
+impl fmt::Debug for Error {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        fmt::Display::fmt(self, f)
     }
 }
 
