@@ -8,6 +8,8 @@ use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
+#[cfg(feature = "screen")]
+use nix::pty::{Winsize, openpty};
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 
@@ -144,26 +146,33 @@ fn what_shows_and_records_ends_by_a_hangup_and_not_under_nohup() {
     check(&["top", "--json", &at], &has_said, &nothing);
 }
 
+/// A station of one slot with a counter, and its record.
+fn station(folder: &Folder) -> ([String; 2], String) {
+    let (image, station) = (folder.file("golden.toml"), folder.file("line.toml"));
+    fs::write(&image, format!("chip = \"{CHIP}\"\n[it-cfg]\ncell-terminate-voltage = 3100\n"))
+        .expect("a file");
+    let text = format!(
+        "[station]\nserial = 'counter'\nstate-dir = 'state'\n[[gauge]]\nname = 'LEFT'\nsim = '{CHIP}'\nsim-state = '%.flash'\n"
+    );
+    fs::write(&station, text).expect("a file");
+    ([image, station], folder.file("line.jsonl"))
+}
+
+/// How often a record has an event.
+fn events(record: &str, event: &str) -> usize {
+    let text = fs::read_to_string(record).unwrap_or_default();
+    text.matches(&format!("\"event\":\"{event}\"")).count()
+}
+
 /// A shell and the kernel each send one when a terminal is closed.
 #[test]
 fn regression_a_hangup_failed_the_packs_of_a_station() {
-    for (nohup, signals) in
-        [(false, [Signal::SIGHUP; 3]), (true, [Signal::SIGHUP, Signal::SIGHUP, Signal::SIGTERM])]
-    {
+    let again = [Signal::SIGHUP, Signal::SIGHUP, Signal::SIGTERM];
+    for (nohup, signals) in [(false, [Signal::SIGHUP; 3]), (true, again)] {
         let folder = Folder::new();
-        let (image, station) = (folder.file("golden.toml"), folder.file("line.toml"));
-        fs::write(&image, format!("chip = \"{CHIP}\"\n[it-cfg]\ncell-terminate-voltage = 3100\n"))
-            .expect("a file");
-        let text = format!(
-            "[station]\nserial = 'counter'\nstate-dir = 'state'\n[[gauge]]\nname = 'LEFT'\nsim = '{CHIP}'\nsim-state = '%.flash'\n"
-        );
-        fs::write(&station, text).expect("a file");
-        let events = |event: &str| {
-            let text = fs::read_to_string(folder.file("line.jsonl")).unwrap_or_default();
-            text.matches(&format!("\"event\":\"{event}\"")).count()
-        };
+        let ([image, station], record) = station(&folder);
         let arguments = ["program", "--image", &image, "--station", &station];
-        let program = Program::start(&folder, &arguments, nohup, &|_| events("begun") > 0);
+        let program = Program::start(&folder, &arguments, nohup, &|_| events(&record, "begun") > 0);
         assert_eq!(program.drops(Signal::SIGHUP), nohup);
         for signal in signals {
             program.send(signal);
@@ -171,6 +180,32 @@ fn regression_a_hangup_failed_the_packs_of_a_station() {
             std::thread::sleep(Duration::from_millis(50));
         }
         let (code, _, said) = program.ends(signals[2]);
-        assert_eq!((code, events("begun"), events("pass")), (Some(0), 1, 1), "{said}");
+        assert_eq!((code, events(&record, "begun"), events(&record, "pass")), (Some(0), 1, 1), "{said}");
     }
+}
+
+/// Nothing can be drawn any more, and the pack passes.
+#[cfg(feature = "screen")]
+#[test]
+fn a_station_whose_screen_is_closed_ends_after_its_pack() {
+    let folder = Folder::new();
+    let ([image, station], record) = station(&folder);
+    let size = Winsize { ws_row: 24, ws_col: 80, ws_xpixel: 0, ws_ypixel: 0 };
+    let terminal = openpty(&size, None).expect("a terminal");
+    let end = || Stdio::from(terminal.slave.try_clone().expect("a terminal"));
+    let mut command = Command::new("setsid");
+    command.args(["--ctty", env!("CARGO_BIN_EXE_gaugefs"), "program", "--screen", "--image", &image]);
+    command.args(["--station", &station]).env("TERM", "xterm").stdin(end()).stdout(end()).stderr(end());
+    let mut child = command.spawn().expect("setsid runs");
+    drop(command);
+    let start = Instant::now();
+    while events(&record, "begun") == 0 {
+        let ended = child.try_wait().expect("a child");
+        assert!(ended.is_none() && start.elapsed() < LONG, "{ended:?}");
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    drop(terminal);
+    let program = Program { child, said: folder.file("golden.toml") };
+    program.ends(Signal::SIGHUP);
+    assert_eq!((events(&record, "begun"), events(&record, "pass")), (1, 1));
 }
