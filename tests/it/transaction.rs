@@ -772,3 +772,23 @@ fn regression_a_pack_with_another_calibration_got_what_was_staged_for_the_one_be
         assert_eq!(tree.sim.flash() == flash, is_other);
     }
 }
+
+/// The kernel may tell of a closed file after what the same shell has written to the next one: that write waits.
+#[test]
+fn a_write_waits_for_the_end_of_the_open_file_before_it_only() {
+    let (tree, other) = (tree("bq34z100-g1"), Other::new());
+    let waits = |caller: Caller| tree.fs.awaits_close(tree.node(FILE), caller);
+    assert_eq!(tree.writes(own(1), FILE, "begin\n"), Ok(()));
+    assert!(waits(own(2)));
+    assert!(!waits(own(1)) && !waits(other.file(2)) && !waits(unseen(2)));
+    assert_eq!(tree.writes(own(3), FILE, "80/53 3100\n"), Err(Errno::EBUSY));
+    assert!(!waits(own(3)), "it is refused already");
+    tree.close(own(1));
+    assert!(!waits(own(2)));
+    assert_eq!(tree.writes(own(2), FILE, "80/53 3100\n"), Ok(()));
+    assert!(waits(own(4)), "the second one goes on with it");
+    assert_eq!(tree.writes(own(2), FILE, "commit\n"), Ok(()));
+    assert!(!waits(own(4)), "it has ended");
+    assert_eq!(tree.writes(unseen(5), FILE, "begin\n"), Ok(()));
+    assert!(!waits(unseen(6)), "it may be anybody");
+}

@@ -685,10 +685,12 @@ mod tests {
     #[test]
     fn regression_a_battery_that_was_inserted_had_what_another_one_had_taught() {
         // Without a name it may be any; the one of a name is that one.
-        for (pack, expected) in [(None, (16_000, 102)), (Some("A"), (15_432, 77))] {
+        for (pack, expected) in [(None, (16_000, 102)), (Some("A"), (15_440, 77))] {
             let folder = folder(&format!("inserted-{}", pack.is_some()));
             let mut rig = rig(&folder, pack);
             learn(&mut rig, 15_432);
+            // No version has this yet.
+            learn_now(&mut rig, 15_440);
             exchange_battery(&mut rig, || {});
             assert_eq!(words(&mut rig), expected, "{pack:?}");
             assert_eq!(*rig.handle.published().last_error, *"");
