@@ -7,7 +7,7 @@ use std::os::unix::fs::PermissionsExt as _;
 use std::path::Path;
 use std::time::Duration;
 
-use crate::room::{Folder, can_mount, gaugefs, read, within};
+use crate::room::{Folder, Foreground, can_mount, gaugefs, read, stop, within};
 
 #[test]
 fn a_profile_is_there_again_after_a_loss_of_power() {
@@ -139,6 +139,46 @@ fn the_pack_decides_which_profile_a_gauge_gets() {
     let shown = gaugefs(&["learned", &format!("{at}/PACK")]).done();
     assert!(shown.contains("own.toml of the pack SN-17"), "{shown}");
     gaugefs(&["umount", &at]).done();
+}
+
+/// A file in the mount of a daemon that is stopped: whoever reads it waits for good. And a program that does not end.
+#[test]
+fn regression_what_a_choice_looks_at_took_its_gauge_along_when_it_hung() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let [other, config, profile, state] =
+        ["o", "gauges.toml", "p.toml", "state"].map(|name| folder.file(name));
+    fs::write(&profile, "chip = \"bq27441-g1\"\n[state]\ndesign-capacity = 2100\n").expect("a file");
+    let stopped = Foreground::new(&other, &[]);
+    stop(stopped.0.id(), &other);
+    for (at, evidence) in [
+        ("file", format!("file = '{other}/BAT0/gauge/age_ms'")),
+        ("program", "command = ['/bin/sleep', '600']".into()),
+    ] {
+        let at = folder.file(at);
+        let text = format!(
+            "[mount]\nmountpoint = '{at}'\nstate-dir = '{state}'\n[[gauge]]\nsim = 'bq27441-g1'\npoll = 0.5\n\
+             [[gauge.choose]]\n{evidence}\nprofile = '{profile}'\n"
+        );
+        fs::write(&config, text).expect("a file");
+        let mounted = gaugefs(&["mount", "--config", &config]);
+        assert!(!mounted.err.contains("no answer"), "{}", mounted.err);
+        mounted.done();
+        within(Duration::from_secs(60), "the reason", || {
+            ["does not answer", "has not ended in time"]
+                .iter()
+                .any(|why| read(&at, "BAT0/gauge/last_error").contains(why))
+        });
+        // Its gauge still answers, and so does the daemon.
+        fs::write(format!("{at}/BAT0/gauge/refresh"), "1").expect("it answers");
+        assert_eq!(read(&at, "BAT0/df/82/10"), "1340");
+        assert!(fs::read_to_string(format!("{at}/BAT0/capacity")).is_err(), "it is a guess");
+        gaugefs(&["umount", &at]).done();
+    }
+    drop(stopped);
+    gaugefs(&["umount", &other]).done();
 }
 
 #[test]

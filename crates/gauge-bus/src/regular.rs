@@ -39,8 +39,12 @@ pub fn open(options: &OpenOptions, path: &Path) -> io::Result<File> {
 /// Reads a regular file of at most `limit` bytes. Symbolic links are followed. Anything else is not even
 /// opened, except a pipe that this process has inherited, such as a shell's `<(command)`.
 pub fn read(path: &Path, limit: u64) -> io::Result<Vec<u8>> {
-    let inherited = ["/dev/fd", "/proc/self/fd", "/dev/stdin"].iter().any(|place| path.starts_with(place));
-    read_file(follow(File::options().read(true), path, inherited)?, limit)
+    read_file(follow(File::options().read(true), path, is_inherited(path))?, limit)
+}
+
+/// Whether a path stands for what this process has inherited open.
+pub fn is_inherited(path: &Path) -> bool {
+    ["/dev/fd", "/proc/self/fd", "/dev/stdin"].iter().any(|place| path.starts_with(place))
 }
 
 /// Opens an existing regular file to read or write, as [`read`] does: symbolic links are followed.

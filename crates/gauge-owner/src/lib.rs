@@ -52,6 +52,7 @@ pub use gaugefs_host::error;
 use gaugefs_host::folders;
 
 mod choose;
+mod evidence;
 pub mod journal_dir;
 pub mod key_file;
 pub mod lock;
@@ -60,7 +61,8 @@ mod owner;
 mod setup;
 mod source;
 
-pub use choose::{Choice, Evidence, Rule};
+pub use choose::{Choice, Rule};
+pub use evidence::Evidence;
 pub use opening::{Opening, Outlook, Ready};
 #[cfg(any(test, feature = "rig"))]
 pub use owner::rig;

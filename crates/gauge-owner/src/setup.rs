@@ -2,7 +2,9 @@
 
 //! A gauge, and how it is run: what its options come to.
 
+use std::fs;
 use std::io::ErrorKind;
+use std::os::unix::fs::MetadataExt as _;
 use std::path::{Path, PathBuf};
 use std::ptr;
 use std::time::Duration;
@@ -15,13 +17,16 @@ use crate::folders;
 use crate::key_file;
 use crate::owner::{Backup, Learned, Settings, implausible_profile};
 use crate::source::Source;
-use gauge_bus::trace;
+use gauge_bus::{regular, trace};
 use ti_gauge::authentication::Order;
 use ti_gauge::chip::Chip;
 use ti_gauge::dataflash::{Change, Limits};
 use ti_gauge::image::Image;
-use ti_gauge::journal::Journal;
+use ti_gauge::journal::{self, Journal};
 use ti_gauge::keys::Keys;
+
+/// The bit of a folder's mode by which only the owner of a file may replace it.
+const STICKY: u32 = 0o1000;
 
 /// A gauge, and how it is run. All paths are absolute.
 #[derive(Clone, Debug)]
@@ -149,11 +154,36 @@ fn profile(path: &Path, chip: &'static Chip) -> Result<Vec<Change>> {
         let why = "is flash, which keeps its configuration: write the file once, with gaugefs import";
         return refuse(format!("the data memory of a {} {why}", chip.model));
     }
+    check_own(path)?;
     let image = Image::open(path, Some(chip))?;
     if let Some(why) = implausible_profile(&image) {
         return refuse(format!("{why}; leave that out, and the gauge begins with its own"));
     }
     Ok(image.to_restore().map_err(|error| error.within(&path.display().to_string()))?)
+}
+
+/// Makes sure that nobody else can have written a profile, which is written to the gauge without a question.
+fn check_own(path: &Path) -> Result<()> {
+    if regular::is_inherited(path) {
+        return Ok(());
+    }
+    let name = path.display().to_string();
+    let own = |path: &Path| journal::is_own(path, folders::service());
+    let folder = |path: &Path| match path.parent() {
+        // Nobody replaces another's file there.
+        Some(folder) if fs::metadata(folder)?.mode() & STICKY != 0 => Ok(()),
+        Some(folder) => own(&fs::canonicalize(folder)?),
+        None => Ok(()),
+    };
+    let real = fs::canonicalize(path).map_err(|error| Error::io(&name, "cannot read it", &error))?;
+    let checked = own(&real).and_then(|()| folder(&real)).and_then(|()| folder(path));
+    checked.map_err(|error| {
+        let why = format!(
+            "{error}, so it is not written to the gauge: make the file and its folder yours or root's, and only theirs to \
+             write (chown, chmod go-w)"
+        );
+        Error::new(name, Cause::NotPermitted, why)
+    })
 }
 
 #[cfg(test)]
@@ -181,5 +211,40 @@ mod tests {
             assert!(why.contains(expected) && why.is_empty() == expected.is_empty(), "{text}: {why}");
         }
         std::fs::remove_file(path).expect("it is there");
+    }
+
+    #[test]
+    fn regression_a_profile_that_others_may_write_was_believed() {
+        use std::os::unix::fs::PermissionsExt as _;
+        let folder = std::env::temp_dir().join(format!("gaugefs-own-profile-{}", std::process::id()));
+        let (inside, outside) = (folder.join("inside"), folder.join("outside"));
+        let (file, link) = (inside.join("pack.toml"), outside.join("link.toml"));
+        fs::create_dir_all(&inside).and_then(|()| fs::create_dir(&outside)).expect("folders");
+        fs::write(&file, "chip = \"bq27441-g1\"\n[state]\ndesign-capacity = 2100\n").expect("a file");
+        std::os::unix::fs::symlink(&file, &link).expect("a link");
+        let set = |path: &Path, mode| {
+            fs::set_permissions(path, fs::Permissions::from_mode(mode)).expect("it is mine");
+        };
+        let chip = Chip::by_name("bq27441-g1").expect("it has a table");
+        let why = |path: &Path| profile(path, chip).err().map(|error| error.to_string());
+        set(&file, 0o644);
+        for (path, mode, refused) in [
+            (&file, 0o664, [true, true]),
+            (&file, 0o646, [true, true]),
+            (&inside, 0o775, [true, true]),
+            (&outside, 0o777, [false, true]),
+            (&outside, 0o1777, [false, false]),
+        ] {
+            let before = fs::metadata(path).expect("it is there").permissions().mode();
+            set(path, mode);
+            for (named, refused) in [&file, &link].into_iter().zip(refused) {
+                let why = why(named);
+                let is_told = why.as_ref().is_some_and(|why| why.contains("others may write to it"));
+                assert_eq!((why.is_some(), is_told), (refused, refused), "{mode:o}: {why:?}");
+            }
+            set(path, before & 0o755);
+            assert_eq!((why(&file), why(&link)), (None, None));
+        }
+        fs::remove_dir_all(folder).expect("it is there");
     }
 }

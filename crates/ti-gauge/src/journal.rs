@@ -541,7 +541,12 @@ impl Journal {
 /// Makes sure that nobody but this account, root or a trusted one can have written a file, or can replace what is in a
 /// folder.
 pub fn check(path: &Path, trusted: Option<u32>) -> Result<()> {
-    disk::Host.check(path, trusted).map_err(|error| untrusted(path, &error))
+    is_own(path, trusted).map_err(|error| untrusted(path, &error))
+}
+
+/// The reason why somebody else can have written a file, or can replace what is in a folder.
+pub fn is_own(path: &Path, trusted: Option<u32>) -> io::Result<()> {
+    disk::Host.check(path, trusted)
 }
 
 fn untrusted(path: &Path, error: &io::Error) -> Error {

@@ -705,7 +705,7 @@ mod tests {
         let shows = folder.join("pack");
         let name = |name: &str| fs::write(&shows, name).expect("a file");
         let choice = |text: &str, design: u16| {
-            let evidence = Some(crate::choose::Evidence::File(shows.clone()));
+            let evidence = Some(crate::Evidence::File(shows.clone()));
             let rule = crate::Rule {
                 evidence,
                 text: Some(text.into()),

@@ -6,9 +6,10 @@
 use std::time::Duration;
 
 use super::{Attempt, Owner, Presence, operations};
-use crate::choose::{Choice, choose};
+use crate::choose::{Choice, Undecided, choose};
 use crate::error::{Cause, Error, Step};
-use ti_gauge::chip::{Chip, Role};
+use crate::evidence::{Evidence, Looks};
+use ti_gauge::chip::{Chip, Role, Subclass};
 use ti_gauge::dataflash::{self, Change, Outcome};
 use ti_gauge::epoch::Fact;
 use ti_gauge::gauge::{Seal, Statistics};
@@ -28,9 +29,15 @@ pub(super) struct Memory {
     chosen: Fact<(), Presence>,
     /// What was chosen, and why.
     why: String,
+    /// What it is chosen by.
+    looks: Looks,
     loss: Loss,
+    /// While nothing is chosen: the gauge has other values than the part's defaults where a profile has some.
+    is_own: Fact<bool, Presence>,
     /// The profile has been compared with this gauge, which nobody may have exchanged or switched off since.
     compared: Fact<(), Presence>,
+    /// Since the gauge has come, one of the profiles was chosen, or somebody else has configured it.
+    is_believed: bool,
     /// DesignCapacity() as last polled, of a part without the flag.
     design: Option<i64>,
     /// How often the profile was written, and lost again by the next look at it.
@@ -74,8 +81,11 @@ impl Memory {
             choices,
             chosen: Fact::default(),
             why: String::new(),
+            looks: Looks::default(),
             loss: Loss::None,
+            is_own: Fact::default(),
             compared: Fact::default(),
+            is_believed: false,
             design: None,
             lost_again: 0,
             inserted: Fact::default(),
@@ -118,7 +128,7 @@ impl Memory {
     /// A gauge has come, or come back.
     pub(super) fn arrives(&mut self) {
         (self.loss, self.lost_again, self.first) = (Loss::None, 0, None);
-        self.is_away = false;
+        (self.is_away, self.is_believed) = (false, false);
         if self.exchanged.is_some() {
             self.loss = Loss::Owed { attempts: 0, failure: String::new() };
         }
@@ -129,6 +139,8 @@ impl Memory {
     pub(super) fn is_doubtful(&mut self) {
         self.compared = Fact::default();
         self.chosen = Fact::default();
+        self.is_own = Fact::default();
+        self.looks.forget();
     }
 
     /// Whether the registers that are copies of data memory are read with each poll: no flag shows its loss.
@@ -158,7 +170,10 @@ impl Owner {
             self.memory.is_doubtful();
         }
         // A gauge without the flag is believed once it has been compared.
-        let is_believed = flag != 0 || self.memory.compared.is_known(self.shared.published().presence);
+        let is_believed = match flag {
+            0 => self.memory.compared.is_known(self.shared.published().presence),
+            _ => self.memory.choices.is_empty() || self.memory.is_believed,
+        };
         is_believed && !self.memory.is_waited_for() && !reports_loss(chip, registers)
     }
 
@@ -220,6 +235,9 @@ impl Owner {
             self.forget_dataflash();
         }
         if is_reported {
+            if !matches!(self.memory.loss, Loss::Owed { .. }) {
+                self.memory.looks.forget();
+            }
             self.dataflash.forget();
             self.shared.forget_scales();
         }
@@ -240,11 +258,18 @@ impl Owner {
                 self.write_profile(attempts, false);
             }
             Ok(()) => self.write_profile(attempts, is_lost),
-            Err(why) if is_lost => self.still_owed(&why, false, attempts),
-            Err(why) => {
-                let error =
-                    Error::new("profile", Cause::NotNow, format!("{why}; tried again with the next poll"));
-                self.shared.report(Attempt::RESTORE, &error);
+            Err(Undecided { why, is_pending }) => {
+                if is_lost {
+                    self.still_owed(&why, false, attempts);
+                } else {
+                    let why = format!("{why}; tried again with the next poll");
+                    self.shared.report(Attempt::RESTORE, &Error::new("profile", Cause::NotNow, why));
+                    self.memory.is_believed = self.is_configured_by_others();
+                    self.show_configured();
+                }
+                if is_pending {
+                    self.schedule.hurry();
+                }
             }
         }
     }
@@ -289,14 +314,15 @@ impl Owner {
     }
 
     /// Makes the choice among several profiles, for a gauge that has come or has lost its memory.
-    fn choose_profile(&mut self, is_lost: bool) -> Result<(), String> {
+    fn choose_profile(&mut self, is_lost: bool) -> Result<(), Undecided> {
         let published = self.shared.published();
         if self.memory.choices.is_empty() || !is_lost && self.memory.chosen.is_known(published.presence) {
             return Ok(());
         }
-        let clock = self.gauge.clock.clone();
-        let name = self.shared.name();
-        let chosen = choose(&self.memory.choices, &published.answers, name, |pause| clock.sleep(pause));
+        let (name, looks) = (self.shared.name(), &mut self.memory.looks);
+        let deadline = looks.deadline();
+        let look = |evidence: &Evidence| looks.at(evidence, name, deadline);
+        let chosen = choose(&self.memory.choices, &published.answers, look);
         // Whatever was chosen before may be for another pack.
         let chosen = chosen.inspect_err(|_| {
             self.memory.profile = Vec::new();
@@ -315,7 +341,37 @@ impl Owner {
         });
         self.memory.why = why;
         self.memory.chosen.learn(published.presence, ());
+        self.memory.is_believed = true;
         Ok(())
+    }
+
+    /// Whether data memory has anything but the part's defaults where a profile has some other value: it may have been lost
+    /// although no flag shows that, which somebody else has cleared.
+    fn is_configured_by_others(&mut self) -> bool {
+        let now = self.shared.published().presence;
+        if let Some(is_own) = self.memory.is_own.get(now) {
+            return *is_own;
+        }
+        let changes: Vec<Change> =
+            self.memory.choices.iter().flat_map(|choice| &choice.profile).cloned().collect();
+        let mut rows: Vec<&Subclass> = Vec::new();
+        for (subclass, _) in changes.iter().filter_map(Change::row) {
+            if !rows.iter().any(|row| std::ptr::eq(*row, subclass)) {
+                rows.push(subclass);
+            }
+        }
+        let read = self.dataflash.read(&mut self.gauge, &rows, Duration::ZERO);
+        let Ok(read) = self.noted(read) else { return false };
+        let is_own = changes.iter().any(|change| {
+            let stored = change.row().and_then(|(subclass, row)| {
+                let at = rows.iter().position(|row| std::ptr::eq(*row, subclass))?;
+                let begin = usize::from(row.offset - subclass.start());
+                read[at].get(begin..begin + row.kind.size())
+            });
+            !change.is_learned() && stored.is_some_and(|stored| !change.is_default(stored))
+        });
+        self.memory.is_own.learn(now, is_own);
+        is_own
     }
 
     fn write_profile(&mut self, attempts: u32, is_lost: bool) {
@@ -1049,7 +1105,7 @@ mod tests {
 
     /// Two makers of cells, told apart by a resistor.
     fn two_makers(file: &std::path::Path, chip: &'static Chip) -> Vec<Choice> {
-        use crate::choose::{Evidence, Rule};
+        use crate::choose::Rule;
         let rule = |from: f64, to: f64, pack: &str| Rule {
             evidence: Some(Evidence::File(file.into())),
             from: Some(from),
@@ -1108,6 +1164,40 @@ mod tests {
                     assert!(rig.sim.flash() == flash);
                 }
             }
+            std::fs::remove_file(file).expect("it is there");
+        }
+    }
+
+    /// The flag of its loss was cleared by another program.
+    #[test]
+    fn regression_defaults_were_shown_as_the_packs_while_no_rule_was_decided() {
+        for chip in parts().filter(|chip| chip.volatile != Some(0)) {
+            let file =
+                std::env::temp_dir().join(format!("gaugefs-undecided-{}-{}", chip.name, std::process::id()));
+            let settings = Settings { choices: two_makers(&file, chip), ..Settings::default() };
+            let mut rig = Rig::of(chip.name, settings, Startup::default());
+            for word in [0x8000_u16, 0x8000, 0x0013, 0x0042] {
+                let [low, high] = word.to_le_bytes();
+                rig.sim.bus().transfer(&[0x00, low, high], &mut []).expect("it is acknowledged");
+                rig.clock.sleep(Duration::from_secs(3));
+            }
+            let is_shown = |rig: &Rig| {
+                rig.handle.published().snapshot.as_ref().is_some_and(|snapshot| snapshot.is_configured)
+            };
+            rig.start().expect("it answers");
+            for _ in 0..4 {
+                assert!(!is_shown(&rig), "{}", chip.name);
+                rig.poll_after(INTERVAL);
+            }
+            let error = rig.handle.published().last_error.to_string();
+            assert!(error.contains("No such file"), "{error}");
+            std::fs::write(&file, "350").expect("a file");
+            for _ in 0..3 {
+                rig.poll_after(INTERVAL);
+            }
+            assert!(is_shown(&rig), "{}", chip.name);
+            assert_eq!(shown(&rig), chip.register(Role::ChargeFullDesign).map(|_| 4321), "{}", chip.name);
+            assert_eq!(&*rig.handle.published().last_error, "", "{}", chip.name);
             std::fs::remove_file(file).expect("it is there");
         }
     }
