@@ -5,8 +5,8 @@
 use std::time::Duration;
 
 use super::schemes::sequence;
-use super::window::{Dirty, Window, holds_keys, locate};
-use crate::chip::Subclass;
+use super::window::{Dirty, Window, holds_keys, learned, locate};
+use crate::chip::{Chip, Subclass};
 use crate::codec::WINDOW;
 use crate::error::{Cause, Error, Reason, Result, Step};
 use crate::gauge::{Gauge, Seal};
@@ -63,7 +63,8 @@ fn reload_by(
     if !sequence(gauge).fills_window() {
         return Ok(block.clone());
     }
-    let differs = |window: &[u8; WINDOW]| block.differs(window, &block.old);
+    let own = learned(gauge.chip, block.place);
+    let differs = |window: &[u8; WINDOW]| (0..WINDOW).find(|&at| window[at] != block.old[at] && !own.has(at));
     let window = match look(gauge) {
         Ok(window) if differs(&window).is_none() => window,
         _ => sequence(gauge).load(gauge, block.place)?,
@@ -122,8 +123,8 @@ fn patiently(gauge: &mut Gauge, look: impl Fn(&mut Gauge) -> Result<()>) -> Resu
     outcome
 }
 
-/// Compares the written bytes only: after a reset the gauge updates others itself. What reads wrong is read again
-/// with its checksum before it counts.
+/// Compares the written bytes only: after a reset the gauge updates others itself, and what is its own. What reads wrong is
+/// read again with its checksum before it counts.
 pub(super) fn verify_written(gauge: &mut Gauge, block: &Dirty) -> Result<()> {
     let written = |at: &usize| block.written.has(*at);
     let (Some(first), Some(last)) = ((0..WINDOW).find(written), (0..WINDOW).rfind(written)) else {
@@ -132,7 +133,7 @@ pub(super) fn verify_written(gauge: &mut Gauge, block: &Dirty) -> Result<()> {
     let mut stored = block.new;
     let range = first..last + 1;
     let read = sequence(gauge).read_part(gauge, block.place, first, &mut stored[range]);
-    if read.is_ok() && is_right(block, &stored) {
+    if read.is_ok() && wrong(gauge.chip, block, &stored).is_none() {
         return Ok(());
     }
     verify_whole(gauge, block)
@@ -141,19 +142,27 @@ pub(super) fn verify_written(gauge: &mut Gauge, block: &Dirty) -> Result<()> {
 /// Compares the written bytes of a block of RAM.
 pub(super) fn verify_soon(gauge: &mut Gauge, block: &Dirty) -> Result<()> {
     match sequence(gauge).load_soon(gauge, block.place) {
-        Ok(stored) if is_right(block, &stored) => Ok(()),
+        Ok(stored) if wrong(gauge.chip, block, &stored).is_none() => Ok(()),
         _ => verify_whole(gauge, block),
     }
 }
 
-fn is_right(block: &Dirty, stored: &[u8; WINDOW]) -> bool {
-    (0..WINDOW).filter(|&at| block.written.has(at)).all(|at| stored[at] == block.new[at])
+/// The first of the written bytes that is not as it was stored, and was not rewritten by the gauge since.
+fn wrong(chip: &Chip, block: &Dirty, stored: &[u8; WINDOW]) -> Option<usize> {
+    let written = block.written.without(block.as_rewritten(chip, stored).learned);
+    written.iter().find(|&at| stored[at] != block.new[at])
 }
 
 fn verify_whole(gauge: &mut Gauge, block: &Dirty) -> Result<()> {
     let stored = sequence(gauge).load(gauge, block.place).map_err(|error| error.at(Step::Verify))?;
-    let wrong = (0..WINDOW).filter(|&at| block.written.has(at)).find(|&at| stored[at] != block.new[at]);
-    wrong.map_or(Ok(()), |at| Err(mismatch(block, &stored, at)))
+    if let Some(at) = block.rewritten(gauge.chip, &stored).iter().next() {
+        log::info!(
+            "{}: {} was written, and the gauge has rewritten it since",
+            gauge.chip.name,
+            block.place.name(at)
+        );
+    }
+    wrong(gauge.chip, block, &stored).map_or(Ok(()), |at| Err(mismatch(block, &stored, at)))
 }
 
 /// Compares the whole block but for bytes that the gauge rewrites itself.

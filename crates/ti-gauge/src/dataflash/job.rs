@@ -186,6 +186,7 @@ impl Job {
             let seen = &mut self.blocks[at];
             seen.stored = sequence(gauge).load(gauge, seen.block.place)?;
             session.assure(gauge)?;
+            seen.block = seen.block.as_rewritten(gauge.chip, &seen.stored);
             seen.held = classify(&seen.block, &seen.stored);
         }
         let seen @ Seen { block, stored, .. } = &self.blocks[at];
@@ -323,7 +324,7 @@ impl Seen {
     /// The block with a side's content as the one to be read back.
     fn to(&self, side: Side) -> Dirty {
         let block = self.block.clone();
-        if side == Side::Old { Dirty { new: block.old, ..block } } else { block }
+        if side == Side::Old { Dirty { old: block.new, new: block.old, ..block } } else { block }
     }
 
     /// Whether a block has the content of a side. A neighbour has only one.
@@ -351,7 +352,7 @@ impl Seen {
 fn restored(block: &Dirty, present: &[u8; WINDOW], in_use: bool) -> [u8; WINDOW] {
     let erased = block.is_erased(present);
     let goes_back = Bytes::of(|at| match in_use && !block.is_neighbour() && !erased {
-        true => block.written.has(at),
+        true => block.written.has(at) && !block.learned.has(at),
         false => erased || !block.learned.has(at),
     });
     let mut wanted = *present;

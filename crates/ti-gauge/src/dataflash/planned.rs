@@ -169,6 +169,7 @@ pub(super) fn look_by(
         for at in block.written.iter().filter(|_| plan.by_gauge) {
             block.new[at] = stored[at];
         }
+        let block = block.as_rewritten(gauge.chip, &stored);
         let held = classify(&block, &stored);
         seen.push(Seen { block, stored, held });
     }

@@ -27,7 +27,7 @@ pub(super) struct Dirty {
     pub(super) new: [u8; WINDOW],
     /// What the changed parameters occupy.
     pub(super) written: Bytes,
-    /// What the gauge itself may rewrite at any moment, and no change touches.
+    /// What the gauge itself may rewrite at any moment, and no change touches, or it has rewritten since.
     pub(super) learned: Bytes,
 }
 
@@ -62,6 +62,19 @@ impl Dirty {
     pub(super) fn is_erased(&self, present: &[u8; WINDOW]) -> bool {
         let lost = |at| present[at] == 0xff && self.old[at] != 0xff && self.new[at] != 0xff;
         (0..WINDOW).any(|at| lost(at) && !self.learned.has(at))
+    }
+
+    /// The bytes of the values that were to be written and the gauge has rewritten itself since: neither the write nor a loss of
+    /// power explains what is there.
+    pub(super) fn rewritten(&self, chip: &Chip, stored: &[u8; WINDOW]) -> Bytes {
+        let is_own = |at: usize| ![self.old[at], self.new[at], 0xff].contains(&stored[at]);
+        let values = learned_values(chip, self.place).filter(|value| value.without(self.written) != *value);
+        values.filter(|value| value.iter().any(is_own)).fold(Bytes::default(), Bytes::with)
+    }
+
+    /// The block with that left to the gauge, as what no change touches.
+    pub(super) fn as_rewritten(&self, chip: &Chip, stored: &[u8; WINDOW]) -> Self {
+        Self { learned: self.learned.with(self.rewritten(chip, stored)), ..self.clone() }
     }
 
     /// A block next to those that change, whose content is known.
@@ -107,11 +120,14 @@ pub(super) fn locate(subclass: u8, offset: u16) -> (Window, usize) {
 
 /// The bytes of a window that the gauge itself updates.
 pub(super) fn learned(chip: &Chip, place: Window) -> Bytes {
-    let rows = chip.subclasses.iter().filter(|row| row.id == place.subclass);
+    learned_values(chip, place).fold(Bytes::default(), Bytes::with)
+}
+
+/// The same, for each value.
+fn learned_values(chip: &Chip, place: Window) -> impl Iterator<Item = Bytes> {
+    let rows = chip.subclasses.iter().filter(move |row| row.id == place.subclass);
     let learned = rows.flat_map(|row| row.parameters).filter(|parameter| parameter.learned);
-    learned
-        .map(|parameter| place.covers(parameter.offset, parameter.kind.size()))
-        .fold(Bytes::default(), Bytes::with)
+    learned.map(move |parameter| place.covers(parameter.offset, parameter.kind.size()))
 }
 
 /// Whether data flash of a part with a flat address space has a row at an address. Beyond its ends the same word is a

@@ -21,7 +21,7 @@ use ti_gauge::gauge::{Gauge, Seal};
 use ti_gauge::keys::{KeyChange, Keys, Name};
 
 use crate::rig::{Rig, another, cause};
-use crate::room::{CASES, Case, Folder, RESET, half_way, host, programs};
+use crate::room::{CASES, Case, Folder, RESET, half_way, host, programs, restart};
 
 /// Where two images differ, with both bytes.
 fn differences(one: &[u8], other: &[u8]) -> Vec<(usize, u8, u8)> {
@@ -1069,6 +1069,97 @@ fn writes_beside_learned_values_succeed_while_the_gauge_learns() {
                 assert!(matches!(outcome, Ok(Outcome::Written { .. })), "{at}: {outcome:?}");
                 assert_eq!(rig.get("seal"), "sealed", "{at}");
                 rig.pause(5);
+            }
+        }
+    }
+}
+
+/// Values that the gauge itself updates, and numbers for them.
+const REWRITTEN: [(&str, (u8, u16), [u16; 3]); 5] = [
+    // Lifetime Max Temp, Cycle Count, Qmax Cell 0.
+    ("bq34z100-g1", (59, 0), [301, 250, 0x0155]),
+    ("bq34z100-r2", (59, 0), [301, 250, 0x0155]),
+    ("bq34z100-g1", (48, 6), [11, 5, 0x0155]),
+    ("bq27441-g1", (82, 0), [15_000, 16_111, 0x3855]),
+    ("bq27427", (82, 0), [15_000, 16_111, 0x3855]),
+];
+
+#[test]
+fn regression_a_write_to_what_the_gauge_keeps_rewriting_left_its_state_unknown() {
+    let folder = Folder::new("rewritten");
+    for (chip, (id, offset), numbers) in REWRITTEN {
+        for (knob, value) in
+            [("rewrite_ms", "300"), ("rewrite_ms", "700"), ("rewrite_every", "7"), ("rewrite_every", "1")]
+        {
+            let mut rig = Rig::calibrated(chip, Seal::Sealed);
+            rig.start(&folder);
+            rig.set(knob, value);
+            let mut written = 0;
+            for round in 0..25 {
+                let at = format!("{chip} {id}/{offset}, {knob} {value}, write {round}");
+                match rig.write(id, offset, &numbers[round % 2].to_string()) {
+                    Ok(_) => written += 1,
+                    Err(error) => assert_eq!(cause(&error), "rolled-back", "{at}: {error}"),
+                }
+                assert_eq!((rig.get("seal").as_str(), folder.files()), ("sealed", vec![]), "{at}");
+                rig.pause(5);
+            }
+            assert!(written > 0, "{chip} {id}/{offset}, {knob} {value}");
+        }
+    }
+}
+
+/// After each reset the gauge stores the extremes that it has measured, every second.
+#[test]
+fn regression_lifetime_data_that_was_lowered_left_its_state_unknown() {
+    let folder = Folder::new("lifetime");
+    for chip in ["bq34z100-g1", "bq34z100-r2"] {
+        let mut rig = Rig::calibrated(chip, Seal::Sealed);
+        // [QEN] in Update Status, and LT Update Time.
+        set(&rig.sim, (82, 4), &[0x06]);
+        set(&rig.sim, (66, 0), &[1, 1, 1, 0, 1]);
+        rig.start(&folder);
+        rig.power_cycle();
+        for round in 0..10 {
+            let outcome = rig.write(59, 0, "0");
+            let failed = outcome.as_ref().err().map(cause);
+            assert!([None, Some("rolled-back")].contains(&failed), "{chip}, {round}: {outcome:?}");
+            assert_eq!((rig.get("seal").as_str(), folder.files()), ("sealed", vec![]), "{chip}, {round}");
+            rig.pause(5);
+        }
+    }
+}
+
+/// The host loses its power, and the gauge rewrites the value before it is back. What a loss of power erases is no value.
+#[test]
+fn regression_a_value_that_was_rewritten_after_an_interrupted_write_needed_a_person() {
+    let folder = Folder::new("rewritten-since");
+    for (chip, place @ (id, offset), [_, new, own]) in REWRITTEN {
+        for own in [own, 0xffff] {
+            let write = |rig: &Rig, cut| {
+                let row = rig.gauge.chip.row(&id.to_string(), &offset.to_string()).expect("a parameter");
+                let change = Change::parse(row, new.to_string().as_bytes(), false).expect("it fits");
+                host(rig, &folder, cut, |dataflash, gauge| dataflash.write(gauge, &[change], Duration::ZERO))
+            };
+            let (said, transfers) = write(&Rig::calibrated(chip, Seal::Sealed), None);
+            said.expect("no cut").expect("no fault");
+            for number in 1..=transfers {
+                let at = format!("{chip} {id}/{offset}, cut after {number} of {transfers}, 0x{own:04x}");
+                let mut rig = Rig::calibrated(chip, Seal::Sealed);
+                let old = rig.sim.flash();
+                write(&rig, Some((number, true)));
+                rig.clock.sleep(Duration::from_secs(5));
+                let is_planned = folder.text().is_some_and(|text| text.contains("\nblock "));
+                if is_planned {
+                    set(&rig.sim, place, &own.to_be_bytes());
+                }
+                restart(&rig, &folder, None);
+                rig.start(&folder);
+                assert_eq!((rig.get("seal").as_str(), folder.files()), ("sealed", vec![]), "{at}");
+                let stored = rig.read(id, offset).expect("the default key");
+                let is_own = stored == own.to_be_bytes();
+                assert_eq!(is_own, is_planned && own != 0xffff, "{at}: {stored:x?}");
+                assert!(is_own || stored == new.to_be_bytes() || rig.sim.flash() == old, "{at}: {stored:x?}");
             }
         }
     }
