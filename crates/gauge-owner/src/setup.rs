@@ -143,7 +143,9 @@ impl GaugeSetup {
             journal: place
                 .clone()
                 .map(|(folder, key)| Journal::new(folder, key, subject.into()).trusting(folders::service())),
-            backup: place.filter(|_| !no_backup).map(|(folder, key)| Backup::new(folder, key)),
+            backup: place
+                .filter(|_| !no_backup)
+                .map(|(folder, key)| Backup::new(folder, key).trusting(folders::service())),
         })
     }
 }

@@ -37,7 +37,7 @@ use crate::keys::Name;
 use crate::text::{hex, unhex};
 
 pub use disk::{Disk, File, Host, save, save_on};
-pub(crate) use machine::Machine;
+pub use machine::Machine;
 
 mod disk;
 mod machine;
@@ -434,12 +434,12 @@ impl Journal {
         blocks: usize,
     ) -> io::Result<OpenJournal> {
         let Identity { chip, device_type, firmware, serial } = identity;
-        let Machine { name, id, boot } = &self.machine;
         let text = format!(
             "{HEAD}\ngauge {}\npart {chip} {device_type:04x} {firmware:04x} {serial:04x}\nfound {}\n\
-             host {name} {id} {boot}\n",
+             {}\n",
             self.gauge,
-            found.as_str()
+            found.as_str(),
+            self.machine
         );
         // Nobody else writes to a file of that name.
         let mut random = [0; 4];

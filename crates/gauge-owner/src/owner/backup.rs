@@ -10,6 +10,7 @@ use std::time::Duration;
 use jiff::{SignedDuration, Timestamp};
 
 use super::Owner;
+use super::signed::{is_own as is_of_this_host, signed, temporary, unsigned};
 use crate::error::{Error, Result};
 use gauge_bus::regular;
 use ti_gauge::chip::{CHIPS, Chip, Kind};
@@ -27,6 +28,7 @@ pub struct Backup {
     folder: PathBuf,
     /// The place where the gauges are connected, as in the names of their journals.
     key: String,
+    trusted: Option<u32>,
 }
 
 /// How a backup came to be there.
@@ -41,14 +43,25 @@ enum Saved {
 impl Backup {
     /// Backups in a folder, of the gauges that are connected at the place that `key` identifies.
     pub fn new(folder: PathBuf, key: String) -> Self {
-        Self { folder, key }
+        Self { folder, key, trusted: None }
+    }
+
+    /// Also believes backups of that account, as [`journal::Journal::trusting`] does.
+    #[must_use]
+    pub fn trusting(self, account: Option<u32>) -> Self {
+        Self { trusted: account, ..self }
+    }
+
+    /// Whether nobody else can have written a backup.
+    fn trusts(&self, path: &Path) -> bool {
+        [&self.folder, path].into_iter().all(|path| journal::is_own(path, self.trusted).is_ok())
     }
 
     /// Saves an image, unless the newest backup is the same. On return it is on disk.
     fn save(&self, image: &Image, serial: u16, now: Timestamp) -> Result<Saved> {
         let text = toml::write(image);
-        if let Some(newest) = self.files().pop()
-            && regular::read_text(&newest, image::LONGEST).is_ok_and(|found| found == text)
+        if let Some(newest) = self.files().pop().filter(|newest| self.trusts(newest))
+            && regular::read_text(&newest, image::LONGEST).is_ok_and(|found| unsigned(&found) == text)
         {
             return Ok(Saved::There(newest));
         }
@@ -59,8 +72,8 @@ impl Backup {
         };
         // No backup replaces another.
         let path = (0..).map(named).find(|path| !path.exists()).expect("there are enough seconds");
-        let temporary = self.folder.join(format!("{}.backup.new", self.key));
-        journal::save(&path, &temporary, &text).map_err(|error| {
+        let temporary = self.folder.join(temporary(&self.key, "backup"));
+        journal::save(&path, &temporary, &signed(&text)).map_err(|error| {
             let what = "cannot save the configuration before the first write, so nothing was written to the gauge \
                         (choose another folder with --state-dir, or mount with --no-backup)";
             Error::io(path.display().to_string(), what, &error)
@@ -109,6 +122,7 @@ impl Backup {
             .collect();
         files.sort();
         let own = |(_, path): &(String, PathBuf)| {
+            self.trusts(path).then_some(())?;
             let image = Image::open(path, Some(chip)).ok()?;
             is_own(chip, &image, bytes).then(|| (path.clone(), image))
         };
@@ -117,7 +131,7 @@ impl Backup {
         Some([oldest, newest])
     }
 
-    /// The backups of this place, oldest first.
+    /// The backups of this place and this host, oldest first.
     fn files(&self) -> Vec<PathBuf> {
         let entries = fs::read_dir(&self.folder).into_iter().flatten().flatten();
         let mut files: Vec<(String, PathBuf)> = entries
@@ -127,7 +141,7 @@ impl Backup {
                 // The name of another place may begin with the name of this one.
                 let rest = CHIPS.iter().find_map(|chip| rest.strip_prefix(chip.name)?.strip_prefix('-'))?;
                 let (_, time) = rest.split_once('-')?;
-                Some((time.to_string(), entry.path()))
+                is_of_this_host(&entry.path()).then(|| (time.to_string(), entry.path()))
             })
             .collect();
         files.sort();
@@ -314,6 +328,42 @@ mod tests {
         };
         assert!(old.exists());
         assert_eq!(fs::read_dir(&folder).expect("a folder").count(), 14, "and nothing else");
+        fs::remove_dir_all(folder).expect("it is there");
+    }
+
+    #[test]
+    fn regression_hosts_with_one_folder_took_the_others_backups_for_their_own() {
+        let folder = folder("hosts");
+        let backup = Backup::new(folder.clone(), "i2c-1-55".into());
+        let theirs = |number: i64| {
+            let Ok(Saved::Written(path)) = backup.save(&image(number), 7, second(number)) else {
+                panic!("it is new")
+            };
+            let text = fs::read_to_string(&path).expect("text");
+            let (_, rest) = text.split_once('\n').expect("lines");
+            fs::write(&path, format!("# host bench 1 2\n{rest}")).expect("it is written");
+            path
+        };
+        let other: Vec<_> = (0..4).map(theirs).collect();
+        assert!(backup.files().is_empty());
+        // The same values as the other host's newest one.
+        assert!(matches!(backup.save(&image(3), 7, second(4)), Ok(Saved::Written(_))));
+        for number in 0..25 {
+            backup.save(&image(number), 7, second(10 + number)).expect("a folder");
+        }
+        assert!(other.iter().all(|path| path.exists()));
+        assert_eq!(backup.files().len(), KEPT + 1);
+        fs::remove_dir_all(folder).expect("it is there");
+    }
+
+    #[test]
+    fn regression_a_backup_that_others_may_write_counted_as_saved() {
+        let folder = folder("untrusted");
+        let backup = Backup::new(folder.clone(), "i2c-1-55".into());
+        let Ok(Saved::Written(path)) = backup.save(&image(1000), 7, second(0)) else { panic!("it is new") };
+        fs::set_permissions(&path, fs::Permissions::from_mode(0o666)).expect("it is mine");
+        assert!(matches!(backup.save(&image(1000), 7, second(1)), Ok(Saved::Written(_))));
+        assert!(matches!(backup.save(&image(1000), 7, second(2)), Ok(Saved::There(_))));
         fs::remove_dir_all(folder).expect("it is there");
     }
 

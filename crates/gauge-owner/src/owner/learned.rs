@@ -12,7 +12,9 @@ use std::time::Duration;
 
 use jiff::{SignedDuration, Timestamp};
 
+use super::claim::Claim;
 use super::operation::Asked;
+use super::signed::{is_own, signed, temporary};
 use super::{Attempt, Owner};
 use crate::error::{Cause, Error, Result};
 use ti_gauge::chip::{Chip, Parameter, Row, Stays, Subclass};
@@ -81,6 +83,11 @@ impl Version {
         Some(Self::at(now.max(last.checked_add(step).ok()?)))
     }
 
+    /// One that is a second newer.
+    fn after(&self) -> Option<Self> {
+        self.next(self.0.parse().ok()?)
+    }
+
     fn day(&self) -> &str {
         self.0.split_once('T').map_or(&self.0, |(day, _)| day)
     }
@@ -119,12 +126,17 @@ impl Learned {
         Self { pack, anywhere: true, ..self }
     }
 
+    /// Says that the gauge has this pack, if it has a name, to whoever else keeps what is learned in the folder.
+    fn claim(&self, chip: &Chip) -> Option<Claim> {
+        Claim::new(&self.folder, chip.name, self.pack.as_deref()?, self.anywhere)
+    }
+
     /// The part of a file's name that tells packs apart. No pack has an empty name.
     fn pack(&self) -> &str {
         self.pack.as_deref().unwrap_or_default()
     }
 
-    /// The files of this part in this place, or in all places: the pack, the version, and where it is.
+    /// The files of this host, of this part in this place, or in all places: the pack, the version, and where it is.
     fn all(&self, chip: &Chip) -> impl Iterator<Item = (String, Version, PathBuf)> {
         let entries = fs::read_dir(&self.folder).into_iter().flatten().flatten();
         let infix = format!("-{}-", chip.name);
@@ -134,6 +146,7 @@ impl Learned {
             let (key, rest) = name.strip_suffix(SUFFIX)?.split_once(&infix)?;
             (self.anywhere || key == self.key).then_some(())?;
             let (pack, time) = rest.rsplit_once('-')?;
+            is_own(&entry.path()).then_some(())?;
             Some((pack.to_string(), Version::parse(time)?, entry.path()))
         })
     }
@@ -178,9 +191,7 @@ impl Learned {
 
     /// A version, or why it does not count.
     fn read(&self, path: &Path, chip: &'static Chip, design: Option<i64>) -> Result<Image, String> {
-        let trusted =
-            [&self.folder, path].into_iter().try_for_each(|path| journal::check(path, self.trusted));
-        trusted.map_err(|error| error.to_string())?;
+        self.trust(path).map_err(|error| error.to_string())?;
         let image = Image::open(path, Some(chip)).map_err(|error| error.to_string())?;
         let why = match (design_of(&image), design) {
             (Some(was), Some(now)) if was != now => {
@@ -191,24 +202,37 @@ impl Learned {
         why.map_or(Ok(image), |why| Err(format!("{}: {why}", path.display())))
     }
 
+    /// Makes sure that nobody else can have written a version.
+    fn trust(&self, path: &Path) -> Result<()> {
+        [&self.folder, path].into_iter().try_for_each(|path| Ok(journal::check(path, self.trusted)?))
+    }
+
     /// Saves a version, unless the newest one would restore the same. On return it is on disk.
     fn save(&self, image: &Image, now: Timestamp) -> Result<bool> {
         let text = toml::write(image);
         let files = self.files(image.chip);
         let is_same = |(_, path): &(Version, PathBuf)| {
-            Image::open(path, Some(image.chip)).is_ok_and(|newest| content(&newest) == content(image))
+            let newest = self.trust(path).ok().and_then(|()| Image::open(path, Some(image.chip)).ok());
+            newest.is_some_and(|newest| content(&newest) == content(image))
         };
         if files.last().is_some_and(is_same) {
             return Ok(false);
         }
-        let version = match files.last() {
+        let mut version = match files.last() {
             Some((last, _)) => last.next(now).unwrap_or_else(|| last.clone()),
             None => Version::at(now),
         };
-        let name = format!("{}-{}-{}-{version}{SUFFIX}", self.key, image.chip.name, self.pack());
-        let (path, temporary) =
-            (self.folder.join(name), self.folder.join(format!("{}.learned.new", self.key)));
-        journal::save(&path, &temporary, &text).map_err(|error| {
+        let path = |version: &Version| {
+            let name = format!("{}-{}-{}-{version}{SUFFIX}", self.key, image.chip.name, self.pack());
+            self.folder.join(name)
+        };
+        // Another host may have one of that name.
+        while path(&version).exists() {
+            let Some(after) = version.after() else { break };
+            version = after;
+        }
+        let (path, temporary) = (path(&version), self.folder.join(temporary(&self.key, "learned")));
+        journal::save(&path, &temporary, &signed(&text)).map_err(|error| {
             Error::io(path.display().to_string(), "cannot save what the gauge has learned", &error)
         })?;
         for old in superfluous(&self.files(image.chip)) {
@@ -342,6 +366,11 @@ impl Owner {
             profile = over(unlearned(self.gauge.chip, self.shared.published().answers.dm_code), profile);
         }
         let Some(store) = self.learned.clone() else { return (profile, None) };
+        if self.is_contested() {
+            self.memory.owes_learned = true;
+            return (profile, None);
+        }
+        self.memory.owes_learned = false;
         if store.pack.is_none() {
             if !store.files(self.gauge.chip).is_empty() {
                 let why = "what it had learned is kept and not restored, because its pack has no name; see \
@@ -364,6 +393,44 @@ impl Owner {
         }
     }
 
+    /// Whether another gauge has the same pack. From now on that one knows of this one, too.
+    fn is_contested(&mut self) -> bool {
+        let chip = self.gauge.chip;
+        let pack = self.learned.as_ref().and_then(|store| Some((store, store.pack.as_deref()?)));
+        let claim = self.memory.claim.take();
+        self.memory.claim = pack.and_then(|(store, pack)| {
+            claim.filter(|claim| claim.is_of(chip.name, pack, store.anywhere)).or_else(|| store.claim(chip))
+        });
+        let is_contested = self.memory.claim.as_ref().is_some_and(Claim::is_contested);
+        if std::mem::replace(&mut self.memory.is_contested, is_contested) != is_contested {
+            match self.contested() {
+                Some(error) => self.shared.report(Attempt::LEARNED, &error),
+                None => self.shared.succeeded(&Attempt::LEARNED),
+            }
+        }
+        is_contested
+    }
+
+    /// Why nothing that was learned is saved or restored, while another gauge has the same pack.
+    fn contested(&self) -> Option<Error> {
+        let pack = self.learned.as_ref()?.pack.as_ref().filter(|_| self.memory.is_contested)?;
+        let why = format!(
+            "another gauge has the pack {pack} as well, and no pack is in two places: what either of them learns is not saved, \
+             and nothing is restored; give each pack a name of its own"
+        );
+        Some(Error::new("learned", Cause::NotNow, why))
+    }
+
+    /// Restores what was not restored while another gauge had the same pack, unless the gauge has learned something since.
+    fn restore_owed(&mut self) {
+        match self.look_at_learned() {
+            Ok(None) if self.memory.is_kept() => self.write_profile(0, true),
+            Ok(_) => {}
+            Err(error) => return self.shared.report(Attempt::LEARNED, &error),
+        }
+        self.memory.owes_learned = false;
+    }
+
     /// Saves what the gauge has learned, now and then, while its memory is known to be what it should be.
     pub(super) fn save_learned(&mut self) {
         let published = self.shared.published();
@@ -373,6 +440,12 @@ impl Owner {
             self.memory.next_look = None;
             return;
         };
+        if self.is_contested() {
+            return;
+        }
+        if self.memory.owes_learned {
+            return self.restore_owed();
+        }
         let now = self.gauge.clock.now();
         let pause = if published.seal == Seal::Sealed { EVERY_SEALED } else { EVERY };
         if now < *self.memory.next_look.get_or_insert(now + FIRST) {
@@ -480,6 +553,11 @@ impl Owner {
     /// Writes a version to the gauge, which is the newest one from then on. What the gauge has learned since the last look is a
     /// version before it.
     fn restore_learned(&mut self, store: &Learned, named: Option<Version>, asked: Asked) -> Result<String> {
+        if self.is_contested()
+            && let Some(error) = self.contested()
+        {
+            return Err(error);
+        }
         let (chip, design) = (self.gauge.chip, self.design_capacity());
         let not_now = |why| Error::new("learned", Cause::NotNow, why);
         let (version, image) = match &named {
@@ -549,6 +627,10 @@ impl Owner {
             text += "learned before the pack had a name; --restore=VERSION writes one, if it is this pack:\n";
             text += &told(&nameless);
         }
+        if let Some(error) = self.contested() {
+            text += &format!("{}\n", error.reason());
+            return text;
+        }
         text += match (&newest, &store.pack) {
             (None, _) => "nothing is kept that could be restored\n",
             (Some(_), Some(_)) if self.memory.profile().is_empty() => {
@@ -597,6 +679,14 @@ mod tests {
         let folder = std::env::temp_dir().join(format!("gaugefs-learned-{name}-{}", std::process::id()));
         let _ = fs::remove_dir_all(&folder);
         folder
+    }
+
+    /// The files with versions.
+    fn kept(folder: &Path) -> Vec<PathBuf> {
+        let files = fs::read_dir(folder).into_iter().flatten().map(|file| file.expect("a file").path());
+        let mut files: Vec<_> = files.filter(|file| file.to_string_lossy().ends_with(SUFFIX)).collect();
+        files.sort();
+        files
     }
 
     fn chip() -> &'static Chip {
@@ -1064,10 +1154,10 @@ mod tests {
         for wrong in [0, 5000, 32_767] {
             rig.clock.sleep(Duration::from_secs(1));
             learn(&mut rig, wrong);
-            assert!(fs::read_dir(&folder).is_err(), "{wrong}");
+            assert!(kept(&folder).is_empty(), "{wrong}");
         }
         learn(&mut rig, 15_000);
-        let file = fs::read_dir(&folder).expect("a folder").next().expect("a file").expect("it").path();
+        let file = kept(&folder).remove(0);
         let text = fs::read_to_string(&file).expect("text");
         for (from, to) in
             [("qmax-cell-0 = 15000", "qmax-cell-0 = 0"), ("r-a0-5 = 59", "r-a0-5 = 0"), ("[r-a-ram]", "[r-a")]
@@ -1232,7 +1322,7 @@ mod tests {
         let folder = folder("profile");
         let mut rig = rig(&folder, None);
         rig.poll_after(EVERY_SEALED);
-        assert!(fs::read_dir(&folder).is_err(), "nothing was learned");
+        assert!(kept(&folder).is_empty(), "nothing was learned");
         learn(&mut rig, 15_432);
         lose_power(&mut rig);
         assert_eq!(words(&mut rig), (16_000, 102));
@@ -1248,7 +1338,7 @@ mod tests {
         let folder = folder("design");
         let mut rig = rig(&folder, Some("A"));
         learn(&mut rig, 15_432);
-        let file = fs::read_dir(&folder).expect("a folder").next().expect("a file").expect("it").path();
+        let file = kept(&folder).remove(0);
         let text = fs::read_to_string(&file).expect("text");
         fs::write(&file, text.replace("design-capacity = 1234", "design-capacity = 1235")).expect("written");
         lose_power(&mut rig);
@@ -1273,13 +1363,107 @@ mod tests {
         }
     }
 
+    /// A gauge in a bay of the same host, whose pack shows its name.
+    fn in_bay(folder: &Path, bay: u32) -> Rig {
+        let mut rig = rig(folder, Some("A"));
+        let store = Learned::new(folder.into(), format!("i2c-{bay}-55"), None);
+        rig.owner.learned = Some(store.of_pack_anywhere(Some("A".into())));
+        rig.owner.memory.claim = None;
+        rig.poll_after(INTERVAL);
+        rig
+    }
+
+    #[test]
+    fn regression_two_gauges_with_one_pack_name_got_what_the_other_had_learned() {
+        let folder = folder("twice");
+        let mut first = in_bay(&folder, 1);
+        learn(&mut first, 15_432);
+        let mut second = in_bay(&folder, 2);
+        lose_power(&mut second);
+        assert_eq!(words(&mut second), (16_000, 102));
+        first.poll_after(INTERVAL);
+        for (rig, qmax) in [(&mut first, 15_433), (&mut second, 15_434)] {
+            let error = rig.handle.published().last_error.to_string();
+            assert!(error.contains("another gauge has the pack A as well"), "{error}");
+            learn(rig, qmax);
+            assert!(told(rig).contains("another gauge has the pack A as well"));
+            assert_eq!(kept(&folder).len(), 1, "saved under neither");
+        }
+        let asked = second.ask(&op::LEARNED, Wish::Restore(None));
+        assert!(asked.expect_err("whose is it").to_string().contains("no pack is in two places"));
+        drop(second);
+        first.poll_after(EVERY_SEALED);
+        assert_eq!((kept(&folder).len(), &*first.handle.published().last_error), (2, ""));
+        fs::remove_dir_all(folder).expect("it is there");
+    }
+
+    /// The bay that it has left notices that later.
+    #[test]
+    fn a_pack_that_moves_to_another_bay_gets_back_what_it_has_learned() {
+        let folder = folder("moves");
+        let (mut left, mut new) = (in_bay(&folder, 1), in_bay(&folder, 3));
+        new.owner.memory.is_doubtful();
+        learn(&mut left, 15_432);
+        lose_power(&mut new);
+        assert_eq!(words(&mut new), (16_000, 102), "it may be in the other one");
+        left.sim.set("power", "off").expect("a knob");
+        left.poll_after(INTERVAL);
+        for _ in 0..2 {
+            new.poll_after(INTERVAL);
+        }
+        assert_eq!(words(&mut new), (15_432, 77));
+        fs::remove_dir_all(folder).expect("it is there");
+    }
+
+    #[test]
+    fn regression_hosts_with_one_folder_got_what_was_learned_on_the_other() {
+        let folder = folder("hosts");
+        let mut rig = rig(&folder, Some("A"));
+        learn(&mut rig, 15_432);
+        let theirs = kept(&folder).remove(0);
+        let text = fs::read_to_string(&theirs).expect("text");
+        let (line, rest) = text.split_once('\n').expect("lines");
+        assert_eq!(line, format!("# {}", journal::Machine::this()));
+        fs::write(&theirs, format!("# host bench 1 2\n{rest}")).expect("it is written");
+        lose_power(&mut rig);
+        assert_eq!(words(&mut rig), (16_000, 102));
+        assert!(told(&mut rig).contains("nothing is kept that could be restored"));
+        // Neither does it stand in the way, nor is it removed.
+        learn(&mut rig, 15_432);
+        assert_eq!(kept(&folder).len(), 2);
+        rig.ask(&op::LEARNED, Wish::Forget).expect("it is removed");
+        assert_eq!(kept(&folder), std::slice::from_ref(&theirs));
+        // One of an earlier version says nothing.
+        fs::write(&theirs, rest).expect("it is written");
+        lose_power(&mut rig);
+        assert_eq!(words(&mut rig), (15_432, 77));
+        fs::remove_dir_all(folder).expect("it is there");
+    }
+
+    #[test]
+    fn regression_a_version_that_is_not_trusted_kept_the_same_from_being_saved() {
+        use std::os::unix::fs::PermissionsExt as _;
+        let folder = folder("untrusted");
+        let mut rig = rig(&folder, Some("A"));
+        learn(&mut rig, 15_432);
+        let file = kept(&folder).remove(0);
+        fs::set_permissions(&file, fs::Permissions::from_mode(0o666)).expect("it is mine");
+        for _ in 0..3 {
+            rig.poll_after(EVERY_SEALED);
+            assert_eq!(kept(&folder).len(), 2, "once more, and no more");
+        }
+        lose_power(&mut rig);
+        assert_eq!(words(&mut rig), (15_432, 77));
+        fs::remove_dir_all(folder).expect("it is there");
+    }
+
     #[test]
     fn regression_a_version_that_others_may_write_was_believed() {
         use std::os::unix::fs::PermissionsExt as _;
         let folder = folder("planted");
         let mut rig = rig(&folder, Some("A"));
         learn(&mut rig, 15_432);
-        let file = fs::read_dir(&folder).expect("a folder").next().expect("a file").expect("it").path();
+        let file = kept(&folder).remove(0);
         for path in [&file, &folder] {
             let mode = fs::metadata(path).expect("it is there").permissions().mode();
             fs::set_permissions(path, fs::Permissions::from_mode(mode | 0o022)).expect("it is mine");
@@ -1387,7 +1571,7 @@ mod tests {
             };
             rig.sim.set_flash(area, at, &value);
             rig.poll_after(EVERY_SEALED);
-            assert!(fs::read_dir(&folder).is_ok(), "{}: nothing was saved", chip.name);
+            assert!(!kept(&folder).is_empty(), "{}: nothing was saved", chip.name);
             rig.sim.set_flash(area, at, &[0x04, 0x56]);
             lose_power(&mut rig);
             let index = chip.subclasses.iter().position(|other| std::ptr::eq(other, class)).expect("its own");

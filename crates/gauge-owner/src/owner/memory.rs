@@ -5,6 +5,7 @@
 
 use std::time::Duration;
 
+use super::claim::Claim;
 use super::{Attempt, Owner, Presence, operations};
 use crate::choose::{Choice, Undecided, choose};
 use crate::error::{Cause, Error, Step};
@@ -48,6 +49,12 @@ pub(super) struct Memory {
     exchanged: Option<Before>,
     /// It has reported that its battery was taken out.
     is_away: bool,
+    /// Says whose pack the gauge has, while it is certain that it has it.
+    pub(super) claim: Option<Claim>,
+    /// Another gauge has that pack as well.
+    pub(super) is_contested: bool,
+    /// What its pack has learned was not restored, because another gauge has it as well.
+    pub(super) owes_learned: bool,
     /// When what it has learned is looked at.
     pub(super) next_look: Option<Duration>,
     /// What was found there first since it has come, or was written.
@@ -91,6 +98,9 @@ impl Memory {
             inserted: Fact::default(),
             exchanged: None,
             is_away: false,
+            claim: None,
+            is_contested: false,
+            owes_learned: false,
             next_look: None,
             first: None,
         }
@@ -128,7 +138,7 @@ impl Memory {
     /// A gauge has come, or come back.
     pub(super) fn arrives(&mut self) {
         (self.loss, self.lost_again, self.first) = (Loss::None, 0, None);
-        (self.is_away, self.is_believed) = (false, false);
+        (self.is_away, self.is_believed, self.owes_learned) = (false, false, false);
         if self.exchanged.is_some() {
             self.loss = Loss::Owed { attempts: 0, failure: String::new() };
         }
@@ -140,6 +150,7 @@ impl Memory {
         self.compared = Fact::default();
         self.chosen = Fact::default();
         self.is_own = Fact::default();
+        self.claim = None;
         self.looks.forget();
     }
 
@@ -374,7 +385,7 @@ impl Owner {
         is_own
     }
 
-    fn write_profile(&mut self, attempts: u32, is_lost: bool) {
+    pub(super) fn write_profile(&mut self, attempts: u32, is_lost: bool) {
         let (profile, learned) = self.profile_with_learned();
         let ended = Statistics::read(&self.gauge.statistics.resets);
         let outcome = self.dataflash.restore(&mut self.gauge, &profile, is_lost, Duration::ZERO);

@@ -2,6 +2,7 @@
 
 //! The machine that a journal was written on. Several may keep their journals in one folder.
 
+use std::fmt;
 use std::path::Path;
 use std::sync::OnceLock;
 
@@ -15,15 +16,22 @@ const UNKNOWN: &str = "-";
 
 /// A host, by its name, by what identifies it, and by its last start. None of them is secret.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) struct Machine {
-    pub(crate) name: String,
-    pub(crate) id: String,
-    pub(crate) boot: String,
+pub struct Machine {
+    name: String,
+    id: String,
+    boot: String,
+}
+
+/// The line of a journal: `host NAME ID BOOT`.
+impl fmt::Display for Machine {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "host {} {} {}", self.name, self.id, self.boot)
+    }
 }
 
 impl Machine {
     /// The one that this process runs on.
-    pub(crate) fn this() -> &'static Self {
+    pub fn this() -> &'static Self {
         static THIS: OnceLock<Machine> = OnceLock::new();
         THIS.get_or_init(|| {
             let text = |path| regular::read_text(Path::new(path), regular::SYSTEM).ok();
@@ -45,15 +53,25 @@ impl Machine {
         Self { id: name.clone(), boot: name.clone(), name }
     }
 
+    /// What it is known by; `-` if it has nothing of that kind.
+    pub fn id(&self) -> &str {
+        &self.id
+    }
+
+    /// What its last start is known by, which its containers share.
+    pub fn boot(&self) -> &str {
+        &self.boot
+    }
+
     /// Whether it is the same one. Containers of one host differ in the first two, and share its start.
-    pub(crate) fn is(&self, other: &Self) -> bool {
+    pub fn is(&self, other: &Self) -> bool {
         let same = |one: &str, other: &str| one != UNKNOWN && one == other;
         let nameless = self.id == UNKNOWN && other.id == UNKNOWN;
         same(&self.boot, &other.boot) || same(&self.id, &other.id) || nameless && self.name == other.name
     }
 
-    /// The line of a journal: `host NAME ID BOOT`.
-    pub(crate) fn parse(line: &str) -> Option<Self> {
+    /// The machine of such a line.
+    pub fn parse(line: &str) -> Option<Self> {
         let mut words = line.strip_prefix("host ")?.split(' ').map(word);
         let machine = Self { name: words.next()?, id: words.next()?, boot: words.next()? };
         words.next().is_none().then_some(machine)
@@ -83,8 +101,7 @@ mod tests {
         assert!(!bench.is(&machine("bench", "a2", "b2")), "another one of that name");
         assert!(!machine("-", "-", "-").is(&bench) && machine("pi", "-", "-").is(&machine("pi", "-", "b9")));
         let this = Machine::this();
-        let line = format!("host {} {} {}", this.name, this.id, this.boot);
-        assert_eq!(Machine::parse(&line).as_ref(), Some(this));
+        assert_eq!(Machine::parse(&this.to_string()).as_ref(), Some(this));
         assert!(this.is(this));
     }
 }
