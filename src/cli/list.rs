@@ -53,7 +53,7 @@ impl List {
         let (mut code, mut notes) = (ExitCode::SUCCESS, Vec::new());
         let mut rows = vec![["GAUGE", "PART", "SERIAL", "CAPACITY", "STATUS", "AGE"].map(String::from)];
         for (mount, found) in look::gauges(&mounts)? {
-            for Seen { listed, notes: its } in &found.gauges {
+            for Seen { listed, notes: its, .. } in &found.gauges {
                 if self.json {
                     print_json(listed)?
                 } else {

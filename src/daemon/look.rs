@@ -59,12 +59,15 @@ pub(crate) struct Seen {
     pub(crate) listed: Listed,
     /// A line for each.
     pub(crate) notes: Vec<String>,
+    /// They are about what is owed.
+    pub(crate) is_owed: bool,
 }
 
 impl Seen {
     fn read(gauge: &Gauge) -> Self {
-        let owed = gauge.is_owed().then(|| gauge.last_error().unwrap_or_default());
-        Self { listed: Listed::read(gauge), notes: owed.into_iter().collect() }
+        let (is_owed, error) = (gauge.is_owed(), gauge.last_error().unwrap_or_default());
+        let notes = (is_owed || !error.is_empty()).then_some(error);
+        Self { listed: Listed::read(gauge), notes: notes.into_iter().collect(), is_owed }
     }
 }
 

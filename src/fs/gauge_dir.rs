@@ -322,7 +322,14 @@ fn auth_order(gauge: &Supply) -> Option<String> {
 fn last_error(gauge: &Supply) -> Option<String> {
     let published = gauge.published();
     let owed = Some((published.owed_since, &*published.owed)).filter(|(_, owed)| !owed.is_empty());
-    owed_and(owed, published.failed.as_ref().map(|failed| (failed, &*published.last_error)))
+    let shown = owed_and(owed, published.failed.as_ref().map(|failed| (failed, &*published.last_error)))?;
+    let amiss = published.amiss.as_ref().filter(|_| published.snapshot.is_some());
+    match (shown.trim_end(), amiss) {
+        (_, None) => Some(shown),
+        ("", Some((since, amiss))) => line(format_args!("{since:.0}: {amiss}")),
+        // Who has just failed looks at the time at the beginning.
+        (shown, Some((since, amiss))) => line(format_args!("{shown}; since {since:.0}: {amiss}")),
+    }
 }
 
 /// Both begin with their time. What is owed goes first: it must not be lost among less important errors.

@@ -182,6 +182,31 @@ fn regression_what_a_choice_looks_at_took_its_gauge_along_when_it_hung() {
 }
 
 #[test]
+fn regression_a_gauge_that_was_flat_said_so_nowhere_a_person_looks() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let at = folder.file("m");
+    let gauge = format!("{at}/BAT0");
+    gaugefs(&["mount", "--sim", "bq27441-g1", "--poll", "0.5", &at]).done();
+    assert_eq!(read(&gauge, "gauge/last_error"), "");
+    for position in ["off", "on"] {
+        fs::write(format!("{gauge}/sim/power"), position).expect("a knob");
+    }
+    within(Duration::from_secs(60), "the loss", || {
+        read(&gauge, "gauge/last_error").contains("has lost its configuration")
+    });
+    for command in ["list", "doctor"] {
+        let shown = gaugefs(&[command]);
+        let shown = shown.out + &shown.err;
+        let is_it = |line: &str| line.contains(&gauge) && line.contains("mount with --profile");
+        assert!(shown.lines().any(is_it), "{command}: {shown}");
+    }
+    gaugefs(&["umount", &at]).done();
+}
+
+#[test]
 fn a_gauge_with_flash_forgets_nothing() {
     if !can_mount() {
         return;

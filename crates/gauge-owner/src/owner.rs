@@ -8,7 +8,7 @@
 //!
 //! `handle` is what everything else sees of a gauge, `operations` is what the owner can be asked to do, each a row of
 //! what `operation` is, `words` reads their arguments, `attempt` says which failure is shown, `calibrate` calibrates the gauge, `crew` has the threads in which owners work, `backup` saves a gauge's configuration before the
-//! first write, `direct` is an owner without a thread, `arrival` identifies a gauge that comes or comes back, `memory` keeps one with RAM configured, `learned` keeps what it has learned, `claim` says whose, `signed` on which host, `poll` reads its registers, `report` records all
+//! first write, `direct` is an owner without a thread, `arrival` identifies a gauge that comes or comes back, `memory` keeps one with RAM configured, `learned` keeps what it has learned, `claim` says whose, `signed` on which host, `poll` reads its registers, `amiss` says what is wrong with one that answers, `report` records all
 //! of that for a bug report, and `debt` pays what a failed access has left: a seal, or a write that is neither done nor
 //! undone.
 
@@ -33,6 +33,7 @@ use ti_gauge::journal::Journal;
 use ti_gauge::keys::Keys;
 use ti_gauge::registers::Registers;
 
+mod amiss;
 mod arrival;
 mod attempt;
 mod backup;

@@ -39,8 +39,12 @@ pub(super) fn check(host: &Host) -> Vec<Finding> {
             findings.push(warning(&what, says, format!("Unmount what covers it: umount {what}")));
         } else {
             let found = look.map(Look::end).unwrap_or_default();
-            findings.extend(found.gauges.iter().flat_map(|Seen { listed, notes }| {
+            findings.extend(found.gauges.iter().flat_map(|Seen { listed, notes, is_owed }| {
                 let note = |note: &String| {
+                    if !is_owed {
+                        let remedy = "That is its gauge/last_error, which ends when it is over.";
+                        return warning(&listed.path, note, remedy);
+                    }
                     let remedy =
                         format!("What is known of it, and what to type: gaugefs settle {}", listed.path);
                     problem(&listed.path, note, remedy)

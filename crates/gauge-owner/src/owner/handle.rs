@@ -78,6 +78,8 @@ pub struct Published {
     pub last_error: Arc<str>,
     /// What is known of it; `None` for none.
     pub failed: Option<Failure>,
+    /// What is wrong with the gauge as long as it answers, one line, and since when.
+    pub amiss: Option<(Timestamp, Arc<str>)>,
     /// The work that a failed access has left, one line; empty for none.
     pub owed: Arc<str>,
     /// Since when that has been owed.
@@ -184,6 +186,7 @@ impl Shared {
             interval: settings.interval,
             last_error: "".into(),
             failed: None,
+            amiss: None,
             owed: "".into(),
             owed_since: Timestamp::UNIX_EPOCH,
             settling: "".into(),

@@ -126,7 +126,7 @@ impl Memory {
     }
 
     /// Whether there is a profile, or will be.
-    fn is_managed(&self) -> bool {
+    pub(super) fn is_managed(&self) -> bool {
         !self.profile.is_empty() || !self.choices.is_empty()
     }
 
@@ -254,8 +254,6 @@ impl Owner {
         }
         self.publish_seal();
         if !self.memory.is_managed() {
-            let why = "lost its configuration with its power; mount with --profile to write it again";
-            log::warn!("{}: {why}", self.shared.name());
             self.memory.loss = Loss::Accepted;
             self.schedule.hurry();
             return;
@@ -529,7 +527,7 @@ fn waits_for_insertion(chip: &Chip, profile: &[Change]) -> Option<u16> {
 }
 
 /// Whether the registers show that data memory was lost.
-fn reports_loss(chip: &Chip, registers: &Registers) -> bool {
+pub(super) fn reports_loss(chip: &Chip, registers: &Registers) -> bool {
     let flags = chip.register(Role::Flags).and_then(|flags| registers.value(flags));
     flags.zip(chip.volatile).is_some_and(|(flags, lost)| flags & i64::from(lost) != 0)
 }

@@ -283,6 +283,7 @@ impl Owner {
                 self.shared.published().interval,
             );
         }
+        self.tell_what_is_amiss(&registers);
         let is_valid = self.unmeasured == 0;
         let is_configured = self.is_configured(&registers);
         let control_status = self.control_status;

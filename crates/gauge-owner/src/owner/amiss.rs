@@ -1,0 +1,135 @@
+// SPDX-License-Identifier: MIT
+
+//! What is amiss with a gauge that answers: it works with TI's defaults, or measures nothing. `gauge/last_error` has it for as
+//! long as it is so, because nobody waits for a write that fails.
+
+use jiff::Timestamp;
+
+use super::{Owner, memory};
+use ti_gauge::chip::{Chip, Range, Role};
+use ti_gauge::registers::Registers;
+
+/// Polls in a row without a measurement, half a second to some seconds apart, after which a person is told.
+const FOR_GOOD: u32 = 5;
+
+impl Owner {
+    /// Publishes it. Called with each poll.
+    pub(super) fn tell_what_is_amiss(&self, registers: &Registers) {
+        let amiss = self.measures_nothing(registers).or_else(|| self.lacks_configuration(registers));
+        if self.shared.published().amiss.as_ref().map(|(_, amiss)| &**amiss) == amiss.as_deref() {
+            return;
+        }
+        if let Some(amiss) = &amiss {
+            log::warn!("{}: {amiss}", self.shared.name());
+        }
+        self.shared.publish(|published| {
+            published.amiss = amiss.map(|amiss| (Timestamp::now(), amiss.into()));
+        });
+    }
+
+    fn measures_nothing(&self, registers: &Registers) -> Option<String> {
+        let chip = self.gauge.chip;
+        (self.unmeasured >= FOR_GOOD).then_some(())?;
+        let voltage = chip.register(Role::VoltageNow).and_then(|register| registers.value(register));
+        let sign = match chip.control_status.iter().find(|bit| bit.mask & chip.condition.complete != 0) {
+            _ if voltage == Some(0) => "Voltage() stays 0 mV".to_string(),
+            Some(bit) => format!("[{}] stays clear", bit.name),
+            None => return None,
+        };
+        Some(format!(
+            "{sign}: the gauge has measured nothing since its power-up or reset, so no measured value is shown and nothing \
+             can be written; check the connection of the cell and its voltage at the gauge"
+        ))
+    }
+
+    fn lacks_configuration(&self, registers: &Registers) -> Option<String> {
+        let chip = self.gauge.chip;
+        let flag = chip
+            .volatile
+            .filter(|_| !self.memory.is_managed() && self.shared.published().limited.is_none())?;
+        const REMEDY: &str =
+            "mount with --profile to have its own written whenever that is so (docs/FORGETFUL.md)";
+        if flag != 0 {
+            return memory::reports_loss(chip, registers).then(|| {
+                format!(
+                    "it has lost its configuration with its power, and works with TI's defaults; {REMEDY}"
+                )
+            });
+        }
+        // Nothing else shows it.
+        let design = registers.value(chip.register(Role::ChargeFullDesign)?)?;
+        (default_capacity(chip)? == design).then(|| {
+            format!(
+                "DesignCapacity() is TI's default, {design} mAh: it has lost its configuration, or never had one; {REMEDY}"
+            )
+        })
+    }
+}
+
+/// The Design Capacity that the part has by itself.
+fn default_capacity(chip: &Chip) -> Option<i64> {
+    let mut rows = chip.subclasses.iter().flat_map(|subclass| subclass.parameters);
+    match rows.find(|row| row.name == "Design Capacity")?.range {
+        Range::Int { default, .. } => default,
+        _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use super::super::rig::{INTERVAL, Rig};
+    use super::super::{Settings, Startup, operations as op};
+    use super::*;
+    use ti_gauge::chip::CHIPS;
+    use ti_gauge::dataflash::Change;
+    use ti_gauge::value::Value;
+
+    fn told(rig: &Rig) -> String {
+        rig.handle.published().amiss.as_ref().map_or(String::new(), |(_, amiss)| amiss.to_string())
+    }
+
+    #[test]
+    fn regression_a_gauge_that_had_lost_its_configuration_said_so_in_the_log_only() {
+        for chip in CHIPS.iter().copied().filter(|chip| chip.volatile.is_some()) {
+            let mut rig = Rig::of(chip.name, Settings::default(), Startup::default());
+            rig.start().expect("it answers");
+            for position in ["off", "on"] {
+                rig.sim.set("power", position).expect("a knob");
+                rig.poll_after(INTERVAL);
+            }
+            rig.poll_after(INTERVAL);
+            assert!(told(&rig).contains("--profile"), "{}: {}", chip.name, told(&rig));
+            let rows =
+                chip.subclasses.iter().flat_map(|class| class.parameters.iter().map(move |row| (class, row)));
+            let row = rows.into_iter().find(|(_, row)| row.name == "Design Capacity").expect("each has one");
+            let change = Change::of_value(row, &Value::Int(1234), false).expect("it fits");
+            rig.ask(&op::WRITE, vec![change]).expect("the default keys");
+            for _ in 0..2 {
+                rig.poll_after(INTERVAL);
+            }
+            assert_eq!(told(&rig), "", "{}", chip.name);
+        }
+    }
+
+    #[test]
+    fn regression_a_gauge_that_measures_nothing_did_not_say_why_nothing_is_shown() {
+        for name in ["bq34z100-g1", "bq27441-g1"] {
+            let mut rig = Rig::of(name, Settings::default(), Startup::default());
+            rig.start().expect("it answers");
+            let is_valid = |rig: &Rig| {
+                rig.handle.published().snapshot.as_ref().is_some_and(|snapshot| snapshot.is_valid)
+            };
+            rig.sim.set("voltage_mv", "0").expect("a knob");
+            for _ in 0..FOR_GOOD {
+                assert_eq!(told(&rig), "", "{name}");
+                rig.poll_after(Duration::from_secs(3));
+            }
+            assert!(!is_valid(&rig) && told(&rig).contains("Voltage() stays 0 mV"), "{name}: {}", told(&rig));
+            rig.sim.set("voltage_mv", "3700").expect("a knob");
+            rig.poll_after(INTERVAL);
+            assert!(is_valid(&rig) && told(&rig).is_empty(), "{name}: {}", told(&rig));
+        }
+    }
+}
