@@ -140,11 +140,11 @@ const fn column(title: &'static str, width: usize, right: bool, rank: u8) -> Col
 
 const COLUMNS: [Column; 11] = [
     column("GAUGE", 6, false, 0),
-    column("MODEL", 11, false, 8),
+    column("MODEL", 11, false, 7),
     column("STATUS", 12, false, 1),
     column("V", 5, true, 3),
     column("A", 6, true, 4),
-    column("Ah", 11, true, 7),
+    column("Ah", 11, true, 8),
     column("CHARGE", 10, false, 6),
     column("%", 3, true, 2),
     column("°C", 4, true, 5),
