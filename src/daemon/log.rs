@@ -4,16 +4,21 @@
 //!
 //! For syslog, every line is a datagram to `/dev/log` and no connection is kept, because syslog may restart
 //! at any time. Without a syslog the line is lost.
+//!
+//! Whoever may write to a file of the mount causes a line by each write that is refused, so lines that repeat are counted.
 
+use std::collections::HashMap;
 use std::fs::OpenOptions;
 use std::io::{self, Write};
 use std::os::unix::fs::OpenOptionsExt;
 use std::os::unix::net::UnixDatagram;
 use std::path::Path;
+use std::sync::{Mutex, PoisonError};
+use std::time::{Duration, Instant};
 
-use env_logger::{Builder, Env, Target};
+use env_logger::{Builder, Env, Logger, Target};
 use jiff::Timestamp;
-use log::{Level, Record};
+use log::{Level, Log, Metadata, Record};
 use ti_gauge::text;
 
 use crate::error::{Error, Result};
@@ -21,6 +26,12 @@ use gauge_bus::regular;
 
 /// The default of RUST_LOG: information from gaugefs, only warnings from the FUSE library.
 const FILTER: &str = "info,fuser=warn";
+/// For this long lines that are alike are counted after the first one.
+const PERIOD: Duration = Duration::from_secs(60);
+/// The most kinds of lines that are told apart meanwhile.
+const KINDS: usize = 100;
+/// What stands for the kinds beyond that.
+const OTHERS: &str = "further lines are left out, as too many differ";
 /// syslog's facility `daemon`, in the upper bits of a priority.
 const DAEMON: u8 = 3 << 3;
 
@@ -60,8 +71,11 @@ pub fn start(to: Destination<'_>) -> Result<()> {
     }
     // A panic ends one piece of work, and nobody reads the standard error of a daemon.
     std::panic::set_hook(Box::new(|panic| log::error!("{panic}; please report it")));
+    let logger = builder.build();
+    log::set_max_level(logger.filter());
     // It fails only if the process has a logger already.
-    builder.try_init().map_err(|error| Error::io("log", "cannot start it", &io::Error::other(error)))
+    let set = log::set_boxed_logger(Box::new(Counting { logger, repeats: Mutex::default() }));
+    set.map_err(|error| Error::io("log", "cannot start it", &io::Error::other(error)))
 }
 
 /// Whether a log can be written to a file, as far as that can be seen without a change.
@@ -104,6 +118,102 @@ fn severity(level: Level) -> u8 {
     }
 }
 
+/// A logger that counts what repeats.
+struct Counting {
+    logger: Logger,
+    repeats: Mutex<Repeats>,
+}
+
+impl Counting {
+    fn write(&self, lines: Vec<(Level, String)>) {
+        for (level, line) in lines {
+            let text = format_args!("{line}");
+            self.logger.log(&Record::builder().level(level).target("gaugefs").args(text).build());
+        }
+    }
+}
+
+impl Log for Counting {
+    fn enabled(&self, metadata: &Metadata<'_>) -> bool {
+        self.logger.enabled(metadata)
+    }
+
+    fn log(&self, record: &Record<'_>) {
+        if !self.logger.matches(record) {
+            return;
+        }
+        let (line, now) = (record.args().to_string(), Instant::now());
+        // Held while it writes, so that lines have the order in which they came.
+        let mut repeats = self.repeats.lock().unwrap_or_else(PoisonError::into_inner);
+        self.write(repeats.due(now, PERIOD));
+        if repeats.is_news(record.level(), &line, now) {
+            self.logger.log(record);
+        }
+    }
+
+    fn flush(&self) {
+        let mut repeats = self.repeats.lock().unwrap_or_else(PoisonError::into_inner);
+        self.write(repeats.due(Instant::now(), Duration::ZERO));
+        self.logger.flush();
+    }
+}
+
+/// What was logged within the last [`PERIOD`], by its kind.
+#[derive(Default)]
+struct Repeats(HashMap<String, Repeated>);
+
+struct Repeated {
+    since: Instant,
+    level: Level,
+    line: String,
+    /// How many like it were not written.
+    more: u64,
+}
+
+impl Repeats {
+    /// Whether a line is written, and not only counted.
+    fn is_news(&mut self, level: Level, line: &str, now: Instant) -> bool {
+        let kind = kind(level, line);
+        if let Some(known) = self.0.get_mut(&kind) {
+            known.more += 1;
+            return false;
+        }
+        let is_one_too_many = self.0.len() >= KINDS;
+        // What was written to a gauge is never left out.
+        if is_one_too_many && level != Level::Warn {
+            return true;
+        }
+        let (kind, line) = if is_one_too_many { (OTHERS.into(), OTHERS) } else { (kind, line) };
+        let new = Repeated { since: now, level, line: line.into(), more: 0 };
+        self.0.entry(kind).or_insert(new).more += u64::from(is_one_too_many);
+        !is_one_too_many
+    }
+
+    /// What is to be said of lines that were counted for this long, the first one first.
+    fn due(&mut self, now: Instant, period: Duration) -> Vec<(Level, String)> {
+        let over = self.0.extract_if(|_, repeated| now.duration_since(repeated.since) >= period);
+        let mut over: Vec<_> = over.map(|(_, repeated)| repeated).filter(|one| one.more > 0).collect();
+        over.sort_by_key(|repeated| repeated.since);
+        let text = |Repeated { since, line, more, .. }: &Repeated| {
+            let seconds = now.duration_since(*since).as_secs();
+            let more = format!("{more} more like it within {seconds} s");
+            if line == OTHERS { format!("{OTHERS}: {more}") } else { format!("{line} ({more})") }
+        };
+        over.iter().map(|repeated| (repeated.level, text(repeated))).collect()
+    }
+}
+
+/// What lines have in common that are alike: a whole line; of a warning all but its numbers and what it quotes, as that may
+/// be what a user has written.
+fn kind(level: Level, line: &str) -> String {
+    if level != Level::Warn {
+        return format!("{level} {line}");
+    }
+    let outside = line.split('`').step_by(2);
+    let letters = outside.flat_map(str::chars).filter(|letter| !letter.is_ascii_digit());
+    letters.collect()
+}
+
 /// RFC 3164 on a datagram socket. The logger writes one line at a time.
 struct Syslog;
 
@@ -119,5 +229,60 @@ impl Write for Syslog {
 
     fn flush(&mut self) -> io::Result<()> {
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The lines that are written of those that come at these seconds.
+    fn written(lines: &[(u64, Level, &str)]) -> Vec<String> {
+        let (start, mut repeats, mut written) = (Instant::now(), Repeats::default(), Vec::new());
+        let mut now = start;
+        for (second, level, line) in lines {
+            now = start + Duration::from_secs(*second);
+            written.extend(repeats.due(now, PERIOD).into_iter().map(|(_, line)| line));
+            written.extend(repeats.is_news(*level, line, now).then(|| line.to_string()));
+        }
+        written.extend(repeats.due(now, Duration::ZERO).into_iter().map(|(_, line)| line));
+        written
+    }
+
+    #[test]
+    fn regression_refused_writes_filled_the_disk() {
+        let refused: Vec<_> =
+            (0..100_000).map(|number| format!("80/53: `{number}x` is not a number")).collect();
+        let lines: Vec<_> = refused.iter().map(|line| (0, Level::Warn, line.as_str())).collect();
+        let first = "80/53: `0x` is not a number";
+        assert_eq!(written(&lines), [first, &format!("{first} (99999 more like it within 0 s)")]);
+        // As many kinds as can be, such as one for each file.
+        let names: Vec<_> = (0..100_000).map(|number| "x".repeat(number % 1000) + " is refused").collect();
+        let lines: Vec<_> = names.iter().map(|line| (0, Level::Warn, line.as_str())).collect();
+        assert!(written(&lines).len() <= 2 * KINDS + 1);
+    }
+
+    #[test]
+    fn lines_that_are_alike_are_counted_for_a_minute() {
+        let refused = "BAT0: 80/53: out of range";
+        let lines = [0, 1, 59, 60, 61].map(|second| (second, Level::Warn, refused));
+        let counted = |more, seconds| format!("{refused} ({more} more like it within {seconds} s)");
+        assert_eq!(written(&lines), [refused, &counted(2, 60), refused, &counted(1, 1)]);
+        // The next line of any kind says how many there were.
+        let lines = [(0, Level::Warn, refused), (1, Level::Warn, refused), (70, Level::Info, "other")];
+        assert_eq!(written(&lines), [refused, &counted(1, 70), "other"]);
+    }
+
+    #[test]
+    fn each_write_is_logged_with_its_values_whatever_is_refused() {
+        let writes: Vec<_> = (0..200).map(|value| format!("80/53: {value} -> {}", value + 1)).collect();
+        let refused: Vec<_> = (0..200).map(|length| "x".repeat(length)).collect();
+        let lines: Vec<_> = writes
+            .iter()
+            .zip(&refused)
+            .flat_map(|(write, refused)| [(0, Level::Warn, refused.as_str()), (0, Level::Info, write)])
+            .collect();
+        let logged = written(&lines);
+        assert!(writes.iter().all(|write| logged.contains(write)));
     }
 }
