@@ -312,9 +312,10 @@ fn bare_bus(arguments: &[OsString]) -> Option<&str> {
 /// Pads every column to its widest cell, with two spaces between columns.
 fn align<const N: usize>(rows: &[[String; N]]) -> String {
     let width = |column: usize| rows.iter().map(|row| row[column].chars().count()).max().unwrap_or(0);
+    let widths: [usize; N] = std::array::from_fn(width);
     let mut table = String::new();
     for row in rows {
-        let cells = row.iter().enumerate().map(|(at, cell)| format!("{cell:0$}", width(at)));
+        let cells = row.iter().zip(widths).map(|(cell, width)| format!("{cell:width$}"));
         let line = cells.collect::<Vec<_>>().join("  ");
         // Writing to a String does not fail.
         let _ = writeln!(table, "{}", line.trim_end());

@@ -10,7 +10,7 @@ use nix::unistd::{getegid, geteuid};
 
 use crate::config::{GaugeOptions, MountOptions, Setup};
 use crate::error::{Cause, Error, Result};
-use crate::fs::{Access, Covered, Fs, Knobs, MountedGauge, free_name};
+use crate::fs::{Access, Covered, Fs, Knobs, MountedGauge, free_names};
 use crate::fuse;
 use crate::output::say;
 use gauge_bus::clock::{Clock, HurriedClock, RealClock};
@@ -151,6 +151,7 @@ pub(crate) fn run(setup: Setup, mode: Mode) -> Result<()> {
     for (_, name) in &places {
         ::log::info!("{}/{name} unmounted", mountpoint.display());
     }
+    ::log::logger().flush();
     drop(locks);
     ended
 }
@@ -215,16 +216,11 @@ impl Gauges {
 
 /// The names of the gauges' folders. Gauges without a name get the first of BAT0, BAT1 ... that are free.
 pub(crate) fn names(gauges: &[GaugeOptions], taken: &[String]) -> Vec<String> {
-    let mut taken = taken.to_vec();
-    taken.extend(gauges.iter().filter_map(|gauge| gauge.name.clone()));
-    let name = |gauge: &GaugeOptions| {
-        gauge.name.clone().unwrap_or_else(|| {
-            let free = free_name("BAT", &taken);
-            taken.push(free.clone());
-            free
-        })
-    };
-    gauges.iter().map(name).collect()
+    let given = gauges.iter().filter_map(|gauge| gauge.name.as_deref());
+    let taken = taken.iter().map(String::as_str).chain(given).collect();
+    let mut free = free_names("BAT", &taken);
+    let mut name = |gauge: &GaugeOptions| gauge.name.clone().or_else(|| free.next());
+    gauges.iter().filter_map(&mut name).collect()
 }
 
 /// The name of the Mains supply, where there is one: as given, else `AC` or the first like it that the
@@ -234,7 +230,10 @@ fn mains_name(mount: &MountOptions, gauges: &[String], taken: &[String]) -> Resu
     let usual = "AC".to_string();
     let name = match given {
         Some(name) => name.clone(),
-        None if taken.contains(&usual) => free_name(&usual, taken),
+        None if taken.contains(&usual) => {
+            let taken = taken.iter().map(String::as_str).collect();
+            free_names(&usual, &taken).next().expect("numbers do not run out")
+        }
         None => usual,
     };
     if gauges.contains(&name) {

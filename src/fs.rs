@@ -49,7 +49,7 @@ pub use df::DfItem;
 pub use gauge_dir::GaugeItem;
 pub use mains::MainsItem;
 use root::Root;
-pub use root::free_name;
+pub use root::free_names;
 pub use sim_dir::SimItem;
 pub(crate) use smart_battery::{
     ADDRESS as BATTERY_ADDRESS, SmartBattery, Told, obstacle as battery_obstacle,

@@ -2,7 +2,7 @@
 
 //! The mount point: a folder for each gauge, the Mains supply, and the kernel's supplies underneath.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeSet, HashSet};
 
 use super::{Fs, Item, MainsItem, Node, Operations, Shape, SupplyItem, find};
 
@@ -49,8 +49,7 @@ impl Operations for Root<'_> {
     }
 }
 
-/// The first name of STEM0, STEM1 ... that is not taken.
-pub fn free_name(stem: &str, taken: &[String]) -> String {
-    let mut names = (0..).map(|number| format!("{stem}{number}"));
-    names.find(|name| !taken.contains(name)).expect("numbers do not run out")
+/// The names of STEM0, STEM1 ... that are not taken.
+pub fn free_names(stem: &str, taken: &HashSet<&str>) -> impl Iterator<Item = String> {
+    (0..).map(move |number| format!("{stem}{number}")).filter(|name| !taken.contains(name.as_str()))
 }

@@ -15,7 +15,7 @@ use std::time::Duration;
 use gauge_bus::clock::RealClock;
 use gauge_owner::{self as owner, Settings, Signal};
 use gauge_sim::{Options, Sim};
-use gaugefs::fs::{Access, Covered, Fs, MountedGauge, Node, Scales, free_name};
+use gaugefs::fs::{Access, Covered, Fs, MountedGauge, Node, Scales, free_names};
 use gaugefs::fuse::{self, Mounted};
 use nix::sys::signal::Signal as Kill;
 use nix::unistd::geteuid;
@@ -113,6 +113,24 @@ fn names(folder: &Path) -> Vec<String> {
     names
 }
 
+fn free_name(taken: &[String]) -> String {
+    let taken = taken.iter().map(String::as_str).collect();
+    free_names("BAT", &taken).next().expect("numbers do not run out")
+}
+
+/// It would take a day if each name were compared with all others.
+#[test]
+fn regression_many_gauges_took_the_cube_of_their_number() {
+    let free = free_names("BAT", &["BAT1"].into()).take(100_000).last();
+    assert_eq!(free.as_deref(), Some("BAT100000"));
+    let folder = Folder::new();
+    let file = folder.file("gauges.toml");
+    let gauges = "[[gauge]]\nsim = 'bq35100'\n".repeat(100_000);
+    std::fs::write(&file, format!("[mount]\nmountpoint = 'm'\n{gauges}")).expect("a file");
+    let plan = gaugefs(&["mount", "--config", &file, "--check"]).out;
+    assert!(plan.lines().count() == 100_000 && plan.contains("/BAT99999 "), "{}", plan.lines().count());
+}
+
 #[test]
 fn the_kernels_supplies_stay_visible_and_unchanged() {
     let tree = Tree::new();
@@ -186,8 +204,8 @@ fn a_gauge_keeps_its_name_although_the_kernel_uses_it_too() {
     let mut found = covered.names();
     found.sort();
     assert_eq!(found, ["AC", "BAT0"]);
-    assert_eq!(free_name("BAT", &found), "BAT1");
-    assert_eq!(free_name("BAT", &[]), "BAT0");
+    assert_eq!(free_name(&found), "BAT1");
+    assert_eq!(free_name(&[]), "BAT0");
     let fs = tree_of(&["BAT0"], covered, &Arc::default());
     let list = fs.list(Node::Root);
     assert_eq!(list.len(), 2, "{list:?}");
@@ -229,7 +247,7 @@ fn the_real_folder_can_be_mounted_over() {
     let output = output.expect("unshare runs");
     assert!(output.status.success(), "{output:?}");
     let mut expected = before.clone();
-    expected.push(free_name("BAT", &before));
+    expected.push(free_name(&before));
     expected.sort();
     let mut lines: Vec<_> = String::from_utf8_lossy(&output.stdout).lines().map(String::from).collect();
     assert_eq!(lines.split_off(lines.len() - 2), ["sealed", "sealed"]);

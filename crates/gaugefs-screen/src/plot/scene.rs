@@ -2,10 +2,13 @@
 
 //! The layout: a title, a strip with the status of each gauge, and panels one below the other, with one time axis.
 
+use std::borrow::Cow;
+use std::collections::HashSet;
+
 use super::super::thin::thin;
 use super::super::ticks::{self, Tick};
 use super::Limit;
-use super::table::{Flow, Gauge, History, Panel, Series};
+use super::table::{Flow, Gauge, History, Panel};
 use gaugefs_host::error::{Cause, Error, Result};
 
 /// Size of letters, and an upper bound for their average width.
@@ -139,7 +142,7 @@ fn colour_of(number: usize) -> ([u8; 3], bool) {
 
 /// Whether the names of a panel's series have room beside its title; otherwise they are in the legend.
 fn names_fit(panel: &Panel, width: f64) -> bool {
-    let letters: usize = panel.series.iter().map(|series| label(series, panel).chars().count()).sum();
+    let letters: usize = labels(panel).map(|label| label.chars().count()).sum();
     letters as f64 * LETTER + panel.series.len() as f64 * 40.0 <= width - 300.0
 }
 
@@ -327,13 +330,11 @@ fn tints(shapes: &mut Vec<Shape>, gauge: &Gauge, times: &Times, (top, bottom): (
 /// Everything that the picture has and a panel's title does not explain.
 fn legend(history: &History, limits: &[Limit], width: f64) -> Vec<Key> {
     let mut keys: Vec<Key> = Vec::new();
+    let mut seen = HashSet::new();
     for panel in history.panels.iter().filter(|panel| panel.series.len() > 1 && !names_fit(panel, width)) {
-        for (at, series) in panel.series.iter().enumerate() {
-            let name = label(series, panel);
-            let is_it =
-                |key: &Key| key.text == name && matches!(key.mark, Mark::Series(other) if other == at);
-            if !keys.iter().any(is_it) {
-                keys.push(Key { mark: Mark::Series(at), text: name });
+        for (at, name) in labels(panel).enumerate() {
+            if seen.insert((at, name.clone())) {
+                keys.push(Key { mark: Mark::Series(at), text: name.into() });
             }
         }
     }
@@ -481,15 +482,16 @@ fn text(shapes: &mut Vec<Shape>, at: (f64, f64), text: &str, colour: [u8; 3], an
     shapes.push(Shape::Text { at, text: text.to_string(), colour, anchor, style: Style::Plain });
 }
 
-/// Names a series by its column, its gauge or both: by whatever differs within the panel.
-fn label(series: &Series, panel: &Panel) -> String {
-    let one_gauge = panel.series.iter().all(|other| other.gauge == series.gauge);
-    let one_column = panel.series.iter().all(|other| other.column == series.column);
-    match (one_gauge, one_column) {
-        (true, _) => series.column.clone(),
-        (false, true) => series.gauge.clone(),
-        (false, false) => format!("{} {}", series.gauge, series.column),
-    }
+/// The names of a panel's series: by column, gauge or both, whatever differs within it.
+fn labels(panel: &Panel) -> impl DoubleEndedIterator<Item = Cow<'_, str>> + ExactSizeIterator {
+    let first = &panel.series[0];
+    let one_gauge = panel.series.iter().all(|other| other.gauge == first.gauge);
+    let one_column = panel.series.iter().all(|other| other.column == first.column);
+    panel.series.iter().map(move |series| match (one_gauge, one_column) {
+        (true, _) => series.column.as_str().into(),
+        (false, true) => series.gauge.as_str().into(),
+        (false, false) => format!("{} {}", series.gauge, series.column).into(),
+    })
 }
 
 /// The parts of a panel that have a meaning: beyond a limit, or with a flag of a low charge.
@@ -576,10 +578,9 @@ fn draw(
     shapes.push(Shape::Text { at, text: title, colour: INK, anchor: Anchor::Start, style: Style::Bold });
 
     let mut legend = right;
-    for (at, series) in panel.series.iter().enumerate().rev() {
+    for ((at, series), name) in panel.series.iter().enumerate().rev().zip(labels(panel).rev()) {
         let (colour, dashed) = colour(at);
         if many && named {
-            let name = label(series, panel);
             let length = name.chars().count() as f64 * LETTER;
             text(shapes, (legend, top - 7.0), &name, INK, Anchor::End);
             let points = vec![(legend - length - 24.0, top - 11.0), (legend - length - 6.0, top - 11.0)];

@@ -2,6 +2,8 @@
 
 //! Reads the CSV into lines to draw.
 
+use std::collections::HashMap;
+
 use jiff::Timestamp;
 
 use super::super::log::columns::split;
@@ -100,7 +102,8 @@ pub(super) fn read(text: &[u8], wanted: &[String]) -> Result<History> {
     if headers.get(0) != Some("time (UTC)") || headers.get(1) != Some("gauge") {
         return Err(invalid("", "not written by `gaugefs log`: its first columns are not time and gauge"));
     }
-    let mut rows: Vec<Row> = Vec::new();
+    // In the order in which the file has them.
+    let (mut gauges, mut numbers) = (Vec::<(String, Vec<Row>)>::new(), HashMap::new());
     for record in reader.records() {
         let record = record.map_err(broken)?;
         // A full disk or a power cut may have truncated the row.
@@ -110,21 +113,19 @@ pub(super) fn read(text: &[u8], wanted: &[String]) -> Result<History> {
         let line = || record.position().map_or(String::new(), |at| line_of(text, at));
         let time = &record[0];
         let time: Timestamp = time.parse().map_err(|_| invalid(line(), format!("`{time}` is not a time")))?;
-        rows.push((time.as_millisecond() as f64 / 1000.0, record));
-    }
-    let mut gauges: Vec<String> = Vec::new();
-    for (.., record) in &rows {
-        if !gauges.iter().any(|gauge| *gauge == record[1]) {
-            gauges.push(record[1].to_string());
-        }
+        let number = *numbers.entry(record[1].to_string()).or_insert_with_key(|name| {
+            gauges.push((name.clone(), Vec::new()));
+            gauges.len() - 1
+        });
+        gauges[number].1.push((time.as_millisecond() as f64 / 1000.0, record));
     }
     let mut panels: Vec<Panel> = Vec::new();
     for name in names(&headers, wanted)? {
         let at = headers.iter().position(|header| split(header).0 == name).unwrap_or_default();
         let unit = split(&headers[at]).1;
-        for gauge in &gauges {
+        for (gauge, rows) in &gauges {
             let mut points = Vec::new();
-            for (time, record) in rows.iter().filter(|(.., record)| record[1] == **gauge) {
+            for (time, record) in rows {
                 let value = match &record[at] {
                     "" => None,
                     field => Some(field.parse::<f64>().ok().filter(|value| value.abs() <= MOST).ok_or_else(
@@ -153,15 +154,12 @@ pub(super) fn read(text: &[u8], wanted: &[String]) -> Result<History> {
     if panels.iter().all(|panel| panel.series.iter().all(|series| series.lines.is_empty())) {
         return Err(invalid("", "it has no values to draw"));
     }
-    let gauges = gauges.into_iter().map(|name| {
-        let rows: Vec<_> = rows.iter().filter(|(.., record)| record[1] == *name).collect();
-        gauge(name, &headers, &rows)
-    });
+    let gauges = gauges.into_iter().map(|(name, rows)| gauge(name, &headers, &rows));
     Ok(History { panels, gauges: gauges.collect() })
 }
 
 /// What the rows of a gauge say beside the columns that are drawn.
-fn gauge(name: String, headers: &csv::StringRecord, rows: &[&Row]) -> Gauge {
+fn gauge(name: String, headers: &csv::StringRecord, rows: &[Row]) -> Gauge {
     let field = |row: &Row, name: &str| {
         let at = headers.iter().position(|header| split(header).0 == name)?;
         row.1.get(at).filter(|text| !text.is_empty()).map(str::to_string)
@@ -169,7 +167,7 @@ fn gauge(name: String, headers: &csv::StringRecord, rows: &[&Row]) -> Gauge {
     let number =
         |row: &Row, name: &str| field(row, name)?.parse::<f64>().ok().filter(|value| value.abs() <= MOST);
     let last = |name: &str| rows.iter().rev().find_map(|row| field(row, name)).unwrap_or_default();
-    let steps = || rows.windows(2).map(|pair| (pair[0], pair[1]));
+    let steps = || rows.windows(2).map(|pair| (&pair[0], &pair[1]));
     let longest = longest_step(rows.iter().map(|row| row.0));
 
     let mut stretches: Vec<Stretch> = Vec::new();
@@ -193,7 +191,7 @@ fn gauge(name: String, headers: &csv::StringRecord, rows: &[&Row]) -> Gauge {
     }
     let low = LOW.into_iter().filter_map(|flag| {
         let is_set =
-            |row: &&&Row| field(row, "bits").is_some_and(|bits| bits.split(' ').any(|bit| bit == flag));
+            |row: &&Row| field(row, "bits").is_some_and(|bits| bits.split(' ').any(|bit| bit == flag));
         let set = rows.iter().filter(is_set).filter_map(|row| number(row, "capacity"));
         Some((flag, set.max_by(f64::total_cmp)?))
     });
@@ -309,6 +307,17 @@ mod tests {
         );
         assert_eq!(gauge.low, [("SOC1", 10.0)]);
         assert_eq!((gauge.part.as_str(), gauge.serial.as_str()), ("bq", ""));
+    }
+
+    /// It would take an hour if each gauge looked at the rows of all others.
+    #[test]
+    fn regression_many_gauges_took_the_square_of_their_number() {
+        let mut text = "time (UTC),gauge,status,voltage (V)\n".to_string();
+        for number in 0..40_000 {
+            text += &format!("2026-01-01T00:00:00Z,B{number},Full,3.7\n");
+        }
+        let history = read(text.as_bytes(), &[]).expect("a history");
+        assert_eq!((history.gauges.len(), history.panels[0].series.len()), (40_000, 40_000));
     }
 
     #[test]
