@@ -38,6 +38,10 @@ is expected: by --expect, or else by a file in /etc/gaugefs. Another user's priv
 With --format nut it is one gauge, as NUT's driver dummy-ups reads it from a file: port = FILE in
 ups.conf, mode = dummy-loop. ups.status is empty while the gauge does not answer.
 
+With --listen :9947 it answers on all interfaces of the machine, as node_exporter does, and has neither
+a password nor TLS; 127.0.0.1:9947 is for this machine alone. The label mountpoint is the mount point,
+whether that, a gauge in it or a symbolic link was named.
+
 Everything comes from the files of the mount, and causes no bus traffic. A user who may not read
 gauge/seal gets the seal of some parts only, and no poll interval.
 
@@ -71,7 +75,7 @@ pub struct Metrics {
     /// Write the file again and again, with this time in between
     #[arg(long, value_name = "SECONDS", value_parser = super::seconds, requires = "output")]
     interval: Option<Duration>,
-    /// Answer HTTP requests at HOST:PORT, or at unix:PATH
+    /// Answer HTTP requests at HOST:PORT, at :PORT of all interfaces, or at unix:PATH
     #[arg(long, value_name = "ADDRESS")]
     listen: Option<serve::Address>,
     /// Text format [default: text with -o, what the client asks for with --listen, else openmetrics]
@@ -140,8 +144,8 @@ impl Reader {
         Arc::new(Self { mountpoints, expected, all, threads: Mutex::default() })
     }
 
-    /// The mounts of a page.
-    fn mounts(&self) -> Vec<PathBuf> {
+    /// The mounts of a page: what is read, and the mount point that it belongs to.
+    fn places(&self) -> Vec<(PathBuf, PathBuf)> {
         let (mut all, mut expected) = (self.mountpoints.clone(), self.expected.clone());
         if all.is_empty() {
             all = mounts::list();
@@ -149,12 +153,14 @@ impl Reader {
                 expected = expected::configured();
             }
         }
-        for path in expected {
-            if !all.contains(&path) {
-                all.push(path);
+        let mut places: Vec<_> = all.into_iter().map(|path| (mountpoint(&path), path)).collect();
+        let expected: Vec<_> = expected.into_iter().map(|path| (mountpoint(&path), path)).collect();
+        for place in expected {
+            if !places.iter().any(|(mountpoint, _)| *mountpoint == place.0) {
+                places.push(place);
             }
         }
-        all
+        places
     }
 
     fn threads(&self) -> MutexGuard<'_, HashMap<PathBuf, usize>> {
@@ -177,7 +183,7 @@ impl Reader {
             let why = "there are several gauges, and NUT has a file for each; give the folder of one";
             return Err(Error::host("", Errno::EINVAL, why));
         }
-        let names: Vec<_> = self.mounts().iter().map(|path| path.display().to_string()).collect();
+        let names: Vec<_> = self.places().iter().map(|(_, path)| path.display().to_string()).collect();
         let is_there = gauge.is_some();
         let gone =
             || Error::host(names.join(", "), Errno::ENOENT, "no gauge answers there; ups.status is empty");
@@ -187,9 +193,15 @@ impl Reader {
     /// Reads all gauges. A mount of which nothing is heard for some seconds is reported as down, and is not read again
     /// while too many threads wait for it.
     fn read(self: &Arc<Self>) -> Vec<Mount> {
-        let all = self.mounts();
+        let all = self.places();
+        let mut mounts: Vec<Mount> = Vec::new();
         let (sender, found) = mpsc::channel();
-        for (number, path) in all.iter().cloned().enumerate() {
+        for (mountpoint, path) in all {
+            let number = mounts.iter().position(|mount| mount.path == mountpoint).unwrap_or(mounts.len());
+            if number == mounts.len() {
+                mounts.push(Mount { path: mountpoint, up: Up::No, gauges: Vec::new() });
+            }
+            let own = path.clone();
             let (reader, sender) = (self.clone(), sender.clone());
             match self.threads().entry(path.clone()).or_default() {
                 &mut MOST => continue,
@@ -208,21 +220,37 @@ impl Reader {
                 reader.threads().entry(path).and_modify(|count| *count -= 1);
             };
             if let Err(error) = std::thread::Builder::new().stack_size(256 * 1024).spawn(work) {
-                self.threads().entry(all[number].clone()).and_modify(|count| *count -= 1);
+                self.threads().entry(own).and_modify(|count| *count -= 1);
                 say(Error::io("", "cannot start a thread", &error));
             }
         }
         drop(sender);
-        let mut mounts: Vec<_> =
-            all.into_iter().map(|path| Mount { path, up: Up::No, gauges: Vec::new() }).collect();
         while let Ok((number, seen)) = found.recv_timeout(follow::PATIENCE) {
+            let mount = &mut mounts[number];
             match seen {
-                Seen::Gauge(gauge) => mounts[number].gauges.push(gauge),
-                Seen::End(up) => mounts[number].up = up,
+                // It may have been named twice, itself and by its mount.
+                Seen::Gauge(gauge) if mount.gauges.iter().any(|known| known.name == gauge.name) => {}
+                Seen::Gauge(gauge) => mount.gauges.push(gauge),
+                Seen::End(Up::Yes) => mount.up = Up::Yes,
+                Seen::End(up) if mount.up == Up::No => mount.up = up,
+                Seen::End(_) => {}
             }
         }
         mounts
     }
+}
+
+/// The mount point that a path belongs to, by which it is known however it was named; of one that is gone, the path itself.
+fn mountpoint(path: &Path) -> PathBuf {
+    let own: PathBuf = std::path::absolute(path).unwrap_or_default().components().collect();
+    if let Some(mount) = mounts::of(&own) {
+        return mount;
+    }
+    let link = own.clone();
+    // A link may lead into a mount whose daemon hangs.
+    let target = gaugefs_client::within(follow::PATIENCE, move || std::fs::canonicalize(link));
+    let target = target.ok().and_then(Result::ok);
+    target.map_or(own, |target| mounts::of(&target).unwrap_or(target))
 }
 
 /// What a thread reports of a mount.

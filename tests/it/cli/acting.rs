@@ -11,8 +11,8 @@ use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-use nix::sys::signal::Signal;
-use nix::unistd::geteuid;
+use nix::sys::signal::{Signal, kill};
+use nix::unistd::{Pid, geteuid};
 
 use crate::room::{
     CHIP, Folder, Foreground, as_nobody, can_mount, command, gaugefs, read, run, stop, within,
@@ -462,7 +462,13 @@ fn metrics_are_printed_written_to_a_file_and_answered() {
     );
     let (head, body) = tcp("GET /metrics?x=1 HTTP/1.0\r\n\r\n");
     assert!(head.contains("text/plain; version=0.0.4") && !body.contains("# EOF"), "{head}");
-    assert!(tcp("GET / HTTP/1.1\r\n\r\n").0.starts_with("HTTP/1.1 404 "));
+    let (head, body) = tcp("GET / HTTP/1.1\r\n\r\n");
+    assert!(head.starts_with("HTTP/1.1 200 ") && head.contains("text/html"), "{head}");
+    assert!(body.contains("href=\"/metrics\""), "{body}");
+    assert!(tcp("GET /x HTTP/1.1\r\n\r\n").0.starts_with("HTTP/1.1 404 "));
+    let (head, body) = tcp("HEAD /metrics HTTP/1.1\r\n\r\n");
+    assert!(head.starts_with("HTTP/1.1 200 ") && !head.contains("Content-Length: 0\r"), "{head}");
+    assert_eq!(body, "");
     assert!(tcp("POST /metrics HTTP/1.1\r\n\r\n").0.starts_with("HTTP/1.1 405 "));
     // Clients that say nothing hold up no other, until there are too many of them; and these only for a while.
     let silent: Vec<_> = (0..4).map(|_| TcpStream::connect(&address).expect("a connection")).collect();
@@ -494,6 +500,70 @@ fn metrics_are_printed_written_to_a_file_and_answered() {
         assert!(body.contains("gaugefs_mount_up"), "{body}");
         server.child.kill().expect("it runs");
         server.ends();
+    }
+}
+
+#[test]
+fn regression_a_server_of_metrics_that_ended_left_its_socket() {
+    let folder = Folder::new();
+    let socket = folder.file("socket");
+    let mut server =
+        Running::new(&folder, &["metrics", "--listen", &format!("unix:{socket}"), "/no/such/mount"]);
+    within(LONG, "it listens", || UnixStream::connect(&socket).is_ok());
+    kill(Pid::from_raw(server.child.id() as i32), Signal::SIGTERM).expect("it runs");
+    assert_eq!(server.ends(), Some(0));
+    assert!(!Path::new(&socket).exists());
+    // One that another server has put there stays.
+    let mut server =
+        Running::new(&folder, &["metrics", "--listen", &format!("unix:{socket}"), "/no/such/mount"]);
+    within(LONG, "it listens", || UnixStream::connect(&socket).is_ok());
+    fs::remove_file(&socket).expect("it is there");
+    fs::write(&socket, "").expect("a file");
+    kill(Pid::from_raw(server.child.id() as i32), Signal::SIGTERM).expect("it runs");
+    assert_eq!(server.ends(), Some(0));
+    assert!(Path::new(&socket).exists());
+}
+
+#[test]
+fn metrics_listen_on_all_interfaces_if_no_host_is_named_and_say_so() {
+    let folder = Folder::new();
+    let server = Running::new(&folder, &["metrics", "--listen", ":0", "/no/such/mount"]);
+    within(LONG, "it listens", || server.err().contains("/metrics"));
+    let told = server.err();
+    assert!(told.contains("all interfaces of this machine, without a password; 127.0.0.1:PORT"), "{told}");
+    let port =
+        told.split_once("/metrics").expect("an address").0.rsplit(':').next().expect("a port").to_string();
+    let client = TcpStream::connect(format!("127.0.0.1:{port}")).expect("a connection");
+    assert!(ask(client, "GET /metrics HTTP/1.1\r\n\r\n").1.contains("gaugefs_mount_up"));
+    let server = Running::new(&folder, &["metrics", "--listen", "127.0.0.1:0", "/no/such/mount"]);
+    within(LONG, "it listens", || server.err().contains("/metrics"));
+    assert!(!server.err().contains("all interfaces"), "{}", server.err());
+}
+
+#[test]
+fn regression_the_labels_of_a_gauge_depended_on_how_it_was_named() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let at = mounted(&folder, "60");
+    let link = folder.file("link");
+    std::os::unix::fs::symlink(&at, &link).expect("a link");
+    let series = |places: &[&str]| {
+        let page = gaugefs(&[&["metrics"], places].concat()).done();
+        let series = page.lines().filter(|line| !line.starts_with('#') && !line.contains("duration"));
+        let mut series: Vec<_> =
+            series.filter_map(|line| line.rsplit_once(' ')).map(|(name, _)| name.to_string()).collect();
+        series.sort();
+        series
+    };
+    let whole = series(&[&at]);
+    assert!(whole.iter().any(|name| name.contains(&format!("mountpoint=\"{at}\",power_supply=\"BAT0\""))));
+    let gauge = format!("{at}/BAT0");
+    for places in
+        [&[&*gauge][..], &[&format!("{at}/")], &[&link], &[&format!("{link}/BAT0")], &[&at, &gauge, &link]]
+    {
+        assert_eq!(series(places), whole, "{places:?}");
     }
 }
 

@@ -1,25 +1,28 @@
 // SPDX-License-Identifier: MIT
 
-//! One page over HTTP, at `/metrics`.
+//! One page over HTTP, at `/metrics`, and one at `/` that leads there.
 //!
-//! It answers GET and closes the connection: what Prometheus asks for is no more than that. What a client sends is
+//! It answers GET and HEAD and closes the connection: what Prometheus asks for is no more than that. What a client sends is
 //! limited in time and in size, and so is the number of clients.
 
 use std::fs;
-use std::io::{self, Read, Write};
+use std::io::{self, ErrorKind, Read, Write};
 use std::net::{TcpListener, TcpStream};
-use std::os::unix::fs::FileTypeExt;
+use std::os::unix::fs::{FileTypeExt, MetadataExt};
 use std::os::unix::net::{UnixListener, UnixStream};
 use std::path::{Path, PathBuf};
-use std::process::ExitCode;
+use std::process::{self, ExitCode};
 use std::str::FromStr;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
+
+use nix::sys::signal::SigSet;
 
 use super::{MOST, Prometheus, Reader};
 use gauge_bus::clock::{Clock, RealClock};
 use gaugefs_host::error::{Error, Result};
 use gaugefs_host::output::say;
+use gaugefs_host::signals;
 
 /// A client has this long to send a request, and to take the answer.
 const PATIENCE: Duration = Duration::from_secs(5);
@@ -45,7 +48,10 @@ impl FromStr for Address {
             None if text.rsplit_once(':').is_some_and(|(_, port)| port.parse::<u16>().is_ok()) => {
                 Ok(Self::Tcp(text.into()))
             }
-            None => Err("expected HOST:PORT, such as 127.0.0.1:9947, or unix:PATH".into()),
+            None => {
+                Err("expected HOST:PORT, such as 127.0.0.1:9947, :PORT for all interfaces, or unix:PATH"
+                    .into())
+            }
         }
     }
 }
@@ -67,32 +73,73 @@ impl Connection for UnixStream {
     }
 }
 
+/// What clients of the page at `/` see.
+const LANDING: &str =
+    "<!DOCTYPE html>\n<title>gaugefs</title>\n<h1>gaugefs</h1>\n<p><a href=\"/metrics\">Metrics</a>\n";
+
 /// Answers until the process ends.
 pub(super) fn run(address: &Address, reader: &Arc<Reader>) -> Result<ExitCode> {
+    let refused = |name: &str, error| Error::io(name, "cannot listen there", &error);
     match address {
         Address::Tcp(address) => {
-            let listener = TcpListener::bind(address.as_str())
-                .map_err(|error| Error::io(address, "cannot listen there", &error))?;
+            let listener = listen(address).map_err(|error| refused(address, error))?;
             // Port 0 is any that is free.
-            let here = listener.local_addr().map_or_else(|_| address.clone(), |here| here.to_string());
-            say(format_args!("http://{here}/metrics"));
+            let here = listener.local_addr();
+            let is_open = here.as_ref().is_ok_and(|here| here.ip().is_unspecified());
+            let here = here.map_or_else(|_| address.clone(), |here| here.to_string());
+            let open = "; all interfaces of this machine, without a password; 127.0.0.1:PORT is for this machine alone";
+            say(format_args!("http://{here}/metrics{}", if is_open { open } else { "" }));
             accept(|| listener.accept().map(|(client, _)| client), reader)
         }
         Address::Unix(path) => {
-            let listener = bind(path)
-                .map_err(|error| Error::io(path.display().to_string(), "cannot listen there", &error))?;
+            let name = path.display().to_string();
+            // Before there is another thread, which would get the signal.
+            let ends = signals::block()?;
+            let listener = bind(path).map_err(|error| refused(&name, error))?;
+            let own = fs::symlink_metadata(path).map_err(|error| refused(&name, error))?;
+            remove_at_end(ends, path.clone(), own)?;
             accept(|| listener.accept().map(|(client, _)| client), reader)
         }
     }
 }
 
+/// Without a host, on all interfaces: for IPv6, which includes IPv4, unless this machine has none.
+fn listen(address: &str) -> io::Result<TcpListener> {
+    match address.strip_prefix(':') {
+        None => TcpListener::bind(address),
+        Some(port) => {
+            let bind = |host| TcpListener::bind(format!("{host}:{port}"));
+            bind("[::]").or_else(|error| match error.kind() {
+                ErrorKind::AddrInUse | ErrorKind::PermissionDenied => Err(error),
+                _ => bind("0.0.0.0"),
+            })
+        }
+    }
+}
+
+/// Ends the process with a signal, and removes its socket.
+fn remove_at_end(ends: SigSet, path: PathBuf, own: fs::Metadata) -> Result<()> {
+    let end = move || {
+        // It cannot fail: the set is valid.
+        let _ = ends.wait();
+        // Another process may have one there by now.
+        let is_own = |found: &fs::Metadata| (found.dev(), found.ino()) == (own.dev(), own.ino());
+        if fs::symlink_metadata(&path).is_ok_and(|found| is_own(&found)) {
+            let _ = fs::remove_file(&path);
+        }
+        process::exit(0);
+    };
+    let thread = std::thread::Builder::new().stack_size(256 * 1024).spawn(end);
+    thread.map(drop).map_err(|error| Error::io("", "cannot start a thread", &error))
+}
+
 /// Takes the place of a socket that nobody listens at any more.
 fn bind(path: &Path) -> io::Result<UnixListener> {
     let bound = UnixListener::bind(path);
-    let is_in_use = bound.as_ref().is_err_and(|error| error.kind() == io::ErrorKind::AddrInUse);
+    let is_in_use = bound.as_ref().is_err_and(|error| error.kind() == ErrorKind::AddrInUse);
     let is_left = || {
         fs::symlink_metadata(path).is_ok_and(|status| status.file_type().is_socket())
-            && UnixStream::connect(path).is_err_and(|error| error.kind() == io::ErrorKind::ConnectionRefused)
+            && UnixStream::connect(path).is_err_and(|error| error.kind() == ErrorKind::ConnectionRefused)
     };
     if is_in_use && is_left() {
         fs::remove_file(path)?;
@@ -131,22 +178,25 @@ fn accept<C: Connection + Send + 'static>(
 
 fn answer(client: &mut impl Connection, reader: &Arc<Reader>) -> io::Result<()> {
     client.limit(PATIENCE)?;
-    let Some(request) = request(client)? else { return respond(client, "400 Bad Request", "text/plain", "") };
+    let Some(request) = request(client)? else {
+        return respond(client, "400 Bad Request", "text/plain", "", "");
+    };
     let mut words = request.lines().next().unwrap_or_default().split(' ');
     let (method, target) = (words.next().unwrap_or_default(), words.next().unwrap_or_default());
-    match (method, target.split('?').next().unwrap_or_default()) {
-        ("GET", "/metrics") => {
-            let is_open = request.to_ascii_lowercase().contains("application/openmetrics-text");
-            let (format, kind) = if is_open {
-                (Prometheus::OpenMetrics, "application/openmetrics-text; version=1.0.0; charset=utf-8")
-            } else {
-                (Prometheus::Text, "text/plain; version=0.0.4; charset=utf-8")
-            };
-            respond(client, "200 OK", kind, &reader.page(format))
+    let is_open = request.to_ascii_lowercase().contains("application/openmetrics-text");
+    let (status, kind, body) = match (method, target.split('?').next().unwrap_or_default()) {
+        ("GET" | "HEAD", "/metrics") if is_open => {
+            let kind = "application/openmetrics-text; version=1.0.0; charset=utf-8";
+            ("200 OK", kind, reader.page(Prometheus::OpenMetrics))
         }
-        ("GET", _) => respond(client, "404 Not Found", "text/plain", "the metrics are at /metrics\n"),
-        _ => respond(client, "405 Method Not Allowed\r\nAllow: GET", "text/plain", ""),
-    }
+        ("GET" | "HEAD", "/metrics") => {
+            ("200 OK", "text/plain; version=0.0.4; charset=utf-8", reader.page(Prometheus::Text))
+        }
+        ("GET" | "HEAD", "/") => ("200 OK", "text/html; charset=utf-8", LANDING.into()),
+        ("GET" | "HEAD", _) => ("404 Not Found", "text/plain", "the metrics are at /metrics\n".into()),
+        _ => ("405 Method Not Allowed\r\nAllow: GET, HEAD", "text/plain", String::new()),
+    };
+    respond(client, status, kind, &body, if method == "HEAD" { "" } else { &body })
 }
 
 /// The head of a request; `None` if it is too long, late or cut off.
@@ -162,8 +212,15 @@ fn request(client: &mut impl Connection) -> io::Result<Option<String>> {
     Ok(Some(String::from_utf8_lossy(&head).into_owned()))
 }
 
-fn respond(client: &mut impl Connection, status: &str, kind: &str, body: &str) -> io::Result<()> {
-    let length = body.len();
+/// Answers with the head for a whole body, and what is sent of that.
+fn respond(
+    client: &mut impl Connection,
+    status: &str,
+    kind: &str,
+    whole: &str,
+    body: &str,
+) -> io::Result<()> {
+    let length = whole.len();
     write!(
         client,
         "HTTP/1.1 {status}\r\nContent-Type: {kind}\r\nContent-Length: {length}\r\nConnection: close\r\n\r\n{body}"
