@@ -7,13 +7,15 @@ use std::process::ExitCode;
 
 use clap::Args;
 use serde::Serialize;
+use serde_json::{Number, Value as Json};
 
 use super::PASSED_OVER;
 use crate::error::{Details, Result};
 use crate::output::{print, print_json, say, say_error};
 use gaugefs_client::Gauge;
-use ti_gauge::image::{Difference, RawDifference};
+use ti_gauge::image::{Difference, Entry, RawDifference};
 use ti_gauge::unit;
+use ti_gauge::value::Type;
 
 /// Exit code for a failure where 1 means something else.
 pub(super) const TROUBLE: u8 = 2;
@@ -63,17 +65,34 @@ pub(super) struct Report {
 #[derive(Debug, Serialize)]
 struct Row {
     name: String,
-    old: Option<String>,
-    new: String,
+    old: Option<Json>,
+    new: Json,
     unit: &'static str,
 }
 
 /// A value.
 #[derive(Debug, Serialize)]
 pub(super) struct Value {
-    pub(super) name: String,
-    pub(super) value: String,
-    pub(super) unit: &'static str,
+    name: String,
+    value: Json,
+    unit: &'static str,
+}
+
+impl Value {
+    pub(super) fn new(name: String, entry: &Entry) -> Self {
+        Self { name, value: json(entry), unit: unit::shown(entry.parameter) }
+    }
+}
+
+/// A value for --json: a number where it is shown in decimal, else its text.
+pub(super) fn json(entry: &Entry) -> Json {
+    let shown = entry.shown();
+    let is_number =
+        matches!(entry.parameter.kind, Type::I(_) | Type::U(_) | Type::F4) && !entry.parameter.is_date();
+    match shown.parse::<Number>() {
+        Ok(number) if is_number => number.into(),
+        _ => shown.into(),
+    }
 }
 
 impl Report {
@@ -81,14 +100,14 @@ impl Report {
     pub(super) fn change(&mut self, changes: &[Difference<'_>], raw: &[RawDifference]) {
         let rows = changes.iter().map(|change| Row {
             name: change.name.clone(),
-            old: Some(change.old.shown()),
-            new: change.new.shown(),
+            old: Some(json(change.old)),
+            new: json(change.new),
             unit: unit::shown(change.new.parameter),
         });
         let bytes = raw.iter().map(|change| Row {
             name: change.new.name(),
-            old: change.old.as_deref().map(ti_gauge::text::hex),
-            new: change.new.text(),
+            old: change.old.as_deref().map(|bytes| ti_gauge::text::hex(bytes).into()),
+            new: change.new.text().into(),
             unit: "",
         });
         self.changes.get_or_insert_default().extend(rows.chain(bytes));

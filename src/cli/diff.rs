@@ -7,16 +7,17 @@ use std::process::ExitCode;
 
 use clap::Args;
 use serde::Serialize;
+use serde_json::Value as Json;
 
 use super::import::GroupName;
-use super::{counted, mounted, trouble};
+use super::{batch, counted, mounted, trouble};
 use crate::config::chip_names;
 use crate::error::{Cause, Error, Result};
 use crate::output::{print, print_json, say};
 use gaugefs_client::Gauge;
 use ti_gauge::chip::Chip;
 use ti_gauge::image::Group;
-use ti_gauge::text;
+use ti_gauge::{text, unit};
 
 const DIFF: &str = "\
 Files are TOML, gg.csv or FlashStream, recognised by their content. Only parameters that both
@@ -54,8 +55,8 @@ pub(super) struct Diff {
 #[derive(Serialize)]
 struct Row<'a> {
     name: &'a str,
-    a: String,
-    b: String,
+    a: Option<Json>,
+    b: Json,
     unit: &'static str,
 }
 
@@ -100,14 +101,14 @@ impl Diff {
         if self.json {
             let rows = differences.iter().map(|difference| Row {
                 name: &difference.name,
-                a: difference.old.shown(),
-                b: difference.new.shown(),
-                unit: difference.new.parameter.unit,
+                a: Some(batch::json(difference.old)),
+                b: batch::json(difference.new),
+                unit: unit::shown(difference.new.parameter),
             });
             let raw = comparison.raw.iter().zip(&raw_names).map(|(difference, name)| Row {
                 name,
-                a: difference.old.as_deref().map(text::hex).unwrap_or_default(),
-                b: difference.new.text(),
+                a: difference.old.as_deref().map(|bytes| text::hex(bytes).into()),
+                b: difference.new.text().into(),
                 unit: "",
             });
             print_json(&rows.chain(raw).collect::<Vec<_>>())?;

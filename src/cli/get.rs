@@ -59,9 +59,9 @@ fn get(gauge: &Gauge, names: &[String], report: &mut Report) -> Result<u8> {
     report.identify(gauge);
     let mut values = Vec::new();
     for entry in &image.entries {
-        let (name, value) = (image.name(entry), entry.shown());
-        report.say(format!("{name}: {}", quantity::with_unit(&value, unit::shown(entry.parameter))));
-        values.push(Value { name, value, unit: unit::shown(entry.parameter) });
+        let name = image.name(entry);
+        report.say(format!("{name}: {}", quantity::with_unit(&entry.shown(), unit::shown(entry.parameter))));
+        values.push(Value::new(name, entry));
     }
     report.values = Some(values);
     report.passed_over = image.left_out.into_iter().map(|left| left.text).collect();

@@ -9,7 +9,7 @@ use clap::Args;
 use serde::Serialize;
 
 use super::import::GroupName;
-use super::{align, counted, mounted};
+use super::{align, batch, counted, mounted};
 use crate::config::chip_names;
 use crate::error::{Error, Result};
 use crate::output::{print, print_json};
@@ -62,9 +62,8 @@ struct Report<'a> {
 
 #[derive(Serialize)]
 struct Row {
-    name: String,
-    value: String,
-    unit: &'static str,
+    #[serde(flatten)]
+    value: batch::Value,
     line: usize,
 }
 
@@ -77,12 +76,10 @@ struct RawRow {
 
 impl<'a> Report<'a> {
     fn new(image: &'a Image) -> Self {
-        let rows = image.entries.iter().map(|entry| Row {
-            name: image.name(entry),
-            value: entry.shown(),
-            unit: entry.parameter.unit,
-            line: entry.line,
-        });
+        let rows = image
+            .entries
+            .iter()
+            .map(|entry| Row { value: batch::Value::new(image.name(entry), entry), line: entry.line });
         let raw = image.raw.iter().map(|raw| RawRow { name: raw.name(), bytes: raw.text(), line: raw.line });
         Self {
             chip: image.chip.name,

@@ -23,7 +23,7 @@ or none is mounted.
 
 Examples:
   gaugefs list
-  gaugefs list --json | jq -r 'select((.capacity // 100) < 20) | .path'";
+  gaugefs list --json | jq -r 'select((.capacity // 100) < 20) | .gauge'";
 
 /// List all mounted gauges
 #[derive(Args, Debug)]
@@ -37,7 +37,7 @@ pub(super) struct List {
 /// A mount without its gauges, for --json.
 #[derive(Serialize)]
 struct Silent<'a> {
-    path: &'a str,
+    mountpoint: &'a str,
     error: &'a str,
 }
 
@@ -59,13 +59,13 @@ impl List {
                 } else {
                     rows.push(row(listed))
                 }
-                let path = ti_gauge::text::printable(&listed.path);
+                let path = ti_gauge::text::printable(&listed.gauge);
                 notes.extend(its.iter().map(|note| format!("{path}: {note}")));
             }
             let Some(error) = trouble(&mount, &found) else { continue };
             code = ExitCode::FAILURE;
             if self.json {
-                print_json(&Silent { path: &mount.to_string_lossy(), error: &error })?;
+                print_json(&Silent { mountpoint: &mount.to_string_lossy(), error: &error })?;
             } else {
                 say(format_args!("{}: {error}", shown(&mount)));
             }
@@ -101,7 +101,7 @@ fn row(gauge: &Listed) -> [String; 6] {
     });
     let capacity = gauge.capacity.map_or("-".into(), |percent| format!("{percent} %"));
     [
-        ti_gauge::text::printable(&gauge.path),
+        ti_gauge::text::printable(&gauge.gauge),
         or_none(&gauge.part),
         or_none(&gauge.serial),
         capacity,

@@ -75,7 +75,7 @@ impl Seen {
 #[derive(Debug, Deserialize, Serialize)]
 pub(crate) struct Listed {
     /// Its folder; characters that are no text are replaced.
-    pub(crate) path: String,
+    pub(crate) gauge: String,
     pub(crate) part: Option<String>,
     pub(crate) serial: Option<String>,
     pub(crate) capacity: Option<i64>,
@@ -90,7 +90,7 @@ impl Listed {
         let (part, serial) = gauge.pack();
         let capacity = text("capacity").and_then(|text| text.parse().ok());
         let (status, age_ms) = (text("status"), text("gauge/age_ms").and_then(|text| text.parse().ok()));
-        Self { part, serial, capacity, status, age_ms, path: gauge.folder().to_string_lossy().into_owned() }
+        Self { part, serial, capacity, status, age_ms, gauge: gauge.folder().to_string_lossy().into_owned() }
     }
 }
 

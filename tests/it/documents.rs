@@ -126,3 +126,12 @@ fn regression_an_example_turned_a_charging_machine_off() {
     }
     assert!(count >= 6, "{count} examples");
 }
+
+#[test]
+fn every_cause_of_a_failure_is_documented() {
+    let page = read(&root().join("docs/COMMANDS.md"));
+    let row = page.lines().find(|line| line.starts_with("| `errno`, `cause` |")).expect("a row");
+    let (_, causes) = row.split_once("is one of ").expect("a list");
+    let documented: Vec<_> = causes.split('`').skip(1).step_by(2).collect();
+    assert_eq!(documented, ti_gauge::error::Cause::NAMES);
+}

@@ -314,7 +314,7 @@ fn several_gauges_are_each_done_for_themselves() {
     );
     let change = &first["changes"][0];
     assert_eq!((&change["name"], &change["unit"]), (&NAME.into(), &"mV".into()));
-    assert_eq!((&change["old"], &change["new"]), (&"3100".into(), &"3200".into()));
+    assert_eq!((&change["old"], &change["new"]), (&3100.into(), &3200.into()));
     assert_eq!((&second["outcome"], &second["exit_code"]), (&"failed".into(), &1.into()));
     assert!(second["error"].as_str().expect("a text").contains("no such parameter"));
     assert_eq!(second["error_details"]["errno"], "ENOENT");
@@ -324,7 +324,7 @@ fn several_gauges_are_each_done_for_themselves() {
     let details = &json(&ran.out)[0]["error_details"];
     let fact = |name: &str| details[name].as_str().unwrap_or_default();
     assert_eq!((fact("errno"), fact("cause"), fact("place")), ("ERANGE", "out-of-range", "80/53"));
-    assert_eq!((fact("least"), fact("greatest")), ("1000", "3700"));
+    assert_eq!((&details["least"], &details["greatest"]), (&1000.into(), &3700.into()));
     // What only the gauge can refuse has its facts, too.
     fs::write(Path::new(&one).join("sim/voltage_mv"), "2700").expect("a knob");
     let ran = gaugefs(&["set", "--json", &one, &format!("{NAME}=3300")]);
@@ -333,10 +333,7 @@ fn several_gauges_are_each_done_for_themselves() {
     assert_eq!((&details["value"], &details["least"]), (&2700.into(), &2800.into()));
     let ran = gaugefs(&["get", "--json", &one, NAME]).done();
     let value = &json(&ran)[0]["values"][0];
-    assert_eq!(
-        (&value["name"], &value["value"], &value["unit"]),
-        (&NAME.into(), &"3200".into(), &"mV".into())
-    );
+    assert_eq!((&value["name"], &value["value"], &value["unit"]), (&NAME.into(), &3200.into(), &"mV".into()));
 }
 
 #[test]

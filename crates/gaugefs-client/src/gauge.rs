@@ -313,9 +313,7 @@ impl Gauge {
 
     /// The serial number in the register that distinguishes packs.
     fn serial(&self, chip: &Chip) -> Option<String> {
-        let register = chip.register_at(chip.serial_register()?)?;
-        let word = self.text(&format!("gauge/registers/{}", snake_case(register.name))).ok()?;
-        Some(format!("0x{:04x}", word.trim().parse::<u16>().ok()?))
+        names::serial(chip, |name| self.text(&format!("gauge/registers/{name}")).ok()?.trim().parse().ok())
     }
 
     /// The part, what distinguishes the pack, and when it was polled.

@@ -169,3 +169,9 @@ pub(crate) fn unit(file: &str) -> Option<&'static str> {
         None => attribute(file).map(|attribute| attribute.unit()),
     }
 }
+
+/// The serial number of a pack, from the register of a part that distinguishes packs.
+pub(crate) fn serial(chip: &Chip, register: impl FnOnce(&str) -> Option<u16>) -> Option<String> {
+    let row = chip.register_at(chip.serial_register()?)?;
+    Some(format!("0x{:04x}", register(&snake_case(row.name))?))
+}

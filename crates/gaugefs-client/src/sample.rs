@@ -11,8 +11,10 @@ use std::time::{Duration, Instant};
 
 use jiff::Timestamp;
 use nix::errno::Errno;
+use ti_gauge::chip::Chip;
 
 use crate::file::content;
+use crate::names::serial;
 use gauge_bus::clock::{Clock, RealClock};
 
 /// After this time the kernel's copies of the attributes are those of the last poll. Polls are at least 0.5 s
@@ -138,6 +140,16 @@ impl Sample {
     /// An attribute's number.
     pub fn number(&self, name: &str) -> Option<i64> {
         self.attribute(name)?.parse().ok()
+    }
+
+    /// The part and the serial number, as far as they are known.
+    pub fn pack(&self) -> (Option<&str>, Option<String>) {
+        let model = self.attribute("model_name");
+        let register = |name: &str| {
+            let (_, value) = self.registers.iter().find(|(found, _)| found == name)?;
+            u16::try_from(*value).ok()
+        };
+        (model, model.and_then(Chip::by_model).and_then(|chip| serial(chip, register)))
     }
 
     /// Time until the next poll can be read, if the poll interval is known.

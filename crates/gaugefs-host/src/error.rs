@@ -8,7 +8,7 @@ use std::{fmt, io};
 
 use nix::errno::Errno;
 use serde::Serialize;
-use serde_json::{Map, Value};
+use serde_json::{Map, Number, Value};
 use ti_gauge::dataflash::Place;
 use ti_gauge::error::Fact;
 pub use ti_gauge::error::{Cause, Reason, Step};
@@ -136,7 +136,7 @@ pub struct Details(Map<String, Value>);
 impl Details {
     fn of(error: &ti_gauge::error::Error) -> Self {
         let errno = ("errno", format!("{:?}", Errno::from_raw(error.errno())).into());
-        let facts = error.facts().into_iter().map(|(name, fact)| (name, json(fact)));
+        let facts = error.facts().into_iter().map(|(name, fact)| (name, json(name, fact)));
         Self(std::iter::once(errno).chain(facts).map(|(name, value)| (name.into(), value)).collect())
     }
 
@@ -155,8 +155,14 @@ impl fmt::Display for Details {
     }
 }
 
-fn json(fact: Fact) -> Value {
+/// The fields with a value, a limit or a reading, which may have decimals.
+const NUMBERS: [&str; 6] = ["value", "least", "greatest", "spread", "before", "after"];
+
+fn json(name: &str, fact: Fact) -> Value {
     match fact {
+        Fact::Text(text) if NUMBERS.contains(&name) => {
+            text.parse::<Number>().map_or_else(|_| text.into(), Value::Number)
+        }
         Fact::Yes => true.into(),
         Fact::Number(number) => number.into(),
         Fact::Text(text) => text.into(),

@@ -55,7 +55,9 @@ pub struct Learn {
 #[derive(Serialize)]
 struct Row<'a> {
     time: String,
-    path: String,
+    gauge: String,
+    part: Option<&'a str>,
+    serial: Option<String>,
     learned: &'static str,
     update_status: Option<u8>,
     waits_for: &'a str,
@@ -126,7 +128,7 @@ impl Learn {
             };
             let changed = watched.state.as_ref().is_none_or(|before| differ(before, &state));
             if self.json || changed {
-                if self.json { print_json(&row(gauge, &state)) } else { print(&text(&state)) }?;
+                if self.json { print_json(&row(gauge, &sample, &state)) } else { print(&text(&state)) }?;
             }
             match (state.learned, state.spoiled) {
                 (Learned::All, _) => break,
@@ -168,10 +170,13 @@ fn text(state: &State) -> String {
     format!("{}  {}\n", learning::clock(state.time), learning::line(state))
 }
 
-fn row<'a>(gauge: &std::path::Path, state: &'a State) -> Row<'a> {
+fn row<'a>(gauge: &std::path::Path, sample: &'a Sample, state: &'a State) -> Row<'a> {
+    let (part, serial) = sample.pack();
     Row {
         time: learning::clock(state.time),
-        path: gauge.display().to_string(),
+        gauge: gauge.display().to_string(),
+        part,
+        serial,
         learned: match state.learned {
             Learned::Nothing => "nothing",
             Learned::Qmax => "qmax",

@@ -16,6 +16,8 @@ use nix::errno::Errno;
 use serde::Serialize;
 use serde_json::Value;
 
+use gaugefs_client::mounts;
+use gaugefs_client::names::attribute;
 use gaugefs_client::sample::Sample;
 use gaugefs_client::watch::{Report, Seen, Watch};
 use gaugefs_host::error::{Error, Result};
@@ -148,7 +150,13 @@ impl Top {
         printed[at].1 += 1;
         match &report.seen {
             Seen::Sample(sample) => print_json(&Line::new(&path, sample)),
-            Seen::Trouble(why) => print_json(&Trouble { path: &path, error: why }),
+            Seen::Trouble(why) => {
+                let (gauge, mountpoint) = match mounts::is_gaugefs(&report.gauge) {
+                    true => (None, Some(&*path)),
+                    false => (Some(&*path), None),
+                };
+                print_json(&Trouble { gauge, mountpoint, error: why })
+            }
             Seen::Learned(_) | Seen::Limits(_) | Seen::Refused(_) => Ok(()),
         }
     }
@@ -158,7 +166,9 @@ impl Top {
 #[derive(Serialize)]
 struct Line<'a> {
     time: String,
-    path: &'a str,
+    gauge: &'a str,
+    part: Option<&'a str>,
+    serial: Option<String>,
     #[serde(skip_serializing_if = "Option::is_none")]
     age_ms: Option<u64>,
     #[serde(flatten)]
@@ -173,21 +183,27 @@ struct Line<'a> {
 /// Why there is no sample.
 #[derive(Serialize)]
 struct Trouble<'a> {
-    path: &'a str,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    gauge: Option<&'a str>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    mountpoint: Option<&'a str>,
     error: &'a str,
 }
 
 impl<'a> Line<'a> {
-    fn new(path: &'a str, sample: &'a Sample) -> Self {
+    fn new(gauge: &'a str, sample: &'a Sample) -> Self {
         let attributes = sample.attributes.iter().map(|(name, value)| {
-            let is_text = ["name", "type", "model_name", "manufacturer"].contains(&name.as_str());
-            let number = value.parse::<i64>().ok().filter(|_| !is_text);
+            let is_number = attribute(name).is_some_and(|attribute| attribute.is_number());
+            let number = value.parse::<i64>().ok().filter(|_| is_number);
             (name.as_str(), number.map_or_else(|| Value::from(value.as_str()), Value::from))
         });
         let bits = sample.words.iter().map(|(name, bits)| (name.as_str(), bits.split_whitespace().collect()));
+        let (part, serial) = sample.pack();
         Self {
             time: format!("{:.3}", sample.time),
-            path,
+            gauge,
+            part,
+            serial,
             age_ms: sample.age.map(|age| age.as_millis() as u64),
             attributes: attributes.collect(),
             bits: bits.collect(),

@@ -103,6 +103,25 @@ pub enum Cause {
 }
 
 impl Cause {
+    /// The names of all causes.
+    pub const NAMES: [&'static str; 15] = [
+        "invalid",
+        "out-of-range",
+        "not-permitted",
+        "busy",
+        "not-now",
+        "bad-checksum",
+        "protocol",
+        "timed-out",
+        "rolled-back",
+        "state-unknown",
+        "gone",
+        "no-answer",
+        "bus",
+        "adapter",
+        "io",
+    ];
+
     fn row(self) -> (&'static str, i32) {
         let (name, errno) = match self {
             Cause::Invalid => ("invalid", Errno::INVAL),

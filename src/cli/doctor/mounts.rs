@@ -43,11 +43,11 @@ pub(super) fn check(host: &Host) -> Vec<Finding> {
                 let note = |note: &String| {
                     if !is_owed {
                         let remedy = "That is its gauge/last_error, which ends when it is over.";
-                        return warning(&listed.path, note, remedy);
+                        return warning(&listed.gauge, note, remedy);
                     }
                     let remedy =
-                        format!("What is known of it, and what to type: gaugefs settle {}", listed.path);
-                    problem(&listed.path, note, remedy)
+                        format!("What is known of it, and what to type: gaugefs settle {}", listed.gauge);
+                    problem(&listed.gauge, note, remedy)
                 };
                 notes.iter().map(note).collect::<Vec<_>>()
             }));

@@ -277,7 +277,7 @@ fn top_prints_json_until_its_reader_closes_the_pipe() {
     for line in out.lines() {
         let sample: Value = serde_json::from_str(line).expect("JSON");
         for (pointer, value) in [
-            ("/path", json!(format!("{at}/BAT0"))),
+            ("/gauge", json!(format!("{at}/BAT0"))),
             ("/name", json!("BAT0")),
             ("/voltage_now", json!(3_855_000)),
             ("/status", json!("Not charging")),
@@ -336,7 +336,7 @@ fn learn_says_what_a_cycle_waits_for() {
     assert_eq!(ran.code, Some(3), "{}", ran.out);
     let state: Value = serde_json::from_str(&ran.out).expect("JSON");
     for (pointer, value) in [
-        ("/path", json!(gauge)),
+        ("/gauge", json!(gauge)),
         ("/bits", json!("VOK -RUP_DIS QEN")),
         ("/phase", json!("resting")),
         ("/temperature", json!(25.0)),
