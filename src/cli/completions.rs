@@ -12,10 +12,19 @@ use crate::error::Result;
 use crate::output::print_file;
 
 const COMPLETIONS: &str = "\
-The Debian package installs the completions for bash, zsh and fish.
+The Debian package installs the completions for bash, zsh and fish. Besides commands and options they
+offer mounted gauges, their parameters, buses, scenarios and columns. zsh looks into ~/.zfunc if
+~/.zshrc has fpath+=(~/.zfunc) before compinit.
 
-Example:
-  gaugefs completions bash > ~/.local/share/bash-completion/completions/gaugefs";
+Examples:
+  mkdir -p ~/.local/share/bash-completion/completions
+  gaugefs completions bash > ~/.local/share/bash-completion/completions/gaugefs
+
+  mkdir -p ~/.config/fish/completions
+  gaugefs completions fish > ~/.config/fish/completions/gaugefs.fish
+
+  mkdir -p ~/.zfunc
+  gaugefs completions zsh > ~/.zfunc/_gaugefs";
 
 /// Generate shell completions
 #[derive(Args, Debug)]
@@ -57,33 +66,97 @@ fn typed(command: &clap::Command) -> clap::Command {
         .subcommands(commands.map(typed))
 }
 
-/// The script, with the names of parameters after the gauge of `get` and `set`. `gaugefs names` knows them, and answers within
-/// 5 s whatever the mount does.
+/// The script, with what `gaugefs names` knows; it answers within some seconds whatever the mounts do.
 fn with_names(shell: Shell, script: &str) -> String {
+    let gauges = commands_with(|argument| argument.is_positional() && of_gauge(argument));
     match shell {
-        Shell::Bash => format!("{script}{BASH}"),
-        // The two commands alone have this hint.
-        Shell::Zsh => script.replace(":_hosts", ":_gaugefs_names").replacen("#compdef gaugefs\n", ZSH, 1),
-        Shell::Fish => format!("{script}{FISH}"),
+        Shell::Bash => format!("{script}{}", BASH.replace("@GAUGES@", &gauges)),
+        Shell::Zsh => {
+            let lines: String = script.lines().map(|line| zsh_line(line) + "\n").collect();
+            lines.replacen("#compdef gaugefs\n", ZSH, 1)
+        }
+        Shell::Fish => {
+            let options = OPTIONS.iter().map(|(name, of)| {
+                let commands = commands_with(|argument| argument.get_long() == Some(name));
+                format!(
+                    "complete -c gaugefs -n \"__fish_seen_subcommand_from {commands}\" -l {name} -r -a \"(__gaugefs_{of})\"\n"
+                )
+            });
+            format!("{script}{}{}", FISH.replace("@GAUGES@", &gauges), options.collect::<String>())
+        }
         _ => script.to_string(),
+    }
+}
+
+/// The options whose values have names, and what these are names of.
+const OPTIONS: [(&str, &str); 3] = [("bus", "buses"), ("scenario", "scenarios"), ("columns", "columns")];
+
+/// Whether an argument is a mounted gauge.
+fn of_gauge(argument: &clap::Arg) -> bool {
+    let names = argument.get_value_names().unwrap_or_default().iter().map(|name| name.as_str());
+    argument.get_id() == "gauge" || names.into_iter().any(|name| name == "GAUGE")
+}
+
+/// The names of the commands that have such an argument, themselves or in a command below.
+fn commands_with(wanted: impl Fn(&clap::Arg) -> bool + Copy) -> String {
+    fn has(command: &clap::Command, wanted: impl Fn(&clap::Arg) -> bool + Copy) -> bool {
+        command.get_arguments().any(wanted) || command.get_subcommands().any(|below| has(below, wanted))
+    }
+    let all = Cli::command();
+    let commands = all.get_subcommands().filter(|command| !command.is_hide_set() && has(command, wanted));
+    commands.map(|command| command.get_name().to_string()).collect::<Vec<_>>().join(" ")
+}
+
+/// A line of the script for zsh. What follows the last colon says what is offered.
+fn zsh_line(line: &str) -> String {
+    let start = line.trim_start();
+    let of_option = |(name, _): &&(&str, &str)| start.starts_with(&format!("'--{name}=["));
+    let of = match OPTIONS.iter().find(of_option) {
+        Some((_, of)) => of,
+        None if line.contains(":_hosts'") => "names",
+        None if start.starts_with('\'') && line.contains(":gauge -- ") => "gauges",
+        None => return line.into(),
+    };
+    match line.rsplit_once(":_") {
+        Some((before, after)) => {
+            let (_, end) = after.split_at(after.find('\'').unwrap_or(after.len()));
+            format!("{before}:_gaugefs_{of}{end}")
+        }
+        None => line.into(),
     }
 }
 
 const BASH: &str = r#"
 _gaugefs_names() {
-    local word="${COMP_WORDS[COMP_CWORD]}" gauge at end=
-    case ${COMP_WORDS[1]} in set) end='=' ;; get) ;; *) _gaugefs "$@"; return ;; esac
+    local word="${COMP_WORDS[COMP_CWORD]}" kind= gauge= named= at end= first=
     for ((at = 2; at < COMP_CWORD; at++)); do
-        [[ ${COMP_WORDS[at]} == = ]] && return
+        [[ ${COMP_WORDS[at]} == = ]] && named=yes
         [[ -z $gauge && ${COMP_WORDS[at]} != -* ]] && gauge=${COMP_WORDS[at]}
     done
-    if [[ -z $gauge || $word == [-/.]* ]]; then
-        _gaugefs "$@"
+    case ${COMP_WORDS[1]} in set) end='=' ;; get) ;; *) gauge= ;; esac
+    if [[ -n $gauge && $word != [-/.]* ]]; then
+        [[ -n $named || $word == *=* ]] && return
+        mapfile -t COMPREPLY < <(compgen -S "$end" -W "$(gaugefs names -- "$gauge" 2>/dev/null)" -- "$word")
+        [[ -n $end ]] && compopt -o nospace 2>/dev/null
         return
     fi
-    [[ $word == *=* ]] && return
-    mapfile -t COMPREPLY < <(compgen -S "$end" -W "$(gaugefs names -- "$gauge" 2>/dev/null)" -- "$word")
-    [[ -n $end ]] && compopt -o nospace 2>/dev/null
+    case ${COMP_WORDS[COMP_CWORD-1]} in
+        --bus) kind=buses ;;
+        --scenario) kind=scenarios ;;
+        --columns)
+            kind=columns
+            [[ $word == *,* ]] && first=${word%,*},
+            ;;
+        *) [[ $COMP_CWORD -gt 1 && $word != -* && " @GAUGES@ " == *" ${COMP_WORDS[1]} "* ]] && kind=gauges ;;
+    esac
+    COMPREPLY=()
+    if [[ -n $kind ]]; then
+        mapfile -t COMPREPLY < <(
+            IFS=$'\n'
+            compgen -P "$first" -W "$(gaugefs names --of "$kind" 2>/dev/null)" -- "${word#"$first"}"
+        )
+    fi
+    [[ ${#COMPREPLY[@]} -gt 0 ]] || _gaugefs "$@"
 }
 complete -F _gaugefs_names -o nosort -o bashdefault -o default gaugefs 2>/dev/null ||
     complete -F _gaugefs_names -o bashdefault -o default gaugefs
@@ -102,7 +175,26 @@ _gaugefs_names() {
             compadd -- $names
         fi
     fi
+    _gaugefs_gauges
+}
+
+_gaugefs_gauges() {
+    compadd -- ${(f)"$(gaugefs names --of gauges 2>/dev/null)"}
     _files -/
+}
+
+_gaugefs_buses() {
+    compadd -- ${(f)"$(gaugefs names --of buses 2>/dev/null)"}
+    _files
+}
+
+_gaugefs_scenarios() {
+    compadd -- ${(f)"$(gaugefs names --of scenarios 2>/dev/null)"}
+    _files
+}
+
+_gaugefs_columns() {
+    _sequence compadd - ${(f)"$(gaugefs names --of columns 2>/dev/null)"}
 }
 "#;
 
@@ -117,7 +209,20 @@ function __gaugefs_names
         echo $name$end
     end
 end
+function __gaugefs_buses
+    gaugefs names --of buses 2>/dev/null
+end
+function __gaugefs_scenarios
+    gaugefs names --of scenarios 2>/dev/null
+end
+function __gaugefs_columns
+    set -l first (string match -r '.*,' -- (commandline -ct))
+    for name in (gaugefs names --of columns 2>/dev/null)
+        echo "$first$name"
+    end
+end
 complete -c gaugefs -n "__fish_seen_subcommand_from get set" -a "(__gaugefs_names)"
+complete -c gaugefs -n "__fish_seen_subcommand_from @GAUGES@" -a "(gaugefs names --of gauges 2>/dev/null)"
 "#;
 
 #[cfg(test)]

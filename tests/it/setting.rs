@@ -537,6 +537,8 @@ fn the_names_that_a_shell_completes_are_those_that_set_takes() {
     assert_eq!(complete("set", "it-cfg/cell-termi").done(), "it-cfg/cell-terminate-voltage=\n");
     assert_eq!(complete("get", "it-cfg/cell-termi").done(), "it-cfg/cell-terminate-voltage\n");
     assert_eq!(complete("set", "cell-termi").done(), "cell-terminate-voltage=\n");
+    let bash_script = gauge.folder.file("completions.bash");
+    fs::copy(&script, &bash_script).expect("a copy");
     fs::write(&script, gaugefs(&["completions", "fish"]).done()).expect("a file");
     // In fish a variable without a value makes the whole word vanish: `get` completed nothing.
     for (verb, end) in [("set", "="), ("get", "")] {
@@ -554,6 +556,28 @@ fn the_names_that_a_shell_completes_are_those_that_set_takes() {
             Err(_) => eprintln!("SKIPPED: fish is not installed; its completion of names was not tried"),
         }
     }
+    let offered = |line: &str, at: usize| {
+        let ask = format!(
+            r#"PATH="$2:$PATH"; . "$1"; COMP_WORDS=({line}); COMP_CWORD={at}
+            _gaugefs_names gaugefs "${{COMP_WORDS[{at}]}}" "${{COMP_WORDS[{at} - 1]}}"; printf '%s\n' "${{COMPREPLY[@]}}""#
+        );
+        let program = Path::new(env!("CARGO_BIN_EXE_gaugefs")).parent().expect("a folder");
+        let mut bash = std::process::Command::new("bash");
+        bash.args(["-c", &ask, "bash", &bash_script]).arg(program);
+        run(bash).done()
+    };
+    // Other tests have mounts, too.
+    for command in ["get", "export", "top", "settle", "watch"] {
+        assert!(
+            offered(&format!("gaugefs {command} ''"), 2).lines().any(|line| line == gauge.path()),
+            "{command}"
+        );
+    }
+    assert_eq!(offered("gaugefs mount --sim bq35100 --scenario robot", 5), "robot-day\n");
+    assert_eq!(offered("gaugefs log --columns volt", 3), "voltage\n");
+    assert_eq!(offered("gaugefs plot --columns voltage,full_", 3), "voltage,full_charge\n");
+    let buses = gaugefs(&["names", "--of", "buses"]).done();
+    assert_eq!(buses.lines().count(), gauge_bus::linux::adapters(Path::new("/")).len());
     for (shell, word) in [("zsh", "_gaugefs_names"), ("fish", "__gaugefs_names")] {
         let script = gaugefs(&["completions", shell]).done();
         assert!(script.matches(word).count() >= 2, "{shell}: its names are not asked for");

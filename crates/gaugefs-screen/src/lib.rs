@@ -73,6 +73,11 @@ impl Command {
     }
 }
 
+/// The names of the columns of a history.
+pub fn columns() -> impl Iterator<Item = &'static str> {
+    log::columns::names()
+}
+
 /// The value of `--interval`.
 fn seconds(text: &str) -> Result<Duration, String> {
     gaugefs_host::seconds(text, (0.1, 86400.0))

@@ -67,6 +67,11 @@ const KNOWN: [Known; 15] = [
     ("seal", "", false, |sample| sample.seal.clone()),
 ];
 
+/// The names of the columns that every part may have.
+pub(crate) fn names() -> impl Iterator<Item = &'static str> {
+    KNOWN.iter().map(|known| known.0).chain([PASSED_CHARGE, EVENTS, LEARNING])
+}
+
 const EVENTS: &str = "events";
 const LEARNING: &str = "learning";
 /// A register that is a column by default.

@@ -240,6 +240,9 @@ fn names(headers: &csv::StringRecord, wanted: &[String]) -> Result<Vec<String>> 
     }
     let mut names = Vec::new();
     for name in wanted.iter().map(|name| name.trim()) {
+        // As a register's file is written, and as `gaugefs log` takes it.
+        let spaced = name.replace('_', " ");
+        let name = if there.contains(&name) { name } else { &spaced };
         if !there.contains(&name) {
             return Err(invalid(
                 "",
@@ -307,6 +310,15 @@ mod tests {
         );
         assert_eq!(gauge.low, [("SOC1", 10.0)]);
         assert_eq!((gauge.part.as_str(), gauge.serial.as_str()), ("bq", ""));
+    }
+
+    #[test]
+    fn a_column_is_named_as_log_names_it() {
+        let text = "time (UTC),gauge,full charge (Ah)\n2026-01-01T00:00:00Z,A,2\n";
+        for name in ["full charge", "full_charge"] {
+            let history = read(text.as_bytes(), &[name.into()]).expect("a history");
+            assert_eq!(history.panels[0].series[0].column, "full charge");
+        }
     }
 
     /// It would take an hour if each gauge looked at the rows of all others.
