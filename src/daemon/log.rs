@@ -24,8 +24,10 @@ use ti_gauge::text;
 use crate::error::{Error, Result};
 use gauge_bus::regular;
 
-/// The default of RUST_LOG: information from gaugefs, only warnings from the FUSE library.
-const FILTER: &str = "info,fuser=warn";
+/// The default of RUST_LOG: information from gaugefs, only warnings from the FUSE library, which logs each second answer of a
+/// 32-bit program (`fuse/entry.rs`) as an error.
+const FILTER: &str =
+    if cfg!(target_pointer_width = "64") { "info,fuser=warn" } else { "info,fuser=warn,fuser::reply=off" };
 /// For this long lines that are alike are counted after the first one.
 const PERIOD: Duration = Duration::from_secs(60);
 /// The most kinds of lines that are told apart meanwhile.

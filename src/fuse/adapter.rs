@@ -401,7 +401,7 @@ impl Filesystem for Adapter {
             let (number, now) = (u64::from(ino), Now::read());
             let mut inodes = self.using(number);
             // A read passes a handle, and `fstat` does not.
-            let reads = inodes.is_open(number) || handle.is_some();
+            let reads = inodes.ask(number) || handle.is_some();
             if let Some(node) = inodes.due(number, now) {
                 let value = present(&self.fs, node);
                 // The estimated size of an unread value would be wrong for whoever is reading the old value.
@@ -464,7 +464,7 @@ impl Filesystem for Adapter {
             // The kernel takes over the time from this answer, but keeps its bytes; the next time has to differ.
             inodes.touch(number);
             if size.is_some() {
-                inodes.is_truncated(number);
+                inodes.overwrite(number);
             }
             drop(inodes);
             if size.is_some() && !self.fs.may_be_written(shown.node) {

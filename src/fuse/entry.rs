@@ -39,10 +39,20 @@ impl Device {
     /// Answers a LOOKUP.
     pub(super) fn answer(&self, request: &Request, entry: &Entry, reply: ReplyEntry) {
         match self.write(&entry.message(request.unique().into())) {
-            // The crate takes a reply that is dropped for one that was forgotten, and answers once more. What stays is a count.
-            Ok(()) => std::mem::forget(reply),
+            Ok(()) => give_up(reply),
             Err(error) => reply.error(Errno::from_i32(error.raw_os_error().unwrap_or(nix::libc::EIO))),
         }
+    }
+}
+
+/// Gives up a reply whose request is answered. The crate answers once more for one that is dropped, and one that is forgotten
+/// leaves a count behind, which overflows after 2^31 LOOKUPs of a 32-bit program and ends it. There the kernel refuses a second
+/// answer.
+fn give_up(reply: ReplyEntry) {
+    if cfg!(target_pointer_width = "64") {
+        std::mem::forget(reply);
+    } else {
+        reply.error(Errno::ENOENT);
     }
 }
 

@@ -437,7 +437,7 @@ impl<W> Inodes<W> {
 
     /// The attributes of a nodeid are asked for. Returns whether somebody has it open: both `stat` and `open` look the name up
     /// and ask once, so that only `fstat` can ask again. Nobody who has opened the file to overwrite it wants its value.
-    pub(super) fn is_open(&mut self, number: u64) -> bool {
+    pub(super) fn ask(&mut self, number: u64) -> bool {
         let Some(looks) = self.live.get_mut(&number).and_then(|inode| inode.looks.as_mut()) else {
             return false;
         };
@@ -446,7 +446,7 @@ impl<W> Inodes<W> {
     }
 
     /// A nodeid is to be overwritten.
-    pub(super) fn is_truncated(&mut self, number: u64) {
+    pub(super) fn overwrite(&mut self, number: u64) {
         if let Some(inode) = self.live.get_mut(&number) {
             inode.looks = None;
         }
@@ -967,14 +967,14 @@ mod tests {
             let mut inodes = inodes();
             let mut enter = |at_time| inodes.enter(FILE, Value::Unread(4096), sharing, at(at_time)).number;
             let (first, second) = (enter(0), enter(1));
-            assert!(!inodes.is_open(second), "stat or open: {sharing:?}");
-            assert!(inodes.is_open(second) && inodes.is_open(second), "fstat: {sharing:?}");
-            assert_eq!(inodes.is_open(first), sharing == THREAD, "threads have one nodeid: {sharing:?}");
+            assert!(!inodes.ask(second), "stat or open: {sharing:?}");
+            assert!(inodes.ask(second) && inodes.ask(second), "fstat: {sharing:?}");
+            assert_eq!(inodes.ask(first), sharing == THREAD, "threads have one nodeid: {sharing:?}");
             let third = inodes.enter(FILE, Value::Unread(4096), sharing, at(2)).number;
-            inodes.is_truncated(third);
-            assert!(!inodes.is_open(third) && !inodes.is_open(third), "to overwrite it: {sharing:?}");
+            inodes.overwrite(third);
+            assert!(!inodes.ask(third) && !inodes.ask(third), "to overwrite it: {sharing:?}");
             let fourth = inodes.enter(FILE, Value::Unread(4096), sharing, at(3)).number;
-            assert!(!inodes.is_open(fourth) && inodes.is_open(fourth), "looked up again: {sharing:?}");
+            assert!(!inodes.ask(fourth) && inodes.ask(fourth), "looked up again: {sharing:?}");
         }
     }
 
