@@ -57,6 +57,8 @@ pub(super) enum Waiter {
     },
     /// A GETATTR that precedes a READ, and fails as that would.
     SizeToRead(ReplyAttr),
+    /// A GETATTR for `fstat`, which fails as a read would.
+    SizeOfOpen(ReplyAttr),
     /// A GETATTR for `stat`.
     Attributes(ReplyAttr),
 }
@@ -283,16 +285,27 @@ impl Arrival {
     }
 
     fn answer(&self, read: &Result<Arc<[u8]>>) {
-        let arrived = self.adapter.inodes().arrived(self.number, read.as_ref().ok(), Now::read());
-        let Some((shown, waiting)) = arrived else { return };
+        let mut inodes = self.adapter.inodes();
+        let Some((shown, waiting)) = inodes.arrived(self.number, read.as_ref().ok(), Now::read()) else {
+            return;
+        };
+        let is_read = |waiter: &Waiter| matches!(waiter, Waiter::Read { .. } | Waiter::SizeToRead(_));
+        if let Err(error) = read
+            && !waiting.iter().any(is_read)
+        {
+            inodes.refuse(self.number, errno(error));
+        }
+        drop(inodes);
         for waiter in waiting {
             match (waiter, read) {
                 (Waiter::Read { offset, size, reply }, Ok(bytes)) => {
                     self.adapter.serve(self.number, bytes, offset, size, reply);
                 }
                 (Waiter::Read { reply, .. }, Err(error)) => reply.error(errno(error)),
-                (Waiter::SizeToRead(reply), Err(error)) => reply.error(errno(error)),
-                (Waiter::Attributes(reply) | Waiter::SizeToRead(reply), _) => {
+                (Waiter::SizeToRead(reply) | Waiter::SizeOfOpen(reply), Err(error)) => {
+                    reply.error(errno(error))
+                }
+                (Waiter::Attributes(reply) | Waiter::SizeToRead(reply) | Waiter::SizeOfOpen(reply), _) => {
                     reply.attr(&self.adapter.attr_ttl(&shown), &self.adapter.attr(&shown));
                 }
             }
@@ -420,7 +433,13 @@ impl Filesystem for Adapter {
                 return reply.error(Errno::ENODEV);
             }
             if reads && inode.is_unread() {
-                return self.answer_when_read(inodes, number, Waiter::SizeToRead(reply));
+                if handle.is_none() {
+                    return self.answer_when_read(inodes, number, Waiter::SizeOfOpen(reply));
+                }
+                return match inodes.take_refusal(number) {
+                    Some(errno) => reply.error(errno),
+                    None => self.answer_when_read(inodes, number, Waiter::SizeToRead(reply)),
+                };
             }
             if inode.is_awaited() {
                 // The size arrives with the value.
@@ -518,7 +537,7 @@ impl Filesystem for Adapter {
     ) {
         self.guard(ino, || {
             let number = u64::from(ino);
-            let inodes = self.inodes();
+            let mut inodes = self.inodes();
             // One that rests has not been shown to the kernel with the size of its present value.
             let Some(inode) = inodes.get(number) else { return reply.error(Errno::ESTALE) };
             match inode.value() {
@@ -530,7 +549,10 @@ impl Filesystem for Adapter {
                 Value::Gone => return reply.error(Errno::ENODEV),
                 Value::Unread(_) => {}
             }
-            self.answer_when_read(inodes, number, Waiter::Read { offset, size, reply });
+            match inodes.take_refusal(number) {
+                Some(errno) => reply.error(errno),
+                None => self.answer_when_read(inodes, number, Waiter::Read { offset, size, reply }),
+            }
         });
     }
 

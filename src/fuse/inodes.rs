@@ -20,6 +20,8 @@ use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 use std::time::{Duration, Instant, SystemTime};
 
+use fuser::Errno;
+
 use super::Shared;
 use crate::fs::{Content, Node};
 
@@ -133,6 +135,8 @@ pub(super) struct Inode<W> {
     asked: (u32, u32),
     /// How often its attributes were asked for since it was looked up; `None` once it was opened to be overwritten.
     looks: Option<u32>,
+    /// The errno of a value that `fstat` asked for, until a read has got it as well.
+    refusal: Option<Errno>,
     /// When something was last asked of it.
     used: Instant,
     /// The kernel has been given the whole value.
@@ -158,6 +162,7 @@ impl<W> Inode<W> {
             waiting: None,
             asked: (0, 0),
             looks: Some(0),
+            refusal: None,
             used: now.instant,
             is_read: false,
             was_dropped: false,
@@ -336,7 +341,7 @@ impl<W> Inodes<W> {
             let own = inode.sharing == sharing && sharing != Sharing::By(0) && !inode.is_awaited();
             if inode.value == value && (own || !matches!(value, Value::Unread(_))) {
                 inode.lookups += 1;
-                inode.looks = Some(0);
+                (inode.looks, inode.refusal) = (Some(0), None);
                 inode.used = now.instant;
                 return inode.shown(number, now).expect("it is of this node");
             }
@@ -409,6 +414,7 @@ impl<W> Inodes<W> {
         inode.used = now.instant;
         if let Some(bytes) = value {
             inode.value = Value::Bytes(bytes.clone());
+            inode.refusal = None;
             // A renewed nodeid gets its new size only now.
             inode.renewed = inode.renewed.map(|_| now.instant);
         }
@@ -443,6 +449,19 @@ impl<W> Inodes<W> {
         };
         *looks = looks.saturating_add(1);
         *looks > 1
+    }
+
+    /// Keeps the errno of a value that only `fstat` has asked for. Many programs read on after an `fstat` that fails, and would
+    /// not hear of a gauge that stays open.
+    pub(super) fn refuse(&mut self, number: u64, errno: Errno) {
+        if let Some(inode) = self.live.get_mut(&number) {
+            inode.refusal = Some(errno);
+        }
+    }
+
+    /// The errno for a read, once.
+    pub(super) fn take_refusal(&mut self, number: u64) -> Option<Errno> {
+        self.live.get_mut(&number)?.refusal.take()
     }
 
     /// A nodeid is to be overwritten.

@@ -1384,7 +1384,9 @@ fn the_first_write_leaves_a_backup_of_what_was_there() {
     let exported = gaugefs(&["export", &gauge]).done();
     fs::write(format!("{gauge}/df/48/11"), "3500\n").expect("a write");
     let [backup] = &backups()[..] else { panic!("{:?}", backups()) };
-    assert_eq!(fs::read_to_string(backup).expect("a file"), exported);
+    let saved = fs::read_to_string(backup).expect("a file");
+    let (host, image) = saved.split_once('\n').expect("a line");
+    assert!(host.starts_with("# host ") && image == exported, "{saved}");
     assert_eq!(fs::metadata(backup).expect("a file").permissions().mode() & 0o777, 0o600);
     let log = fs::read_to_string(&log).expect("the log");
     assert!(log.contains(&format!("configuration saved in {}", backup.display())), "{log}");

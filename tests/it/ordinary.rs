@@ -204,10 +204,7 @@ user "$gaugefs" umount ../gauges; echo "=> $?"
 "#;
     let Some(said) = script(&folder, commands) else { return };
     assert!(said.starts_with("=> 1\n=> 0\n"), "{said}");
-    says(
-        &said,
-        &["/gauges: mounted by user root, who may unmount it, as root may: sudo gaugefs umount /"],
-    );
+    says(&said, &["/gauges: mounted by user root, who may unmount it, as root may: sudo gaugefs umount /"]);
 }
 
 /// A small Debian has no /etc/mtab, which fusermount3 looks into.
@@ -275,7 +272,7 @@ fn a_check_lists_all_that_a_mount_would_stumble_over() {
         "BUS: /dev/i2c-998: no such bus",
         "LATER: /dev/i2c-999: no such bus",
         &format!("REC: {at}none.trace: "),
-        &format!("RAM: {at}none.toml: cannot read it"),
+        &format!("RAM: {at}none.toml: cannot be read"),
     ] {
         assert!(
             ran.err.lines().any(|found| found.starts_with(&format!("gaugefs: {line}"))),

@@ -577,7 +577,7 @@ enum Dash {
 }
 
 /// Every such option and argument.
-const DASHES: [(&str, &str, Dash); 32] = [
+const DASHES: [(&str, &str, Dash); 33] = [
     ("mount", "config", Dash::Input),
     ("mount", "replay", Dash::Input),
     ("mount", "profile", Dash::Input),
@@ -614,6 +614,7 @@ const DASHES: [(&str, &str, Dash); 32] = [
     ("plot", "file", Dash::Input),
     ("plot", "output", Dash::Output),
     ("metrics", "output", Dash::Output),
+    ("top", "history", Dash::Refused("not a terminal")),
     ("watch", "config", Dash::Refused("standard input: programs are run from it")),
     // Of systemd's units.
     ("attach", "config", Dash::Input),
@@ -703,6 +704,7 @@ fn a_dash_is_standard_input_or_standard_output_of_every_command() {
             ("keys change", _) => {
                 vec!["keys", "change", "--key-file", &keys, "--new-key-file", "-", &gauge, "unseal"]
             }
+            ("top", _) => vec!["top", "--history", "-", &gauge],
             ("plot", "file") => vec!["plot", "-"],
             ("plot", _) => vec!["plot", &csv, "-o", "-"],
             ("watch", _) => vec!["watch", "--config", "-"],

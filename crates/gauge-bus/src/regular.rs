@@ -14,7 +14,10 @@ use std::os::unix::fs::{FileTypeExt, MetadataExt, OpenOptionsExt, PermissionsExt
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU32, Ordering};
 
-use rustix::fs::{CWD, OFlags, RenameFlags, fcntl_setfl, major, minor, renameat_with, statvfs};
+use rustix::fs::{
+    AtFlags, CWD, FileType, OFlags, RenameFlags, StatxFlags, fcntl_setfl, major, minor, renameat_with,
+    statvfs, statx,
+};
 use rustix::io::Errno;
 use rustix::process::geteuid;
 
@@ -54,16 +57,18 @@ pub fn open_linked(options: &OpenOptions, path: &Path) -> io::Result<File> {
 
 /// Opens a regular file, or a pipe where that is allowed, behind any symbolic links.
 fn follow(options: &OpenOptions, path: &Path, pipe: bool) -> io::Result<File> {
-    let check = |status: &Metadata| match status.file_type() {
-        kind if kind.is_file() => Ok(()),
-        kind if kind.is_dir() => Err(io::Error::from(ErrorKind::IsADirectory)),
-        kind if kind.is_fifo() && pipe => Ok(()),
+    let check = |mode: u32| match FileType::from_raw_mode(mode) {
+        FileType::RegularFile => Ok(()),
+        FileType::Directory => Err(io::Error::from(ErrorKind::IsADirectory)),
+        FileType::Fifo if pipe => Ok(()),
         _ => Err(irregular()),
     };
-    check(&fs::metadata(path)?)?;
+    check(fs::metadata(path)?.mode())?;
     let flags = OFlags::NONBLOCK | OFlags::NOCTTY;
     let file = options.clone().custom_flags(flags.bits() as i32).open(path)?;
-    check(&file.metadata()?)?;
+    // What kind of file it is needs no question to a file system that would answer how long it is.
+    let status = statx(&file, c"", AtFlags::EMPTY_PATH | AtFlags::STATX_DONT_SYNC, StatxFlags::TYPE)?;
+    check(status.stx_mode.into())?;
     fcntl_setfl(&file, OFlags::empty())?;
     Ok(file)
 }

@@ -156,8 +156,8 @@ fn profile(path: &Path, chip: &'static Chip) -> Result<Vec<Change>> {
         let why = "is flash, which keeps its configuration: write the file once, with gaugefs import";
         return refuse(format!("the data memory of a {} {why}", chip.model));
     }
-    check_own(path)?;
     let image = Image::open(path, Some(chip))?;
+    check_own(path)?;
     if let Some(why) = implausible_profile(&image) {
         return refuse(format!("{why}; leave that out, and the gauge begins with its own"));
     }

@@ -82,7 +82,11 @@ mod tests {
         assert!(lines[2].contains("the error was +") && lines.len() == 3, "{text}");
         calibrate(&mut rig, Job::Temperature(60.0)).expect_err("too far");
         let published = rig.handle.published();
-        assert!(published.last_error.contains("-128 to 127"), "{}", published.last_error);
+        assert!(
+            published.last_error.contains("-12.8 °C (-128) to 12.7 °C (127)"),
+            "{}",
+            published.last_error
+        );
         rig.clock.sleep(INTERVAL);
         rig.owner.poll_on_time();
         assert!(!rig.handle.published().last_error.is_empty());

@@ -1469,10 +1469,13 @@ fn a_program_gets_every_outcome_and_its_failure_is_one() {
     let text = fs::read_to_string(&told).expect("it was told");
     assert!(text.contains("\"number\":9") && text.ends_with("\nfail\n"), "{text}");
     // A program that is missing is no reason for PASS either.
-    let line = Line::start(folder.plan(&format!("{PLAIN}\nexec = ['/nonexistent/printer']")), &[], None)
-        .expect("a record");
+    let printer = folder.file("printer");
+    fs::copy("/bin/true", &printer).expect("a program");
+    let plan = folder.plan(&format!("{PLAIN}\nexec = ['{}']", printer.display()));
+    fs::remove_file(&printer).expect("it is there");
+    let line = Line::start(plan, &[], None).expect("a record");
     let said = line.run(&clock, [(new_pack(&clock, 3, None), "none".into())]);
-    assert!(said[0].starts_with("FAIL") && said[0].contains("/nonexistent/printer"), "{said:?}");
+    assert!(said[0].starts_with("FAIL") && said[0].contains("/printer"), "{said:?}");
 }
 
 #[test]
