@@ -9,7 +9,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use super::target::{chip_like, instead};
 use super::{Faults, Format, Group, Image, Raw, Reading, at_line, check_count, is_written};
-use crate::chip::{Chip, Effect, FLAT, Kind, Parameter, Scheme, Subclass};
+use crate::chip::{CHIPS, Chip, Effect, FLAT, Kind, Parameter, SIBLINGS, Scheme, Subclass};
 use crate::codec::{self, WINDOW, checksum};
 
 mod romimage;
@@ -320,7 +320,8 @@ fn check_addresses(
 ) -> Option<()> {
     let of_file = || {
         let (_, code) = identity(commands).0?;
-        Chip::all().find(|chip| chip.identity.device_type == code)
+        let own = CHIPS.iter().copied().find(|chip| chip.identity.device_type == code);
+        own.or_else(|| SIBLINGS.iter().find(|sibling| sibling.identity.device_type == code)?.like)
     };
     let mut is_for_gauge = false;
     for (number, command) in commands {
