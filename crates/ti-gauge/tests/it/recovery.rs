@@ -1111,7 +1111,7 @@ fn regression_a_write_to_what_the_gauge_keeps_rewriting_left_its_state_unknown()
 
 /// After each reset the gauge stores the extremes that it has measured, every second.
 #[test]
-fn regression_lifetime_data_that_was_lowered_left_its_state_unknown() {
+fn lifetime_data_that_is_lowered_is_written_or_put_back() {
     let folder = Folder::new("lifetime");
     for chip in ["bq34z100-g1", "bq34z100-r2"] {
         let mut rig = Rig::calibrated(chip, Seal::Sealed);
