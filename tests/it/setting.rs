@@ -118,7 +118,7 @@ fn values_in_steps_are_shown_as_a_person_reads_them() {
     assert_eq!(told, "safety/ot-chg: 55.0 °C (550) -> 60.0 °C (600)\n");
     assert_eq!(gaugefs(&["get", &gauge.path(), "ot-chg"]).done(), "safety/ot-chg: 60.0 °C (600)\n");
     let json = gaugefs(&["get", "--json", &gauge.path(), "ot-chg"]).done();
-    assert_eq!(self::json(&json)[0]["values"][0]["value"], "600");
+    assert_eq!(self::json(&json)[0]["values"][0]["value"], 600);
     gauge.set(&["ot-chg=200C"]).failed(&["outside 0.0 °C (0) to 120.0 °C (1200)"]);
 }
 
