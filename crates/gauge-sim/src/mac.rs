@@ -315,8 +315,13 @@ impl Mac {
 
     /// CONTROL_STATUS.
     fn control_status(&self, device: &Device) -> u16 {
-        let hidden = if device.unmeasured() { self.part.initialized } else { 0 };
-        self.model.control_status(self.shown_level(device)) & !hidden
+        self.model.control_status(self.shown_level(device)) & !self.hidden(device, 0)
+    }
+
+    /// The bit of a register that is clear before the first measurement.
+    fn hidden(&self, device: &Device, register: u8) -> u16 {
+        let (shown, bit) = self.part.initialized;
+        if shown == register && device.unmeasured() { bit } else { 0 }
     }
 
     /// A byte of the word that shows the level and CONFIG UPDATE, which is right while the gauge does not gauge.
@@ -327,7 +332,7 @@ impl Mac {
         let low = usize::from(first);
         let word = u16::from_le_bytes([shown[low], shown[low + 1]]);
         let mode = if self.ram.update.shows() { bit } else { 0 };
-        (word | mode).to_le_bytes().get(at).copied()
+        ((word | mode) & !self.hidden(device, first)).to_le_bytes().get(at).copied()
     }
 
     /// The level that the status words show.

@@ -270,9 +270,9 @@ pub(super) struct MacPart {
     pub(super) seal: u16,
     /// Control() reads 0xFFA5 once after DEVICE_TYPE or FW_VERSION.
     pub(super) answers_elsewhere: bool,
-    /// Registers of one word that are predicted, and the bit of CONTROL_STATUS that says so.
+    /// Registers of one word that are predicted, and the bit that says so: of a register, or 0 for CONTROL_STATUS.
     pub(super) predicted: &'static [u8],
-    pub(super) initialized: u16,
+    pub(super) initialized: (u8, u16),
     pub(super) model: fn(&Flash) -> Box<dyn MacModel>,
 }
 

@@ -363,9 +363,9 @@ pub struct Condition {
     pub absent: u16,
     /// Set while the gauge asks for an update of its capacity; 0 where no flag does.
     pub uncertain: u16,
-    /// The bit of CONTROL_STATUS that is set once values are valid after power-up or a reset; 0 where none is
-    /// documented.
-    pub complete: u16,
+    /// The bit that is set once values are valid after power-up or a reset: of CONTROL_STATUS, or of a register that is
+    /// polled; `None` where none is documented.
+    pub complete: Option<(Word, u16)>,
     /// A gauge for primary cells.
     pub primary: Option<Primary>,
 }

@@ -31,9 +31,13 @@ impl Owner {
         let chip = self.gauge.chip;
         (self.unmeasured >= FOR_GOOD).then_some(())?;
         let voltage = chip.register(Role::VoltageNow).and_then(|register| registers.value(register));
-        let sign = match chip.control_status.iter().find(|bit| bit.mask & chip.condition.complete != 0) {
+        let sign = match chip.condition.complete {
             _ if voltage == Some(0) => "Voltage() stays 0 mV".to_string(),
-            Some(bit) => format!("[{}] stays clear", bit.name),
+            Some((shown_in, mask)) => {
+                let register = shown_in.register().and_then(|code| chip.register_at(code));
+                let bits = register.map_or(chip.control_status, |register| register.bits);
+                format!("[{}] stays clear", bits.iter().find(|bit| bit.mask & mask != 0)?.name)
+            }
             None => return None,
         };
         Some(format!(

@@ -8,7 +8,7 @@ use std::time::Duration;
 use super::{Attempt, Owner, Snapshot, now};
 use crate::error::{Cause, Error, Result, Step};
 use gauge_bus::BusError;
-use ti_gauge::chip::{Chip, Role, Tier};
+use ti_gauge::chip::{Chip, Role, Tier, Word};
 use ti_gauge::gauge::Statistics;
 use ti_gauge::registers::Registers;
 
@@ -309,8 +309,11 @@ impl Owner {
             self.shared.published().snapshot.as_ref().and_then(|last| read(&last.registers, Role::Flags));
         let has_started =
             read(registers, Role::Flags).zip(before).is_some_and(|(now, before)| now & !before & starts != 0);
-        let complete = chip.condition.complete;
-        self.control_status & complete == complete
+        let shows = |(shown_in, bit)| match shown_in {
+            Word::Register(code) => word(chip, registers, code).is_some_and(|word| word & bit != 0),
+            Word::ControlStatus | Word::Answer(_) => self.control_status & bit != 0,
+        };
+        chip.condition.complete.is_none_or(shows)
             && read(registers, Role::VoltageNow) != Some(0)
             && !has_started
     }

@@ -35,7 +35,7 @@ pub(super) static PART: Part = Part {
         seal: 0x0030,
         answers_elsewhere: true,
         predicted: &[0x10, 0x12, 0x2C, 0x2E],
-        initialized: 0,
+        initialized: (0x3A, INITCOMP),
         model: |flash| Box::new(Cedv::new(flash)),
     }),
     // CC Offset, Board Offset, Full Charge Capacity.
@@ -50,6 +50,9 @@ const TIMING: Timing = Timing {
     update_leave: Duration::from_millis(1000),
     ..Timing::MAC
 };
+
+/// OperationStatus() `[INITCOMP]`.
+const INITCOMP: u16 = 0x0020;
 
 /// The part of data memory whose addresses are known.
 const BASE: u16 = 0x9180;
@@ -280,9 +283,8 @@ impl Cedv {
             Level::Unsealed => 2,
             Level::FullAccess => 1,
         };
-        // [INITCOMP], which a gauge that answers always has.
         let edv2 = self.battery.cell_mv() <= self.settings.edv[2];
-        0x0020 | u16::from(edv2) << 3 | security << 1 | u16::from(self.ram.calibration.mode)
+        INITCOMP | u16::from(edv2) << 3 | security << 1 | u16::from(self.ram.calibration.mode)
     }
 
     /// GaugingStatus (3.2.18).

@@ -31,7 +31,7 @@ pub(super) static PART: Part = Part {
         seal: 0x0030,
         answers_elsewhere: true,
         predicted: &[0x10, 0x12, 0x2C, 0x2E],
-        initialized: 0,
+        initialized: (0, 0),
         model: |flash| Box::new(Cedv::new(flash)),
     }),
     // CC Offset, Board Offset, Learned Full Charge Capacity.

@@ -30,7 +30,7 @@ pub(super) static PART: Part = Part {
         seal: 0x0020,
         answers_elsewhere: false,
         predicted: &[0x02, 0x04, 0x2E],
-        initialized: INITCOMP,
+        initialized: (0, INITCOMP),
         model: |flash| Box::new(Primary::new(flash)),
     }),
     // CC Offset, Board Offset, SOH.

@@ -61,8 +61,7 @@ pub static CHIP: Chip = Chip {
         present: 0x0008, // [BATTPRES]
         absent: 0,
         uncertain: 0,
-        // [INITCOMP] is in OperationStatus(), not in CONTROL_STATUS.
-        complete: 0,
+        complete: Some((Word::Register(0x3A), 0x0020)), // [INITCOMP]
         primary: None,
     },
     scaling: Scaling::NONE,
@@ -173,7 +172,7 @@ static REGISTERS: &[Register] = &[
     Register::new(0x32, U2, "ChargeCurrent", "mA", Slow).role(Role::ChargeCurrent),
     Register::new(0x34, U2, "BTPDischargeSet", "mAh", Slow),
     Register::new(0x36, U2, "BTPChargeSet", "mAh", Slow),
-    Register::new(0x3A, U2, "OperationStatus", "", Slow).bits(OPERATION_STATUS),
+    Register::new(0x3A, U2, "OperationStatus", "", Poll).bits(OPERATION_STATUS),
     Register::new(0x3C, U2, "DesignCapacity", "mAh", Static).role(Role::ChargeFullDesign),
     Register::new(0x3E, U2, "ManufacturerAccessControl", "", Window),
     Register::new(0x40, U(32), "MACData", "", Window),

@@ -115,7 +115,7 @@ pub(super) const CONDITION: Condition = Condition {
     present: 0x0008, // [BAT_DET]
     absent: 0,
     uncertain: 0,
-    complete: 0x0080, // [INITCOMP]
+    complete: Some((Word::ControlStatus, 0x0080)), // [INITCOMP]
     primary: None,
 };
 

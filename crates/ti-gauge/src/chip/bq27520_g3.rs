@@ -58,7 +58,7 @@ pub static CHIP: Chip = Chip {
         present: 0x0008, // [BAT_DET]
         absent: 0,
         uncertain: 0,
-        complete: 0x0080, // [INITCOMP]
+        complete: Some((Word::ControlStatus, 0x0080)), // [INITCOMP]
         primary: None,
     },
     scaling: Scaling::NONE,

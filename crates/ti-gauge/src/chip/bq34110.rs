@@ -55,7 +55,7 @@ pub static CHIP: Chip = Chip {
         absent: 0,
         uncertain: 0,
         // [INITCOMP] is in OperationStatus(), and sources disagree about its place.
-        complete: 0,
+        complete: None,
         primary: None,
     },
     scaling: Scaling::NONE,

@@ -55,7 +55,7 @@ pub static CHIP: Chip = Chip {
         absent: 0,
         uncertain: 0x0010, // [CF]
         // No bit: Voltage() is 0 before the first measurement.
-        complete: 0,
+        complete: None,
         primary: None,
     },
     // 7.3.7.1: the factor that [SCALED] announces is not in the gauge. 7.3.6.5: Design Energy Scale.

@@ -57,7 +57,7 @@ pub static CHIP: Chip = Chip {
         absent: 0,
         uncertain: 0x0010, // [CF]
         // No bit: Voltage() is 0 before the first measurement.
-        complete: 0,
+        complete: None,
         primary: None,
     },
     // 2.2.5 to 2.2.9: energies are in cWh and powers in cW before the scale.

@@ -60,7 +60,7 @@ pub static CHIP: Chip = Chip {
         present: 0,
         absent: 0,
         uncertain: 0,
-        complete: 0x0080, // [INITCOMP]
+        complete: Some((Word::ControlStatus, 0x0080)), // [INITCOMP]
         primary: Some(Primary {
             active: 0x0001,         // [GA]
             alerts: (FLAT, 0x41B2), // ALERT Configuration

@@ -117,7 +117,7 @@ impl Flavour {
             // Nothing pulls the lines of a gauge that is not there.
             absent: if matches!(self, Zero) { 0xff } else { 0 },
             uncertain,
-            complete: 0,
+            complete: None,
             primary: None,
         }
     }

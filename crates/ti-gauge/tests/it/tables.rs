@@ -178,7 +178,7 @@ fn a_poll_reads_the_expected_bursts() {
             // Two bytes between 0x06 and 0x1B are read without need. The gap of 14 bytes is not read, because
             // it would cost more than the three bytes of another transfer.
             "bq34110" => (&[(0x06, 0x16), (0x2A, 6)], 34),
-            "bq27220" => (&[(0x06, 0x14), (0x22, 14)], 40),
+            "bq27220" => (&[(0x06, 0x14), (0x22, 14), (0x3A, 2)], 45),
             // No byte is read without need.
             "bq35100" => (&[(0x02, 0x0C), (0x2E, 1)], 19),
             name => panic!("{name} has no bursts listed here"),
