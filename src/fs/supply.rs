@@ -78,6 +78,7 @@ impl Supply {
             chip: self.chip(),
             voltage_scale: reading.scale(Kind::Voltage),
             current_scale: reading.scale(Kind::Current),
+            limitation: self.published().limitation(self.chip()),
         };
         operation.ask(&self.handle, &context, text, done);
     }

@@ -729,6 +729,23 @@ fn the_scales_that_are_applied_are_shown() {
     }
 }
 
+/// Whatever is written to it, a subcommand or not.
+#[test]
+fn regression_control_of_a_gauge_with_standard_commands_only_was_einval_with_no_word_of_why() {
+    let Some(mount) = quiet("bq27541") else { return };
+    assert!(!mount.path("df").exists() && !mount.path("gauge/seal").exists());
+    for text in ["CONTROL_STATUS", "0x0001", "nonsense"] {
+        assert_eq!(mount.echo(text, "gauge/control"), Err(Errno::EPERM), "{text}");
+        let why = mount.cat("gauge/last_error");
+        assert!(
+            why.ends_with(
+                "bq27541: no table describes its data flash and subcommands; only standard commands are read"
+            ),
+            "{why}"
+        );
+    }
+}
+
 /// The bq27520-G2 has the registers of the G3, but nobody has described its data flash.
 #[test]
 fn a_sibling_shows_standard_commands_only() {

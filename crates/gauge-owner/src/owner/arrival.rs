@@ -109,10 +109,7 @@ impl Owner {
 
     /// The reason to send nothing but standard commands to the gauge, if there is one.
     pub(super) fn limitation(&self) -> Option<Error> {
-        let published = self.shared.published();
-        let (limited, chip) = (published.limited?, self.gauge.chip);
-        let why = limited.why(chip, &published.answers);
-        Some(Error::new(limited.name(chip), Cause::NotPermitted, why))
+        self.shared.published().limitation(self.gauge.chip)
     }
 
     /// Reports the flaws that the table describes, if the bytes that show them have been read.

@@ -14,7 +14,7 @@ use super::crew::Member;
 use super::now::{self, Content, Presence};
 use super::operation::Request;
 use super::{Attempt, Done, Operation, Origin, Report, Settings};
-use crate::error::{Error, Result};
+use crate::error::{Cause, Error, Result};
 use gauge_bus::clock::Clock;
 use ti_gauge::authentication::{Message, Order};
 use ti_gauge::calibration::Measured;
@@ -118,6 +118,12 @@ impl Published {
     /// The last subcommand that was asked for, and the answer; `None` while this gauge has given none.
     pub fn control(&self) -> Option<(u16, u16)> {
         self.control.get(self.presence).copied()
+    }
+
+    /// The reason to send nothing but standard commands to the gauge, if there is one.
+    pub fn limitation(&self, chip: &Chip) -> Option<Error> {
+        let limited = self.limited?;
+        Some(Error::new(limited.name(chip), Cause::NotPermitted, limited.why(chip, &self.answers)))
     }
 }
 

@@ -43,6 +43,8 @@ pub struct Context {
     pub voltage_scale: Option<f64>,
     /// The factor of currents in data flash, likewise.
     pub current_scale: Option<f64>,
+    /// The reason to send nothing but standard commands to the gauge.
+    pub limitation: Option<Error>,
 }
 
 /// When a request was made.

@@ -98,6 +98,9 @@ pub(super) fn job(context: &Context, data: &[u8]) -> Result<Job> {
 }
 
 pub(super) fn subcommand(context: &Context, data: &[u8]) -> Result<u16> {
+    if let Some(why) = &context.limitation {
+        return Err(why.clone());
+    }
     let word = trimmed(data);
     let code = text::unsigned(word);
     let mut all = context.chip.subcommands.iter();
