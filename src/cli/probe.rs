@@ -251,7 +251,7 @@ fn examine(adapter: &Adapter, address: u8, named: bool, byte_writes: bool) -> Re
             found(State::Other, chips, format!("{versions}: {}; {what}", sibling.name))
         }
         None => match &who.unproven[..] {
-            [] => found(State::Other, chips, format!("{versions}: unknown part")),
+            [] => found(State::Other, chips, format!("{versions}: {}", answers.unknown())),
             unproven => {
                 let names: Vec<_> = unproven.iter().map(|chip| chip.name).collect();
                 let what = format!(

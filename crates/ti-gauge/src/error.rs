@@ -321,8 +321,8 @@ reasons! {
         "the gauge was sent {command}{} and shows no sign of it",
         if *times == 1 { String::new() } else { format!(" {times} times") };
     /// A flag of a register has not become what it should.
-    NotInTime { flag: &'static str, milliseconds: i64; set: bool } "not-in-time", TimedOut,
-        "{flag} was not {} within {} s", if *set { "set" } else { "cleared" }, *milliseconds as f64 / 1000.0;
+    NotInTime { flag: &'static str, milliseconds: i64; set: bool, remedy: &'static str } "not-in-time", TimedOut,
+        "{flag} was not {} within {} s; {remedy}", if *set { "set" } else { "cleared" }, *milliseconds as f64 / 1000.0;
     /// The gauge does not answer at all.
     Silent { seconds: i64 } "silent", TimedOut, "no answer within {seconds} s";
     /// A register is too noisy for a calibration. The readings are numbers in `unit`.

@@ -246,6 +246,18 @@ fn questions(chip: &Chip) -> Questions {
 }
 
 impl Answers {
+    /// What is known of a part that is none of the known ones.
+    pub fn unknown(&self) -> &'static str {
+        match self.device_type {
+            // SLUSBH1C 9.5.4.3, SLUSCB7A 6.11: such a gauge takes the first byte of the two.
+            0 => {
+                "it answers 0 to DEVICE_TYPE, as no gauge does: it has not started yet, or has not taken both bytes of the \
+                 subcommand, as above 100 kHz; try again, also with --byte-writes"
+            }
+            _ => "unknown part",
+        }
+    }
+
     /// What is wrong with a part that answers so.
     pub fn wrong_part(&self, what: String) -> Reason {
         let Self { device_type, firmware_version: firmware, hardware_version: hardware, .. } = *self;
@@ -267,10 +279,10 @@ pub fn find(subject: &str, target: &Target<'_>) -> Result<&'static Chip> {
         ([one], _) => Ok(one),
         ([], Some(Sibling { like: Some(chip), .. })) => Ok(chip),
         ([], Some(sibling)) => gone(format!("it is a {}, which gaugefs does not support", sibling.name)),
-        ([], None) => {
-            let what = "unknown part; `gaugefs chips` lists the known ones";
-            failed(who.answers.wrong_part(what.into()))
-        }
+        ([], None) => failed(
+            who.answers
+                .wrong_part(format!("{}; `gaugefs chips` lists the known ones", who.answers.unknown())),
+        ),
         (several, _) => {
             let names: Vec<_> = several.iter().map(|chip| chip.name).collect();
             let why = format!("it may be any of {}; choose with --chip", names.join(", "));

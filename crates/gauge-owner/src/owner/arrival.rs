@@ -144,7 +144,7 @@ fn check_identity(chip: &'static Chip, answers: &Answers) -> Result<Option<Limit
             let models: Vec<_> = found.iter().map(|found| found.model).collect();
             format!("this is a {}", models.join(" or a "))
         }
-        Recognised::Unknown => "unknown part".to_string(),
+        Recognised::Unknown => answers.unknown().to_string(),
     };
     let what = format!("{found}; refusing to mount it as a {}", chip.model);
     Err(Error::of(chip.model, answers.wrong_part(what)).at(Step::Identify))
@@ -197,6 +197,8 @@ mod tests {
         refused(0x0520, 0x0329, 0, "this is a bq27520-G4");
         refused(0x0421, 0x0109, 0, "this is a bq27441-G1 or a bq27421-G1");
         refused(0x0521, 0x0017, 8, "unknown part");
+        refused(0, 0, 0, Answers::default().unknown());
+        assert!(Answers::default().unknown().contains("--byte-writes"));
     }
 
     #[test]

@@ -145,6 +145,15 @@ fn config_update_that_begins_late_is_ended() {
 }
 
 #[test]
+fn regression_config_update_that_does_not_begin_said_nothing_to_do() {
+    let mut rig = Rig::new("bq27441-g1");
+    rig.set("cfgupdate_ms", "60000");
+    let error = rig.write_values(&[((82, 10), "1500")]).expect_err("it does not begin").to_string();
+    assert!(error.contains("[CFGUPMODE] was not set within"), "{error}");
+    assert!(error.contains("nothing was changed") && error.contains("write again"), "{error}");
+}
+
+#[test]
 fn config_update_is_believed_only_when_it_is_read_twice() {
     let mut rig = Rig::new("bq27441-g1");
     rig.set("cfgupdate_ms", "1000");

@@ -30,7 +30,13 @@ pub(super) struct CfgUpdate {
     register: u8,
     mask: u16,
     names: (&'static str, &'static str),
+    /// What to do if the mode does not end.
+    not_left: &'static str,
 }
+
+/// What to do if the mode does not begin. Nothing has been written then.
+const NOT_ENTERED: &str = "nothing was changed: it has no battery, is starting, or another program uses it; wait some seconds \
+                           and write again";
 
 /// SET_CFGUPDATE and SOFT_RESET.
 pub(super) static BLOCK: CfgUpdate = CfgUpdate {
@@ -41,6 +47,8 @@ pub(super) static BLOCK: CfgUpdate = CfgUpdate {
     register: 0x06,
     mask: 0x0010,
     names: ("Flags()", "[CFGUPMODE]"),
+    // SLUUAC9A 2.4.3.
+    not_left: "the gauge leaves CONFIG UPDATE by itself after 4 min; until then it does not gauge",
 };
 
 /// ENTER_CFG_UPDATE and EXIT_CFG_UPDATE_REINIT.
@@ -52,6 +60,7 @@ pub(super) static MAC: CfgUpdate = CfgUpdate {
     register: 0x3A,
     mask: 0x0400,
     names: ("OperationStatus()", "[CFGUPDATE]"),
+    not_left: "the gauge does not gauge in CONFIG UPDATE; switch its power off and on if it stays so",
 };
 
 impl Sequence for CfgUpdate {
@@ -146,7 +155,11 @@ impl CfgUpdate {
             return Ok(());
         }
         let (register, flag) = self.names;
-        Err(Error::of(register, Reason::NotInTime { flag, milliseconds: limit.as_millis() as i64, set: on }))
+        let remedy = if on { NOT_ENTERED } else { self.not_left };
+        Err(Error::of(
+            register,
+            Reason::NotInTime { flag, milliseconds: limit.as_millis() as i64, set: on, remedy },
+        ))
     }
 
     /// Like `wait_for`, but returns whether the mode was reached.
