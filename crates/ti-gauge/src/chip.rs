@@ -464,6 +464,8 @@ pub struct Security {
     /// Time without traffic that the gauge needs before it accepts keys after a refusal. The manuals print 4 s
     /// (10 s for the bq35100), which is measured by the gauge's clock, so there is a margin.
     pub key_silence: Duration,
+    /// The blocks that a SEALED gauge shows: DataFlashBlock(), and the subclass whose first bytes it is.
+    pub shown_sealed: &'static [(u8, u8)],
     /// Where the keys are stored, for changing them.
     pub storage: KeyStorage,
 }
@@ -604,6 +606,7 @@ impl Security {
         full_access: false,
         seal: 0,
         key_silence: Duration::ZERO,
+        shown_sealed: &[],
         storage: KeyStorage::Fixed("no table describes its keys"),
     };
 }

@@ -128,6 +128,7 @@ pub(super) const SECURITY: Security = Security {
     seal: 0x0020,
     // 6.4.5.1.1: a gauge that sealed itself at the end of CONFIG UPDATE takes no key for so long.
     key_silence: Duration::from_millis(5200),
+    shown_sealed: &[],
     storage: KeyStorage::Fixed("its only key is in ROM"),
 };
 

@@ -79,7 +79,7 @@ fn wait_until(gauge: &Gauge, begun: Duration, time: Duration) {
 
 /// Looks at a selected block until two looks agree. The first look is at the checksum only, which is another one
 /// if the window still showed something else; it costs an eighth of a whole one.
-fn look_twice<T: PartialEq>(
+pub(super) fn look_twice<T: PartialEq>(
     gauge: &mut Gauge,
     sum: impl Fn(&mut Gauge) -> Result<u8>,
     whole: impl Fn(&mut Gauge) -> Result<(T, u8)>,

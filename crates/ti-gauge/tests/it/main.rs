@@ -32,5 +32,6 @@ mod rules;
 mod rules_gauge;
 mod rules_kept;
 mod rules_settling;
+mod sealed;
 mod tables;
 mod write;
