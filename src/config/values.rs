@@ -3,7 +3,6 @@
 //! The values of options, checked alike on the command line and in a configuration file.
 
 use std::fmt;
-use std::ptr;
 use std::str::FromStr;
 use std::time::Duration;
 
@@ -30,12 +29,10 @@ impl fmt::Debug for Key {
 }
 
 pub(crate) fn chip_names() -> PossibleValuesParser {
-    PossibleValuesParser::new(Chip::all().map(|chip| {
-        // A name of the kernel's driver that is also the name of another chip here is that chip's.
-        let alias = kernel::driver_name(chip)
-            .filter(|name| Chip::by_name(name).is_some_and(|one| ptr::eq(one, chip)));
-        alias.into_iter().fold(PossibleValue::new(chip.name), PossibleValue::alias)
-    }))
+    PossibleValuesParser::new(
+        Chip::all()
+            .map(|chip| kernel::aliases(chip).fold(PossibleValue::new(chip.name), PossibleValue::alias)),
+    )
 }
 
 /// The chips as clap takes them, which lists them in errors and completes them in shells.

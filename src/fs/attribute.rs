@@ -197,7 +197,11 @@ impl Reading<'_> {
         }
         let is_current = matches!(role, Role::CurrentNow | Role::CurrentAvg);
         let value = self.raw(role).filter(|_| snapshot.has_current || !is_current)?;
-        valid(self.chip.register(role)?, value, self.flags().unwrap_or_default())
+        let register = self.chip.register(role)?;
+        let is_ready =
+            |code| self.chip.register_at(code).and_then(|by| snapshot.value(by)).is_some_and(|by| by != 0);
+        register.validity.is_none_or(is_ready).then_some(())?;
+        valid(register, value, self.flags().unwrap_or_default())
     }
 
     fn flags(&self) -> Option<i64> {
@@ -227,7 +231,7 @@ impl Reading<'_> {
 
     fn stored_number(&self, role: Role) -> Option<i64> {
         match self.stored(role)? {
-            Value::Int(number) => Some(number),
+            Value::Int(number) => Some(number).filter(|&number| role.values().hold(number)),
             Value::Float(_) | Value::Text(_) => None,
         }
     }
@@ -237,7 +241,7 @@ impl Reading<'_> {
         if self.chip.stored(Role::Cells).is_none() {
             return Some(1);
         }
-        self.stored_number(Role::Cells).filter(|&cells| cells > 0)
+        self.stored_number(Role::Cells)
     }
 
     /// A number in thousandths of a unit, in millionths of it.
@@ -246,7 +250,7 @@ impl Reading<'_> {
     }
 
     pub(super) fn design_voltage(&self, role: Role) -> Option<i64> {
-        let millivolts = self.stored_number(role).filter(|&millivolts| millivolts > 0)?;
+        let millivolts = self.stored_number(role)?;
         self.scaled(millivolts * self.cells()?, Kind::Voltage)
     }
 
@@ -282,12 +286,12 @@ impl Reading<'_> {
         names.map_or(self.chip.technology, |(_, name)| name)
     }
 
-    /// The resistance that the gauge has measured, in µΩ: only in some of its modes, and 0 before the first pulse.
+    /// The resistance that the gauge has measured, in µΩ, only in some of its modes.
     fn resistance(&self) -> Option<i64> {
         let measures = |primary: &Primary| self.is_in_mode(primary.resistance_modes) == Some(true);
         let milliohms = self.value(Role::InternalResistance).filter(|_| self.primary().is_none_or(measures));
         let ratio = self.scale(Kind::Voltage)? / self.scale(Kind::Current)?;
-        Some(((milliohms.filter(|&milliohms| milliohms > 0)? * 1000) as f64 * ratio).round() as i64)
+        Some(((milliohms? * 1000) as f64 * ratio).round() as i64)
     }
 
     /// The register that `time_to_empty_now` shows. Parts with a single one compute it with the average current; it is
@@ -353,9 +357,9 @@ impl Reading<'_> {
         is_so.then_some(-power)
     }
 
-    /// A register in minutes, of which 65535 means that there is no such time.
+    /// A register in minutes.
     pub(super) fn seconds(&self, role: Role) -> Option<i64> {
-        self.value(role).filter(|&minutes| minutes != 0xffff).map(|minutes| minutes * 60)
+        self.value(role).map(|minutes| minutes * 60)
     }
 
     fn primary(&self) -> Option<&'static Primary> {
@@ -470,11 +474,12 @@ fn pack_voltage(reading: i64, cell: i64, cells: i64) -> i64 {
     if 2 * reading < 3 * cell { reading * cells } else { reading }
 }
 
-/// The value of a register, with the sign that the flags give it; `None` for a 0 that the flags contradict.
-fn valid(register: &Register, value: i64, flags: i64) -> Option<i64> {
+/// The value of a register, with the sign that the flags give it; `None` for a reading that is none, as a 0 that the flags
+/// contradict.
+fn valid(register: &Register, reading: i64, flags: i64) -> Option<i64> {
     let is_set = |mask: u16| mask == 0 || flags & i64::from(mask) != 0;
-    let value = if is_set(register.positive) { value } else { -value };
-    (value != 0 || is_set(register.empty)).then_some(value)
+    let is_value = register.values.hold(reading) && (reading != 0 || is_set(register.empty));
+    is_value.then_some(if is_set(register.positive) { reading } else { -reading })
 }
 
 /// `uevent`: NAME first, then every attribute that the gauge has, all from one poll. The words are the kernel's, with

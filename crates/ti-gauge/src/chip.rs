@@ -30,6 +30,7 @@ mod names;
 mod parameter;
 mod preflight;
 mod recognise;
+mod values;
 
 pub use beliefs::{BELIEFS, Belief};
 pub use calibration::{Calibration, Offset};
@@ -38,6 +39,7 @@ pub use names::{Unnamed, kebab_case, snake_case};
 pub use parameter::{FLAT, Kind, Parameter, Range, Row, Safe, Stays, Subclass};
 pub use preflight::{Learning, Mode, Pack, Preflight, Word};
 pub use recognise::{Limited, Recognised, recognise};
+pub use values::Values;
 
 /// Every chip that has a table, in the order of the README. The others are in [`kernel::GAUGES`].
 pub static CHIPS: &[&Chip] = &[
@@ -299,8 +301,12 @@ pub struct Register {
     pub discharge: bool,
     /// The bit of the flags that is clear while the value is negative, where the register itself has no sign; else 0.
     pub positive: u16,
-    /// The bit of the flags that is set while a reading of 0 is a value; 0 where it always is one.
+    /// The bit of the flags that is set while a reading of 0 is a value; 0 where it needs none.
     pub empty: u16,
+    /// The readings that are values of its property.
+    pub values: Values,
+    /// The register of one byte that is 0 while the reading is not valid.
+    pub validity: Option<u8>,
     /// Names of its bits, if it is a flag word.
     pub bits: &'static [Bit],
 }
@@ -668,6 +674,8 @@ impl Register {
             discharge: false,
             positive: 0,
             empty: 0,
+            values: Values::ALL,
+            validity: None,
             bits: &[],
         }
     }
@@ -676,6 +684,21 @@ impl Register {
     #[must_use]
     pub const fn role(mut self, role: Role) -> Self {
         self.role = Some(role);
+        self.values = role.values();
+        self
+    }
+
+    /// The readings that are values, where they are others than its property's.
+    #[must_use]
+    pub const fn values(mut self, least: i64, greatest: i64, source: &'static str) -> Self {
+        self.values = Values { least, greatest, source };
+        self
+    }
+
+    /// The register that is 0 while the reading is not valid.
+    #[must_use]
+    pub const fn valid_by(mut self, code: u8) -> Self {
+        self.validity = Some(code);
         self
     }
 
@@ -755,10 +778,10 @@ impl Chip {
         CHIPS.iter().copied().chain(kernel::GAUGES.iter().copied())
     }
 
-    /// The chip of that name on the command line, or else of that name in the kernel's driver.
+    /// The chip of that name on the command line, or else of that name in the kernel's driver or in TI's documents.
     pub fn by_name(name: &str) -> Option<&'static Chip> {
         let found = Self::all().find(|chip| chip.name.eq_ignore_ascii_case(name));
-        found.or_else(|| kernel::by_driver_name(name))
+        found.or_else(|| kernel::by_driver_name(name)).or_else(|| kernel::by_whole_name(name))
     }
 
     /// Finds a chip by TI's name for it, as `model_name` shows it: `bq34z100-G1`.

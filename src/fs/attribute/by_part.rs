@@ -125,6 +125,28 @@ impl Source {
     }
 }
 
+/// The readings that are no value of an attribute, and who says so.
+fn absent(chip: &Chip, role: Role, source: &Source) -> Option<(String, &'static str)> {
+    let (values, register) = match source {
+        Source::Register(register) => (register.values, Some(*register)),
+        Source::Stored(..) => (role.values(), None),
+    };
+    let (zero, end) = (values.least == 1, values.greatest);
+    let mut readings: Vec<String> = zero.then(|| "0".into()).into_iter().collect();
+    readings.extend((end < i64::MAX).then(|| match end {
+        0xfffe => "65535".into(),
+        end => format!("above {end}"),
+    }));
+    if let Some(code) = register.and_then(|register| register.validity) {
+        let by = chip.register_at(code).expect("a register").name;
+        readings.push(format!("any while {by}() is 0"));
+    }
+    if register.is_some_and(|register| register.empty != 0) {
+        readings.push("0 without [EDVF]".into());
+    }
+    (!readings.is_empty()).then(|| (readings.join(", "), values.source))
+}
+
 fn divisor(a: i64, b: i64) -> i64 {
     if b == 0 { a } else { divisor(b, a % b) }
 }
@@ -173,6 +195,23 @@ fn tables() -> String {
         assert!(!rows.is_empty(), "{name} follows from nothing");
         for ((from, conversion), chips) in rows {
             writeln!(text, "| `{name}` | {} | {from} | {conversion} |", chips.join(", ")).expect("a string");
+        }
+    }
+    text += "\n| attribute | parts | readings that are no value | by |\n| --- | --- | --- | --- |\n";
+    for (name, roles, ..) in NUMBERS {
+        let mut rows: Vec<((String, &str), Vec<&str>)> = Vec::new();
+        for chip in Chip::all() {
+            let Some((role, source)) = source(chip, roles) else { continue };
+            let Some(absent) = absent(chip, role, &source) else { continue };
+            match rows.iter_mut().find(|(known, _)| *known == absent) {
+                Some((_, chips)) => chips.push(chip.name),
+                None => rows.push((absent, vec![chip.name])),
+            }
+        }
+        let all = Chip::all().filter(|chip| source(chip, roles).is_some()).count();
+        for ((readings, by), chips) in rows {
+            let parts = if chips.len() == all { "all".into() } else { chips.join(", ") };
+            writeln!(text, "| `{name}` | {parts} | {readings} | {by} |").expect("a string");
         }
     }
     text += "\n| part | documents |\n| --- | --- |\n";

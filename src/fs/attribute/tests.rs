@@ -3,14 +3,18 @@
 //! What the attributes of simulated gauges show.
 
 use std::collections::BTreeSet;
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use gauge_bus::clock::Clock;
+use gauge_bus::{Bus, BusError};
 
 use super::by_part::read_places;
 use super::*;
 use gauge_owner::rig::{INTERVAL, Rig};
 use gauge_owner::{Settings, Startup, operations as op};
+use gauge_sim::SimBus;
+use ti_gauge::chip::Tier;
 
 /// What the kernel's ABI lets a battery report (`Documentation/ABI/testing/sysfs-class-power` and
 /// `Documentation/power/power_supply_class.rst`).
@@ -113,6 +117,106 @@ fn names_are_unique() {
     assert!(LISTED_WHILE_GONE.iter().all(|name| names.contains(name)));
 }
 
+/// The register and what it reads, if it is another value than the gauge's.
+type Other = Arc<Mutex<Option<(u8, Vec<u8>)>>>;
+
+/// A bus on which a register reads otherwise.
+struct Reads {
+    bus: SimBus,
+    other: Other,
+}
+
+impl Bus for Reads {
+    fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> std::result::Result<(), BusError> {
+        self.bus.transfer(write, read)?;
+        if let ([first], Some((code, bytes))) = (write, &*self.other.lock().expect("no panic")) {
+            for (at, byte) in bytes.iter().enumerate() {
+                let at = (usize::from(*code) + at).checked_sub(usize::from(*first));
+                if let Some(shown) = at.and_then(|at| read.get_mut(at)) {
+                    *shown = *byte;
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+/// The attributes of a gauge after a poll in which a register has read that.
+fn reading(chip: &Chip, register: &Register, value: i64, name: &str) -> Option<String> {
+    let other = Other::default();
+    let wrap = |bus| Box::new(Reads { bus, other: other.clone() }) as Box<dyn Bus>;
+    let mut rig = Rig::on(chip.name, Settings::default(), Startup::default(), wrap);
+    rig.start().expect("it answers");
+    let bytes = value.to_le_bytes()[..usize::from(register.size)].to_vec();
+    *other.lock().expect("no panic") = Some((register.code, bytes));
+    rig.poll_after(Duration::from_secs(3));
+    show(&rig, name)
+}
+
+/// The attribute that a register alone decides.
+const SHOWN: &[(Role, &str)] = &[
+    (Role::Capacity, "capacity"),
+    (Role::CapacityErrorMargin, "capacity_error_margin"),
+    (Role::ChargeFull, "charge_full"),
+    (Role::VoltageNow, "voltage_now"),
+    (Role::Temp, "temp"),
+    (Role::TimeToEmptyNow, "time_to_empty_now"),
+    (Role::TimeToEmptyAvg, "time_to_empty_avg"),
+    (Role::TimeToFullNow, "time_to_full_now"),
+    (Role::StateOfHealth, "state_of_health"),
+];
+
+#[test]
+fn regression_a_reading_that_is_no_value_was_shown_as_one() {
+    let mut compared = BTreeSet::new();
+    for chip in Chip::all() {
+        for &(role, name) in SHOWN {
+            let Some(register) = chip.register(role).filter(|register| register.tier == Tier::Poll) else {
+                continue;
+            };
+            let (least, greatest) = (register.values.least, register.values.greatest);
+            let greatest = greatest.min((1 << (8 * register.size)) - 1);
+            // A primary cell shows its health in some modes only.
+            if reading(chip, register, greatest, name).is_none() {
+                assert!(chip.condition.primary.is_some(), "{}: {name} {greatest}", chip.name);
+                continue;
+            }
+            for none in [least.max(0) - 1, greatest + 1]
+                .into_iter()
+                .filter(|&one| one >= 0 && one >> (8 * register.size) == 0)
+            {
+                let shown = reading(chip, register, none, name);
+                assert_eq!(shown, None, "{}: {name}, {}() is {none}", chip.name, register.name);
+                compared.insert(name);
+            }
+            if let Some(by) = register.validity.and_then(|code| chip.register_at(code)) {
+                assert_eq!(reading(chip, by, 0, name), None, "{}: {name}", chip.name);
+                assert!(reading(chip, by, 1, name).is_some(), "{}: {name}", chip.name);
+            }
+        }
+    }
+    assert_eq!(compared.len(), SHOWN.len(), "{compared:?}");
+}
+
+/// psutil computes a percentage of 0 where `charge_full` is 0, and takes `capacity` where there is none.
+#[test]
+fn regression_a_full_charge_capacity_of_0_was_a_value() {
+    let chip = Chip::by_name("bq34z100-g1").expect("it has a table");
+    let full = chip.register(Role::ChargeFull).expect("a register");
+    assert_eq!(reading(chip, full, 0, "charge_full"), None);
+    assert!(reading(chip, full, 0, "capacity").is_some());
+    assert!(reading(chip, full, 0, "charge_now").is_some());
+}
+
+#[test]
+fn regression_initcomp_of_a_bq27220_was_not_looked_at() {
+    let chip = Chip::by_name("bq27220").expect("it has a table");
+    let status = chip.register_at(0x3A).expect("OperationStatus()");
+    for (word, is_shown) in [(0x0024, true), (0x0004, false)] {
+        assert_eq!(reading(chip, status, word, "capacity").is_some(), is_shown, "0x{word:04x}");
+    }
+}
+
 /// A simulated gauge that has been identified and polled.
 pub(super) fn open(chip: &str) -> Rig {
     let mut rig = Rig::of(chip, Settings::default(), Startup::default());
@@ -180,7 +284,7 @@ fn without_a_battery_nothing_is_measured() {
 
 #[test]
 fn before_the_first_measurement_no_value_is_shown() {
-    for chip in ["bq34z100-g1", "bq34z100-r2", "bq27441-g1", "bq27520-g3", "bq34110"] {
+    for chip in ["bq34z100-g1", "bq34z100-r2", "bq27441-g1", "bq27520-g3", "bq27220", "bq34110"] {
         let mut rig = open(chip);
         turn(&rig, "first_ms", "3000");
         turn(&rig, "first_values", "nonsense");
@@ -357,8 +461,13 @@ const OF_THE_DRIVER: &[(&[&str], &str)] = &[
     (&["bq27520-g1"], "capacity charge_full charge_full_design charge_now current_now energy_now power_avg temp time_to_empty_avg time_to_empty_now time_to_full_now voltage_now"),
     (&["bq27520-g4"], "capacity charge_full charge_now current_now cycle_count temp time_to_empty_now voltage_now"),
     (&["bq27521"], "current_now temp voltage_now"),
-    (&["bq27530", "bq27531", "bq27545"], "capacity charge_full charge_now current_now cycle_count power_avg temp time_to_empty_now voltage_now"),
-    (&["bq27541", "bq27542", "bq27546", "bq27742"], "capacity charge_full charge_full_design charge_now current_now cycle_count power_avg temp time_to_empty_now voltage_now"),
+    (&["bq27530", "bq27531"], "capacity charge_full charge_now current_now cycle_count power_avg temp time_to_empty_now voltage_now"),
+    // The driver shows no state_of_health.
+    (&["bq27545"], "capacity charge_full charge_now current_now cycle_count power_avg state_of_health temp time_to_empty_now voltage_now"),
+    (&["bq27541", "bq27542"], "capacity charge_full charge_full_design charge_now current_now cycle_count power_avg state_of_health temp time_to_empty_now voltage_now"),
+    // Its power_avg of the bq27546 is another register.
+    (&["bq27546"], "capacity charge_full charge_full_design charge_now current_now cycle_count state_of_health temp time_to_empty_now voltage_now"),
+    (&["bq27742"], "capacity charge_full charge_full_design charge_now current_now cycle_count power_avg temp time_to_empty_now voltage_now"),
     (&["bq27411", "bq27425"], "capacity charge_full charge_full_design charge_now current_now temp voltage_now"),
     (&["bq28z610"], "capacity charge_full charge_full_design charge_now current_now cycle_count power_avg temp time_to_empty_now time_to_full_now voltage_now"),
     // The driver shows a power_avg of theirs; nobody says in which unit it is.

@@ -55,7 +55,7 @@ impl Rig {
     }
 
     /// A gauge on a bus that is wrapped into another one.
-    pub(in crate::owner) fn on(
+    pub fn on(
         chip: &str,
         settings: Settings,
         startup: Startup,

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT
 
 //! The gauges of the kernel's driver of which only the standard commands are known, each with the map that the driver
-//! of Linux 6.12 has for it, behind one battery for all.
+//! of Linux 6.12 has for it, and StateOfHealth() where data sheets have it, behind one battery for all.
 
 use super::flash::Flash;
 use super::gauging::Quantity as Q;
@@ -138,14 +138,16 @@ static BQ27530: &[Row] = &[
 static BQ27541: &[Row] = &[
     (0x06, 2, Q::Temperature), (0x08, 2, Q::Voltage), (0x0A, 2, Q::Flags), (0x0C, 2, Q::NominalRemaining),
     (0x10, 2, Q::Remaining), (0x12, 2, Q::Full), (0x14, 2, Q::AverageCurrent), (0x16, 2, Q::TimeToEmpty),
-    (0x24, 2, Q::AveragePower), (0x2A, 2, Q::CycleCount), (0x2C, 2, Q::Percent), (0x3C, 2, Q::DesignCapacity),
+    (0x24, 2, Q::AveragePower), (0x2A, 2, Q::CycleCount), (0x2C, 2, Q::Percent), (0x2E, 1, Q::Health),
+    (0x2F, 1, Q::HealthStatus), (0x3C, 2, Q::DesignCapacity),
 ];
 
 #[rustfmt::skip]
 static BQ27545: &[Row] = &[
     (0x06, 2, Q::Temperature), (0x08, 2, Q::Voltage), (0x0A, 2, Q::Flags), (0x0C, 2, Q::NominalRemaining),
     (0x10, 2, Q::Remaining), (0x12, 2, Q::Full), (0x14, 2, Q::AverageCurrent), (0x16, 2, Q::TimeToEmpty),
-    (0x24, 2, Q::AveragePower), (0x2A, 2, Q::CycleCount), (0x2C, 2, Q::Percent),
+    (0x24, 2, Q::AveragePower), (0x2A, 2, Q::CycleCount), (0x2C, 2, Q::Percent), (0x2E, 1, Q::Health),
+    (0x2F, 1, Q::HealthStatus),
 ];
 
 #[rustfmt::skip]

@@ -108,7 +108,7 @@ pub(super) static REGISTERS: &[Register] = &[
     Register::new(0x1C, U2, "StateOfCharge", "%", Poll).role(Role::Capacity),
     Register::new(0x1E, U2, "InternalTemperature", "0.1K", Poll),
     // Not in SLUUCD5 but in its revision A: a percentage and what stands behind it.
-    Register::new(0x20, U1, "StateOfHealth", "%", Poll).role(Role::StateOfHealth),
+    Register::new(0x20, U1, "StateOfHealth", "%", Poll).role(Role::StateOfHealth).valid_by(0x21),
     Register::new(0x21, U1, "StateOfHealthStatus", "", Poll),
     Register::new(0x28, U2, "RemainingCapacityUnfiltered", "mAh", Slow),
     Register::new(0x2A, U2, "RemainingCapacityFiltered", "mAh", Slow),

@@ -168,8 +168,8 @@ pub(super) static REGISTERS: &[Register] = &[
     Register::new(0x18, I2, "AveragePower", "mW", Poll).role(Role::PowerAvg),
     Register::new(0x1C, U2, "StateOfCharge", "%", Poll).role(Role::Capacity),
     Register::new(0x1E, U2, "InternalTemperature", "0.1K", Poll),
-    // 4.15: one command of two bytes, a percentage and what stands behind it (3 for learned).
-    Register::new(0x20, U1, "StateOfHealth", "%", Poll).role(Role::StateOfHealth),
+    // 4.15: one command of two bytes, a percentage and what stands behind it (0 for not valid, 3 for learned).
+    Register::new(0x20, U1, "StateOfHealth", "%", Poll).role(Role::StateOfHealth).valid_by(0x21),
     Register::new(0x21, U1, "StateOfHealthStatus", "", Poll),
     Register::new(0x28, U2, "RemainingCapacityUnfiltered", "mAh", Slow),
     Register::new(0x2A, U2, "RemainingCapacityFiltered", "mAh", Slow),

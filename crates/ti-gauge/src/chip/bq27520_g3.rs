@@ -167,7 +167,7 @@ static REGISTERS: &[Register] = &[
     Register::new(0x24, I2, "AveragePower", "mW", Poll).role(Role::PowerAvg),
     Register::new(0x26, U2, "TTEatConstantPower", "min", Poll).role(Role::TimeToEmptyAvg),
     // One command of two bytes, a percentage and what stands behind it.
-    Register::new(0x28, U1, "StateOfHealth", "%", Poll).role(Role::StateOfHealth),
+    Register::new(0x28, U1, "StateOfHealth", "%", Poll).role(Role::StateOfHealth).valid_by(0x29),
     Register::new(0x29, U1, "StateOfHealthStatus", "", Poll),
     Register::new(0x2A, U2, "CycleCount", "Counts", Poll).role(Role::CycleCount),
     Register::new(0x2C, U2, "StateOfCharge", "%", Poll).role(Role::Capacity),

@@ -172,7 +172,9 @@ static REGISTERS: &[Register] = &[
     Register::new(0x16, U2, "ScaledR", "mΩ", Slow),
     Register::new(0x22, U2, "MeasuredZ", "mΩ", Slow).role(Role::InternalResistance),
     Register::new(0x28, U2, "InternalTemperature", "0.1K", Slow),
-    Register::new(0x2E, U1, "StateOfHealth", "%", Poll).role(Role::StateOfHealth),
+    Register::new(0x2E, U1, "StateOfHealth", "%", Poll)
+        .role(Role::StateOfHealth)
+        .values(0, 100, "SLUUBH1C: 0 at the end of service"),
     Register::new(0x3C, U2, "DesignCapacity", "mAh", Static).role(Role::ChargeFullDesign),
     Register::new(0x3E, U2, "ManufacturerAccessControl", "", Window),
     // AuthenticateData() is its first 20 bytes, AuthenticateChecksum() the one at 0x54.

@@ -17,6 +17,10 @@
 //!   may be above `charge_full`.
 //! - `capacity_level` is `Critical` with the final threshold, which is below the first (SLUS914A): the driver asks for the
 //!   first one first, and never says `Critical`. `health` is `Dead` with the final one only.
+//! - `state_of_health` of bq27541, bq27542, bq27545 and bq27546 is in StateOfHealth() at 0x2E, a percentage and a status (the
+//!   data sheets of the bq27541-G1, the bq27545-G1, SLUSAT0E, and the bq27546-G1, SLUSC53). The bq27541-V200 has an impedance
+//!   there (SLUSA11), which reads as not valid. The driver shows no health.
+//! - bq27546 has no `power_avg`: BTPSOC1Set() is at 0x24 of the bq27546-G1 (SLUSC53).
 //! - bq27000 and bq27010: a step of charge is 3.57 µVh (SLUS556), 178.5 µAh with 20 mΩ. The driver rounds it down to 178.
 
 use super::{
@@ -68,6 +72,31 @@ pub static DRIVER: &[(&str, &str)] = &[
     ("bq34z100", "bq34z100-g1"),
     ("bq78z100", "bq78z100"),
 ];
+
+/// TI's whole names of gauges that have the driver's name here.
+static WHOLE: &[(&str, &str)] = &[
+    ("bq27411-g1", "bq27411"),
+    ("bq27530-g1", "bq27530"),
+    ("bq27531-g1", "bq27531"),
+    ("bq27541-g1", "bq27541"),
+    ("bq27542-g1", "bq27542"),
+    ("bq27545-g1", "bq27545"),
+    ("bq27546-g1", "bq27546"),
+    ("bq27742-g1", "bq27742"),
+];
+
+/// The other names of a chip: the driver's, and TI's whole one. One that is the name of another chip is that chip's.
+pub fn aliases(chip: &Chip) -> impl Iterator<Item = &'static str> {
+    let names = DRIVER.iter().chain(WHOLE).filter(|(_, ours)| *ours == chip.name);
+    let alias = names.map(|(name, _)| *name).filter(|name| *name != chip.name);
+    alias.filter(|name| Chip::by_name(name).is_some_and(|one| one.name == chip.name))
+}
+
+/// The chip that TI calls that.
+pub(super) fn by_whole_name(name: &str) -> Option<&'static Chip> {
+    let (_, ours) = WHOLE.iter().find(|(whole, _)| whole.eq_ignore_ascii_case(name))?;
+    Chip::all().find(|chip| chip.name == *ours)
+}
 
 /// The chip that the kernel's driver knows by that name. Its `bq27500` is any part of the family.
 pub fn by_driver_name(name: &str) -> Option<&'static Chip> {
@@ -207,8 +236,8 @@ static BQ27530: Chip = gauge("bq27530", "bq27530", REGISTERS_27530, Utot);
 static BQ27531: Chip = gauge("bq27531", "bq27531", REGISTERS_27530, Utot);
 pub(super) static BQ27541: Chip = gauge("bq27541", "bq27541", REGISTERS_27541, Otdc);
 pub(super) static BQ27542: Chip = gauge("bq27542", "bq27542", REGISTERS_27541, Otdc);
-static BQ27546: Chip = gauge("bq27546", "bq27546", REGISTERS_27541, Otdc);
-pub(super) static BQ27742: Chip = gauge("bq27742", "bq27742", REGISTERS_27541, Otdc);
+static BQ27546: Chip = gauge("bq27546", "bq27546", REGISTERS_27546, Otdc);
+pub(super) static BQ27742: Chip = gauge("bq27742", "bq27742", REGISTERS_27742, Otdc);
 static BQ27545: Chip = gauge("bq27545", "bq27545", REGISTERS_27545, Otdc);
 static BQ27411: Chip = gauge("bq27411", "bq27411", REGISTERS_27411, Utot);
 static BQ27425: Chip = gauge("bq27425", "bq27425", REGISTERS_27411, Utot);
@@ -262,13 +291,25 @@ static REGISTERS_27530: &[Register] = &[
 #[rustfmt::skip]
 static REGISTERS_27541: &[Register] = &[
     temperature(0x06), voltage(0x08), flags(0x0a, Otdc), nominal(0x0c), remaining(0x10), full(0x12), current(0x14),
+    to_empty(0x16), power(0x24), cycles(0x2a), percent(0x2c), health(0x2e), health_status(0x2f), design(0x3c),
+];
+
+#[rustfmt::skip]
+static REGISTERS_27546: &[Register] = &[
+    temperature(0x06), voltage(0x08), flags(0x0a, Otdc), nominal(0x0c), remaining(0x10), full(0x12), current(0x14),
+    to_empty(0x16), cycles(0x2a), percent(0x2c), health(0x2e), health_status(0x2f), design(0x3c),
+];
+
+#[rustfmt::skip]
+static REGISTERS_27742: &[Register] = &[
+    temperature(0x06), voltage(0x08), flags(0x0a, Otdc), nominal(0x0c), remaining(0x10), full(0x12), current(0x14),
     to_empty(0x16), power(0x24), cycles(0x2a), percent(0x2c), design(0x3c),
 ];
 
 #[rustfmt::skip]
 static REGISTERS_27545: &[Register] = &[
     temperature(0x06), voltage(0x08), flags(0x0a, Otdc), nominal(0x0c), remaining(0x10), full(0x12), current(0x14),
-    to_empty(0x16), power(0x24), cycles(0x2a), percent(0x2c),
+    to_empty(0x16), power(0x24), cycles(0x2a), percent(0x2c), health(0x2e), health_status(0x2f),
 ];
 
 #[rustfmt::skip]
@@ -381,6 +422,15 @@ const fn percent(code: u8) -> Register {
     word(code, U(2), "StateOfCharge", "%", Role::Capacity)
 }
 
+/// The low byte of StateOfHealth().
+const fn health(code: u8) -> Register {
+    word(code, U(1), "StateOfHealth", "%", Role::StateOfHealth).valid_by(code + 1)
+}
+
+const fn health_status(code: u8) -> Register {
+    Register::new(code, U(1), "StateOfHealthStatus", "", Tier::Poll)
+}
+
 const fn design(code: u8) -> Register {
     Register::new(code, U(2), "DesignCapacity", "mAh", Tier::Static).role(Role::ChargeFullDesign)
 }
@@ -454,6 +504,16 @@ mod tests {
         }
     }
 
+    #[test]
+    fn a_gauge_has_tis_whole_name_as_well() {
+        for (name, ours) in WHOLE {
+            let chip = Chip::by_name(&name.to_uppercase()).expect("a chip");
+            assert_eq!((chip.name, aliases(chip).any(|alias| alias == *name)), (*ours, true), "{name}");
+        }
+        let others: Vec<_> = Chip::all().flat_map(aliases).collect();
+        assert!(others.iter().all(|name| !Chip::all().any(|chip| chip.name == *name)), "{others:?}");
+    }
+
     /// The registers by which each gauge feeds its attributes, as L612's table has them.
     #[test]
     fn registers_are_in_order_and_feed_each_attribute_once() {
@@ -484,7 +544,7 @@ mod tests {
         assert_eq!(reads("bq27000"), [(0x06, 8), (0x12, 8), (0x22, 10)]);
         assert_eq!(reads("bq27500"), [(0x06, 20), (0x22, 12)]);
         assert_eq!(reads("bq27510-g3"), [(0x06, 28)]);
-        assert_eq!(reads("bq27541"), [(0x06, 18), (0x24, 2), (0x2a, 4)]);
+        assert_eq!(reads("bq27541"), [(0x06, 18), (0x24, 2), (0x2a, 6)]);
         assert_eq!(reads("bq27521"), [(0x08, 8)]);
         assert_eq!(reads("bq27411"), [(0x02, 16), (0x1c, 2)]);
         assert_eq!(reads("bq2750x"), [(0x06, 18), (0x2a, 4)]);
