@@ -68,11 +68,11 @@ pub static CHIP: Chip = Chip {
         seal: 0x0020,
         // TI's advice to owners whose keys were refused; not in the datasheet.
         key_silence: Duration::from_millis(5200),
+        // 7.3.2.16.
+        shown_sealed: &[(1, 58), (4, 59)],
         // Table 7-11 and a real part's image: 36 72 04 14 for keys that are sent as 14 04, 72 36; four
         // different bytes, so there is one way only. 7.3.15.2 has the authentication key at 0x4C, where it
         // would run over the block's end; the table and the image have it at 8.
-        // 7.3.2.16.
-        shown_sealed: &[(1, 58), (4, 59)],
         storage: KeyStorage::Flash(KeyBlock {
             subclass: 112,
             start: 0,
