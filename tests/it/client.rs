@@ -85,7 +85,7 @@ fn a_program_writes_parameters_by_name_with_units_and_all_of_them_or_none() {
     assert_eq!(error.errno(), Some(Errno::ERANGE as i32));
     assert!(error.last_error().is_some_and(|text| text.contains("1000 to 3700 mV")), "{error}");
     let facts = error.facts().expect("the daemon's");
-    assert!(facts.contains(r#""greatest":"3700""#) && facts.contains(r#""place":"80/53""#), "{facts}");
+    assert!(facts.contains(r#""greatest":3700"#) && facts.contains(r#""place":"80/53""#), "{facts}");
     assert_eq!(shown(NAME), "3200 mV");
 
     assert_eq!(gauge.unsettled().expect("it can be asked"), None);

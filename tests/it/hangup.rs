@@ -137,7 +137,7 @@ fn what_shows_and_records_ends_by_a_hangup_and_not_under_nohup() {
     check(&["log", &gauge], &has_said, &nothing);
     check(&["watch", &gauge, "capacity<200"], &has_said, &nothing);
     check(&["learn", &gauge], &has_said, &nothing);
-    check(&["wait", &gauge, "energy_now>1W"], &has_said, &nothing);
+    check(&["wait", &gauge, "energy_now>1Wh"], &has_said, &nothing);
     check(&["metrics", "--listen", "127.0.0.1:0", &at], &|said| said.contains("/metrics"), &nothing);
     let page = folder.file("page");
     let is_written = || Path::new(&page).exists();

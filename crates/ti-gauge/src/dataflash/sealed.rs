@@ -13,8 +13,12 @@ const DATA_FLASH_BLOCK: u8 = 0x3f;
 /// BlockDataChecksum().
 const CHECKSUM: u8 = 0x60;
 
-/// Reads subclasses of a gauge that is SEALED; `None` unless it shows all of them.
+/// Reads subclasses of a gauge that is SEALED; `None` unless it shows all of them. Without any, the access is for what the pack
+/// is known by, which it does not show.
 pub(super) fn read(gauge: &mut Gauge, wanted: &[&'static Subclass]) -> Option<Result<Vec<Vec<u8>>>> {
+    if wanted.is_empty() {
+        return None;
+    }
     let blocks: Vec<_> = wanted.iter().map(|row| shown(gauge.chip, row)).collect::<Option<_>>()?;
     let read = wanted.iter().zip(blocks).map(|(row, block)| {
         let window = block_of(gauge, block).map_err(|error| error.within(row.name).at(Step::ReadBlock))?;
