@@ -853,6 +853,11 @@ fn a_seal_that_stays_owed_is_a_failure_of_umount_and_of_the_daemon() {
         let read = fs::read(file("df/80/53")).map_err(|error| error.raw_os_error());
         assert_eq!(read, Err(Some(nix::libc::ENOTRECOVERABLE)));
         assert_eq!(fs::read_to_string(file("gauge/owed")).expect("readable"), "1\n");
+        // Whoever looks is told.
+        let told = [gaugefs(&["list"]).err, gaugefs(&["doctor"]).out].map(|said| {
+            said.contains(&format!("{at}/BAT0: ")) && said.contains("restoring the sealed state failed")
+        });
+        assert_eq!(told, [true, true]);
     };
     let is_journal = |state: &str| {
         let names = fs::read_dir(folder.file(state)).expect("a folder");

@@ -275,7 +275,7 @@ fn the_system_call_filter_allows_what_a_service_needs_and_no_other_set() {
     systemd.set_read_timeout(Some(PATIENCE)).expect("a limit");
 
     let daemon = as_nobody(&folder, &[]);
-    fs::set_permissions(folder.file(""), fs::Permissions::from_mode(0o777)).expect("its mode");
+    fs::set_permissions(folder.file(""), fs::Permissions::from_mode(0o1777)).expect("its mode");
     let mut traced = Command::new("strace");
     traced.args(["-f", "-qq", "-o", &log, "sh", "-c", "echo $$ >\"$0\"; exec \"$@\"", &pid]);
     traced.arg(daemon.get_program()).args(["mount", "-f", "--service", "--config", &config]);
