@@ -19,7 +19,8 @@ option this command shows what is known: each parameter with its old value, its 
 gauge has now. A change of keys that was interrupted is finished or undone with its two keys, which no
 journal has: this command shows which keys the gauge has, and what to type. What is written is what was shown: if the
 gauge has changed since, nothing is. On a pack that is not the one the write was begun on, --undo and --finish ask for
-its serial number. Exit code 0: nothing to settle, or settled; 1: a decision is needed, or it failed.
+its serial number. Exit code 0: nothing to settle, or settled; 1: a decision is needed, it failed, or there was
+nothing to decide.
 
 Examples:
   gaugefs settle /run/gauges/BAT0             what is there to settle
@@ -31,10 +32,10 @@ Examples:
 pub(super) struct Settle {
     /// Folder of a mounted gauge, such as /run/gauges/BAT0
     gauge: PathBuf,
-    /// Write the old values, verify them and reset the gauge
+    /// Write the old values, verify them and seal the gauge as it was
     #[arg(long, group = "writes", conflicts_with = "discard")]
     undo: bool,
-    /// Write the new values, verify them and reset the gauge
+    /// Write the new values, verify them and seal the gauge as it was
     #[arg(long, group = "writes", conflicts_with = "discard")]
     finish: bool,
     /// Leave data flash as it is; the journal is kept under another name. Without an interrupted write, this puts aside the

@@ -66,9 +66,22 @@ pub(crate) struct Seen {
 impl Seen {
     fn read(gauge: &Gauge) -> Self {
         let (is_owed, error) = (gauge.is_owed(), gauge.last_error().unwrap_or_default());
-        let notes = (is_owed || !error.is_empty()).then_some(error);
+        let facts = gauge.text("gauge/last_error_facts").unwrap_or_default();
+        let error = if is_owed || !is_mistake(&facts) { Some(error) } else { standing(&error) };
+        let notes = error.filter(|error| is_owed || !error.is_empty());
         Self { listed: Listed::read(gauge), notes: notes.into_iter().collect(), is_owed }
     }
+}
+
+/// Whether an error is about what somebody has typed, which says nothing of the gauge.
+fn is_mistake(facts: &str) -> bool {
+    let facts: serde_json::Value = serde_json::from_str(facts).unwrap_or_default();
+    ["EINVAL", "ERANGE", "ENOENT", "EFBIG"].iter().any(|errno| facts["errno"] == *errno)
+}
+
+/// What `gauge/last_error` says of the gauge behind its last error.
+fn standing(error: &str) -> Option<String> {
+    error.split_once("; since ").map(|(_, since)| format!("since {since}"))
 }
 
 /// A mounted gauge at its last poll.
@@ -315,5 +328,21 @@ mod tests {
         let wait = waits(&status("S (sleeping)", 1));
         assert!(wait.is_some() && wait == waits(&status("S (sleeping)", 1)));
         assert_ne!(wait, waits(&status("D (disk sleep)", 2)));
+    }
+
+    #[test]
+    fn what_somebody_has_typed_is_no_trouble_of_the_gauge() {
+        for (facts, is_typed) in [
+            (r#"{"cause":"out-of-range","errno":"ERANGE","greatest":3700}"#, true),
+            (r#"{"cause":"io","errno":"ENOENT"}"#, true),
+            (r#"{"cause":"no-answer","errno":"ENXIO"}"#, false),
+            ("", false),
+        ] {
+            assert_eq!(is_mistake(facts), is_typed, "{facts}");
+        }
+        let both =
+            "2026-11-22T05:40:12Z: no such parameter; since 2026-11-22T05:39:10Z: Voltage() stays 0 mV";
+        assert_eq!(standing(both).as_deref(), Some("since 2026-11-22T05:39:10Z: Voltage() stays 0 mV"));
+        assert_eq!(standing("2026-11-22T05:40:12Z: no such parameter"), None);
     }
 }

@@ -14,6 +14,7 @@ use gauge_bus::clock::{Clock, RealClock};
 use gauge_bus::regular::Replace;
 use nix::errno::Errno;
 
+use gaugefs_client::Gauge;
 use gaugefs_client::follow;
 use gaugefs_client::mounts;
 use gaugefs_host::error::{Error, Result};
@@ -141,6 +142,9 @@ struct Reader {
 impl Reader {
     fn new(mountpoints: Vec<PathBuf>, expect: &[PathBuf], all: bool) -> Arc<Self> {
         let expected = expect.iter().map(|word| expected::named(word)).collect();
+        // Whoever gives the name of a gauge means its folder.
+        let named = |path: PathBuf| Gauge::named(&path).unwrap_or(path);
+        let mountpoints = mountpoints.into_iter().map(named).collect();
         Arc::new(Self { mountpoints, expected, all, threads: Mutex::default() })
     }
 

@@ -69,6 +69,16 @@ impl Chip {
         text::with_parts(name, names)
     }
 
+    /// The parameter with the most words, at least two, that all stand in a name: another part may have a longer one.
+    fn within(&self, name: &str) -> Option<Row> {
+        const LONGEST: usize = 64;
+        let words = |name: &str| kebab_case(name).split('-').map(String::from).collect::<Vec<_>>();
+        let given = if name.len() > LONGEST { Vec::new() } else { words(name) };
+        let rows = self.rows().map(|row| (words(row.1.name), row));
+        let found = rows.filter(|(own, _)| own.len() > 1 && own.iter().all(|word| given.contains(word)));
+        found.max_by_key(|(own, _)| own.len()).map(|(_, row)| row)
+    }
+
     /// The parameter that was probably meant: at the nearest place in the same subclass, with a name that has all parts of
     /// this one, or with one that is much like it.
     pub fn nearest(&self, name: &str) -> Option<Row> {
@@ -78,7 +88,7 @@ impl Chip {
             let near = self.rows().filter(|(subclass, _)| subclass.id == id);
             return near.min_by_key(|(_, row)| row.offset.abs_diff(at));
         }
-        if let Some(row) = self.with_parts(name).into_iter().next() {
+        if let Some(row) = self.with_parts(name).into_iter().next().or_else(|| self.within(own)) {
             return Some(row);
         }
         let (own, whole) = (kebab_case(own), format!("{}/{}", kebab_case(class), kebab_case(own)));
@@ -206,5 +216,14 @@ mod tests {
         assert_eq!(kebab_case("TCA Set %"), "tca-set-pct");
         assert_eq!(kebab_case("IT Cfg"), "it-cfg");
         assert_eq!(kebab_case("Cell Charge Voltage T1-T2"), "cell-charge-voltage-t1-t2");
+    }
+
+    #[test]
+    fn a_longer_name_of_another_part_means_the_one_that_it_has_the_words_of() {
+        let chip = Chip::by_name("bq27441-g1").expect("it has a table");
+        let near = |name: &str| chip.nearest(name).map(|row| chip.name_of(row));
+        assert_eq!(near("cell-terminate-voltage").as_deref(), Some("state/terminate-voltage"));
+        assert_eq!(near("it-cfg/cell-terminate-voltage").as_deref(), Some("state/terminate-voltage"));
+        assert_eq!(near(&"voltage-".repeat(5000)), None);
     }
 }

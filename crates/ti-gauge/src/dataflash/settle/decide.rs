@@ -71,6 +71,7 @@ impl DataFlash {
                     }
                     None => format!("{name} is not what it was then: this is another pack\n"),
                 };
+                text += "Connect the pack that it was begun on again, and the write is settled by itself.\n";
             }
             let blocks = seen.iter().map(|seen| seen.stored).collect();
             text += &table(gauge.chip, &seen);
