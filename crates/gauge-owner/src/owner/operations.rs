@@ -150,7 +150,10 @@ impl Owner {
     }
 
     fn send(&mut self, code: u16, _: Asked) -> Result<()> {
-        let outcome = self.settled_first().and_then(|()| Ok(self.gauge.ask(code)?));
+        let outcome = self
+            .settled_first()
+            .and_then(|()| self.check_takes(code))
+            .and_then(|()| Ok(self.gauge.ask(code)?));
         self.publish_seal();
         // Until then whoever has asked before can read the answer, which says what it answers.
         let answer =
@@ -198,6 +201,18 @@ impl Owner {
             self.poll_on_time();
         }
         Ok(())
+    }
+
+    /// Checks that the gauge takes a subcommand: one that is SEALED answers others, and does nothing.
+    fn check_takes(&mut self, code: u16) -> Result<()> {
+        let all = self.gauge.chip.subcommands;
+        let Some(subcommand) = all.iter().find(|one| one.code == code && !one.sealed) else { return Ok(()) };
+        if self.gauge.seal_anew()? != Seal::Sealed {
+            return Ok(());
+        }
+        let why = "a SEALED gauge does not take it, so it was not sent; write `unsealed` to gauge/seal before, and `sealed` \
+                   afterwards";
+        Err(Error::new(subcommand.name, Cause::NotPermitted, why))
     }
 
     /// Pays what is owed to the gauge. Until then no subcommand is sent: it would go to a gauge of which nobody knows
@@ -556,6 +571,19 @@ mod tests {
         refused(&mut rig, Duration::ZERO, |error| matches!(error.cause(), Cause::Gone));
         rig.owner.open().expect("it reads like a gauge");
         rig.ask(&CONTROL, 0x0002).expect("it is one");
+    }
+
+    #[test]
+    fn regression_a_subcommand_that_a_sealed_gauge_ignores_was_a_success() {
+        let mut rig = Rig::open();
+        let it_enable = 0x0021;
+        let error = rig.ask(&CONTROL, it_enable).expect_err("it is SEALED");
+        assert!(matches!(error.cause(), Cause::NotPermitted), "{error}");
+        assert!(error.to_string().starts_with("IT_ENABLE: a SEALED gauge"), "{error}");
+        rig.ask(&CONTROL, 0x0008).expect("CHEM_ID is taken by any");
+        rig.ask(&SEAL, Seal::Unsealed).expect("the default key");
+        rig.ask(&CONTROL, it_enable).expect("it is UNSEALED");
+        assert_eq!(rig.handle.published().control().map(|(code, _)| code), Some(it_enable));
     }
 
     /// What is committed waits in the queue.
