@@ -40,12 +40,19 @@ pub(super) fn wanted(chip: &'static Chip, assignments: &[Assignment]) -> Result<
 }
 
 /// The words of a command line: gauges first, then what is done with each. A word is a gauge if it is a path, with `/` or
-/// `.` at its beginning or of a folder that is there, or the name of a mounted gauge. Behind a path, no mount is searched for
+/// `.` at its beginning or of a folder that is there or in a mount whose daemon is gone, or the name of a mounted gauge. Behind a path, no mount is searched for
 /// names: another one that hangs would delay the command.
 pub(super) fn split(words: Vec<OsString>) -> Result<(Vec<PathBuf>, Vec<String>)> {
+    let is_folder = |word: &OsString| match std::fs::metadata(word) {
+        Ok(status) => status.is_dir(),
+        Err(error) => {
+            let errno = error.raw_os_error().map(Errno::from_raw);
+            matches!(errno, Some(Errno::ENOTCONN | Errno::ECONNABORTED))
+        }
+    };
     let is_path = |word: &OsString| {
         let text = word.to_string_lossy();
-        text.starts_with(['/', '.']) || (!text.contains('=') && PathBuf::from(word).is_dir())
+        text.starts_with(['/', '.']) || (!text.contains('=') && is_folder(word))
     };
     // One of several of that name is refused where it is opened.
     let is_named = |word: &OsString| {

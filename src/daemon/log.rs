@@ -129,8 +129,8 @@ struct Counting {
 impl Counting {
     fn write(&self, lines: Vec<(Level, String)>) {
         for (level, line) in lines {
-            let text = format_args!("{line}");
-            self.logger.log(&Record::builder().level(level).target("gaugefs").args(text).build());
+            self.logger
+                .log(&Record::builder().level(level).target("gaugefs").args(format_args!("{line}")).build());
         }
     }
 }

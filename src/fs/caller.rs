@@ -2,6 +2,7 @@
 
 //! Who writes: an open file, and the process that has called write(2).
 
+use std::fs;
 use std::path::Path;
 
 use gauge_bus::regular;
@@ -33,7 +34,13 @@ impl Process {
 
     /// Whether it runs no more.
     pub(super) fn has_ended(self) -> bool {
-        state(self.id).is_none_or(|(state, start)| start != self.start || matches!(state, 'Z' | 'X'))
+        // Its first thread may end before the others.
+        let others = || {
+            let threads = fs::read_dir(Path::new("/proc").join(self.id.to_string()).join("task"));
+            threads.is_ok_and(|threads| threads.flatten().count() > 1)
+        };
+        state(self.id)
+            .is_none_or(|(state, start)| start != self.start || matches!(state, 'Z' | 'X') && !others())
     }
 
     /// A process that a test knows by a number, and no other.

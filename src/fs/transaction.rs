@@ -343,6 +343,10 @@ impl State {
         let is_own = self.is_own(caller);
         if self.open.is_some() && !is_own {
             let error = occupied();
+            // A program that loses a line goes on, as a shell does, and must not commit the rest.
+            if self.is_of_process(caller) && !begins(data) {
+                self.spoiled = self.spoiled.take().or_else(|| Some(error.clone()));
+            }
             self.refuse(caller.file, &error);
             return Err(error);
         }
@@ -735,7 +739,9 @@ mod tests {
             let is_new = !self.begun.contains(&file) && !self.refused.contains(&file);
             let joins = is_new && truth.file.is_none() && process.is_some() && process == truth.process;
             let is_own = !self.refused.contains(&file) && (truth.file == Some(file) || joins);
-            let is_refused = self.refused.contains(&file) || truth.is_open && !is_own;
+            let was_refused = self.refused.contains(&file);
+            let is_refused = was_refused || truth.is_open && !is_own;
+            let is_lost = !was_refused && is_refused && !matches!(does, Does::Begin);
             self.values += 1;
             let value = 3000 + self.values % 500;
             let (line, accepted) = match does {
@@ -761,6 +767,7 @@ mod tests {
                 truth.file = Some(file);
                 self.begun.insert(file);
             }
+            truth.is_spoiled |= is_lost && process.is_some() && process == truth.process;
             match does {
                 _ if is_refused => drop(self.refused.insert(file)),
                 Does::Begin if is_accepted => {

@@ -6,12 +6,12 @@
 //! that a notification needs. A request that needs the gauge keeps its reply object, which is answered from
 //! the thread of the gauge's owner.
 
+use std::collections::HashSet;
 use std::ffi::OsStr;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::Sender;
-use std::sync::{Arc, MutexGuard};
+use std::sync::{Arc, Mutex, MutexGuard};
 use std::thread;
 use std::time::{Duration, Instant, SystemTime};
 
@@ -75,8 +75,8 @@ pub(super) struct Adapter {
     pub(super) table: Arc<Table>,
     pub(super) options: Options,
     pub(super) announcer: Announcer,
-    /// A write waits for the end of an open file.
-    pub(super) waits: Arc<AtomicBool>,
+    /// The files to which a write waits for the end of an open file.
+    pub(super) waits: Arc<Mutex<HashSet<u32>>>,
     /// Disconnects when the session has ended and drops its adapter.
     pub(super) _alive: Sender<()>,
 }
@@ -189,7 +189,8 @@ impl Adapter {
         reply: ReplyWrite,
     ) {
         // One at a time: whoever has several open files in use at once waits for none of them.
-        if !self.fs.awaits_close(node, caller) || self.waits.swap(true, Ordering::SeqCst) {
+        let place = node.place();
+        if !self.fs.awaits_close(node, caller) || !lock(&self.waits).insert(place) {
             return self.begin_write(number, node, caller, offset, data, reply);
         }
         let (adapter, data, until) = (self.clone(), data.to_vec(), Instant::now() + CLOSES);
@@ -197,13 +198,13 @@ impl Adapter {
             while adapter.fs.awaits_close(node, caller) && Instant::now() < until {
                 thread::sleep(Duration::from_millis(1));
             }
-            adapter.waits.store(false, Ordering::SeqCst);
+            lock(&adapter.waits).remove(&place);
             adapter.begin_write(number, node, caller, offset, &data, reply);
         };
         // If there can be no thread, the reply is dropped, which answers EIO.
         let started = thread::Builder::new().name("write".into()).stack_size(128 * 1024).spawn(later);
         if started.is_err() {
-            self.waits.store(false, Ordering::SeqCst);
+            lock(&self.waits).remove(&place);
         }
     }
 
@@ -293,7 +294,7 @@ impl Arrival {
         if let Err(error) = read
             && !waiting.iter().any(is_read)
         {
-            inodes.refuse(self.number, errno(error));
+            inodes.refuse(self.number, errno(error), Now::read());
         }
         drop(inodes);
         for waiter in waiting {
@@ -436,7 +437,7 @@ impl Filesystem for Adapter {
                 if handle.is_none() {
                     return self.answer_when_read(inodes, number, Waiter::SizeOfOpen(reply));
                 }
-                return match inodes.take_refusal(number) {
+                return match inodes.take_refusal(number, now) {
                     Some(errno) => reply.error(errno),
                     None => self.answer_when_read(inodes, number, Waiter::SizeToRead(reply)),
                 };
@@ -549,7 +550,7 @@ impl Filesystem for Adapter {
                 Value::Gone => return reply.error(Errno::ENODEV),
                 Value::Unread(_) => {}
             }
-            match inodes.take_refusal(number) {
+            match inodes.take_refusal(number, Now::read()) {
                 Some(errno) => reply.error(errno),
                 None => self.answer_when_read(inodes, number, Waiter::Read { offset, size, reply }),
             }

@@ -115,6 +115,9 @@ pub(super) enum Sharing {
     All,
 }
 
+/// How soon a program reads on after an `fstat` that has failed.
+const FOLLOWS: Duration = Duration::from_secs(1);
+
 /// One nodeid. `W` is a request that waits for the value.
 #[derive(Debug)]
 pub(super) struct Inode<W> {
@@ -136,7 +139,7 @@ pub(super) struct Inode<W> {
     /// How often its attributes were asked for since it was looked up; `None` once it was opened to be overwritten.
     looks: Option<u32>,
     /// The errno of a value that `fstat` asked for, until a read has got it as well.
-    refusal: Option<Errno>,
+    refusal: Option<(Errno, Instant)>,
     /// When something was last asked of it.
     used: Instant,
     /// The kernel has been given the whole value.
@@ -453,15 +456,16 @@ impl<W> Inodes<W> {
 
     /// Keeps the errno of a value that only `fstat` has asked for. Many programs read on after an `fstat` that fails, and would
     /// not hear of a gauge that stays open.
-    pub(super) fn refuse(&mut self, number: u64, errno: Errno) {
+    pub(super) fn refuse(&mut self, number: u64, errno: Errno, now: Now) {
         if let Some(inode) = self.live.get_mut(&number) {
-            inode.refusal = Some(errno);
+            inode.refusal = Some((errno, now.instant));
         }
     }
 
-    /// The errno for a read, once.
-    pub(super) fn take_refusal(&mut self, number: u64) -> Option<Errno> {
-        self.live.get_mut(&number)?.refusal.take()
+    /// The errno for a read, once, and only for one that follows on the `fstat`.
+    pub(super) fn take_refusal(&mut self, number: u64, now: Now) -> Option<Errno> {
+        let (errno, since) = self.live.get_mut(&number)?.refusal.take()?;
+        (now.instant.saturating_duration_since(since) < FOLLOWS).then_some(errno)
     }
 
     /// A nodeid is to be overwritten.

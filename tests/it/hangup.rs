@@ -13,7 +13,9 @@ use nix::pty::{Winsize, openpty};
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 
-use crate::room::{CHIP, Folder, Foreground, can_mount};
+#[cfg(feature = "screen")]
+use crate::room::Foreground;
+use crate::room::{CHIP, Folder, can_mount};
 
 /// Far longer than anything takes on an idle machine.
 const LONG: Duration = Duration::from_secs(120);
@@ -105,6 +107,7 @@ fn check(arguments: &[&str], is_at_work: &dyn Fn(&str) -> bool, remains: &dyn Fn
     assert_eq!(run(true, Signal::SIGTERM), usual, "{arguments:?} under nohup");
 }
 
+#[cfg(feature = "screen")]
 fn nothing() -> bool {
     false
 }

@@ -787,7 +787,7 @@ fn a_write_waits_for_the_end_of_the_open_file_before_it_only() {
     assert!(!waits(own(2)));
     assert_eq!(tree.writes(own(2), FILE, "80/53 3100\n"), Ok(()));
     assert!(waits(own(4)), "the second one goes on with it");
-    assert_eq!(tree.writes(own(2), FILE, "commit\n"), Ok(()));
+    assert_eq!(tree.writes(own(2), FILE, "commit\n"), Err(Errno::EBUSY), "a line of this process is lost");
     assert!(!waits(own(4)), "it has ended");
     assert_eq!(tree.writes(unseen(5), FILE, "begin\n"), Ok(()));
     assert!(!waits(unseen(6)), "it may be anybody");
