@@ -33,6 +33,10 @@ impl Umount {
         for line in &done.owed {
             say(format_args!("{line}"));
         }
+        if !done.owed.is_empty() {
+            let at = self.mountpoint.display();
+            say(format_args!("{at}: it is unmounted now; what is to be typed needs it mounted again"));
+        }
         if let Some(why) = &done.elsewhere {
             say(format_args!(
                 "{}: unmounted here, but its daemon keeps running: {why}",

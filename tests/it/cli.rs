@@ -873,6 +873,7 @@ fn a_seal_that_stays_owed_is_a_failure_of_umount_and_of_the_daemon() {
         "{}",
         ran.err
     );
+    assert!(ran.err.contains("it is unmounted now"), "{}", ran.err);
     assert!(!gaugefs_client::mounts::is_gaugefs(Path::new(&at)), "it is unmounted all the same");
     assert!(is_journal("first"), "the next start finds it");
     // At once, while the daemon still tries to pay: the next one was refused for some seconds.
