@@ -2,7 +2,6 @@
 
 //! A simulated gauge that the test's own process mounts.
 
-use std::ffi::c_void;
 use std::fs::{self, OpenOptions};
 use std::io::Write;
 use std::os::fd::OwnedFd;
@@ -227,18 +226,35 @@ pub(crate) fn quiet(chip: &str) -> Option<Mount> {
 }
 
 /// The bytes of a file as a private mapping shows them; the kernel copies them, because touching a page that cannot be
-/// read would end the test with SIGBUS.
+/// read would end the process with SIGBUS. It is a process of its own: while the kernel fetches a page, no thread of that
+/// process gets memory, and the daemon that is to answer is one of the test's threads.
 pub(crate) fn mapped(fd: &OwnedFd, pipe: &(OwnedFd, OwnedFd)) -> rustix::io::Result<Vec<u8>> {
-    use rustix::mm::{MapFlags, ProtFlags, mmap, munmap};
+    use nix::sys::wait::{WaitStatus, waitpid};
+    use nix::unistd::{ForkResult, fork};
+    use rustix::mm::{MapFlags, ProtFlags, mmap};
     const LENGTH: usize = 4096;
-    #[allow(unsafe_code, reason = "a mapping of its own, read by the kernel only and unmapped here")]
-    let copied = unsafe {
-        let at: *mut c_void = mmap(std::ptr::null_mut(), LENGTH, ProtFlags::READ, MapFlags::PRIVATE, fd, 0)?;
-        let copied = rustix::io::write(&pipe.1, std::slice::from_raw_parts(at.cast::<u8>(), LENGTH));
-        munmap(at, LENGTH)?;
-        copied?
+    #[allow(
+        unsafe_code,
+        reason = "the child makes three system calls and ends; the kernel alone reads its mapping"
+    )]
+    let child = unsafe {
+        match fork().expect("a process") {
+            ForkResult::Parent { child } => child,
+            ForkResult::Child => {
+                let at = mmap(std::ptr::null_mut(), LENGTH, ProtFlags::READ, MapFlags::PRIVATE, fd, 0);
+                let copied = at.and_then(|at| {
+                    rustix::io::write(&pipe.1, std::slice::from_raw_parts(at.cast::<u8>(), LENGTH))
+                });
+                nix::libc::_exit(copied.map_or_else(|error| error.raw_os_error(), |_| 0))
+            }
+        }
     };
-    let mut bytes = vec![0; copied];
+    match waitpid(child, None) {
+        Ok(WaitStatus::Exited(_, 0)) => {}
+        Ok(WaitStatus::Exited(_, errno)) => return Err(rustix::io::Errno::from_raw_os_error(errno)),
+        other => panic!("{other:?}"),
+    }
+    let mut bytes = vec![0; LENGTH];
     let count = rustix::io::read(&pipe.0, &mut bytes[..])?;
     bytes.truncate(count);
     Ok(bytes)
