@@ -8,7 +8,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use gauge_bus::clock::Clock;
-use gauge_sim::{Options, Sim, SimBus};
+use gauge_sim::{Level, Options, Sim, SimBus};
 
 /// Real time, so that the guest sees real waits, and jumps, so that a battery need not be waited for.
 #[derive(Debug)]
@@ -63,7 +63,9 @@ impl Gauge {
     pub(crate) fn new(chip: &str) -> Result<Self, String> {
         let clock = Arc::new(BenchClock::new());
         let time: Arc<dyn Clock> = clock.clone();
-        let sim = Sim::new(chip, &Options::default(), time).map_err(|error| error.to_string())?;
+        // A mount has to leave each part as it was found.
+        let options = Options { seal: Some(Level::Sealed), ..Options::default() };
+        let sim = Sim::new(chip, &options, time).map_err(|error| error.to_string())?;
         sim.keep_log(true);
         Ok(Self { bus: sim.bus(), sim, clock })
     }
