@@ -35,7 +35,7 @@ impl Umount {
         }
         if !done.owed.is_empty() {
             let at = self.mountpoint.display();
-            say(format_args!("{at}: it is unmounted now; what is to be typed needs it mounted again"));
+            say(format_args!("{at}: it is unmounted now; what is owed is settled when it is mounted again"));
         }
         if let Some(why) = &done.elsewhere {
             say(format_args!(

@@ -279,7 +279,10 @@ fn what_gaugefs_writes_is_never_a_link_or_a_fifo() {
         // The gauge can be read, and is not written while its journal cannot be.
         fs::write(format!("{at}/BAT0/df/80/53"), "3100\n").expect_err("no journal can be written");
         // Whether something is owed cannot be known.
-        gaugefs(&["umount", &at]).failed(&[&journal, "not a regular file"]);
+        let ran = gaugefs(&["umount", &at]);
+        assert_eq!((ran.code, ran.out.as_str()), (Some(1), ""), "{}", ran.err);
+        let words = [journal.as_str(), "not a regular file", "it is unmounted now"];
+        assert!(words.iter().all(|word| ran.err.contains(word)), "{}", ran.err);
     }
     assert_eq!(fs::read_to_string(&target).expect("a file"), "mine\n");
 }
