@@ -1,0 +1,282 @@
+// SPDX-License-Identifier: MIT
+
+//! From one seal state to another: keys, RESET and SEALED.
+
+use super::presence::Moment;
+use super::seal::SEAL_POLL;
+use super::state::Seal;
+use super::statistics::Statistics;
+use super::{CONTROL, Gauge, RESET};
+use crate::chip::Scheme;
+use crate::error::{Cause, Error, Reason, Result, Step};
+use crate::keys::{Name, Secret, wipe_words};
+
+/// Factory default of the full-access key, the same for every part that has one.
+pub const DEFAULT_FULL_ACCESS: [u16; 2] = [0xffff; 2];
+
+/// Times that SEALED is sent. A frame may be lost, and I2C has no error detection.
+const SEALS: u32 = 4;
+
+impl Gauge {
+    /// Goes from SEALED to UNSEALED and confirms it.
+    ///
+    /// The two words are sent with nothing in between. If the gauge stays SEALED they are sent once more after a
+    /// pause, as TI advises, and then never again: a refused key is not sent in a loop. Two cases are no refusal
+    /// of the key: the gauge has accepted it before, or a transfer failed in between.
+    pub fn unseal(&mut self) -> Result<()> {
+        let file = self.key_file.to_string();
+        let refuse = |reason| Error::of(self.chip.model, reason).at(Step::Unseal);
+        let refused = |what: &str| {
+            let what = format!("{what}; put the right one into {file} and mount again");
+            refuse(Reason::KeyRefused { key: Name::Unseal.as_str(), what })
+        };
+        let Some(key) = self.key(Name::Unseal) else {
+            let before = "SEALED, and no key is given";
+            return Err(refuse(Reason::NoKey { key: Name::Unseal.as_str(), before, file }));
+        };
+        if self.refused {
+            return Err(refused("SEALED, and the key was refused before"));
+        }
+        let failures = self.failures;
+        if self.takes(&key, Seal::Unsealed)? {
+            return Ok(());
+        }
+        if self.proven.is_some() || self.failures != failures {
+            let why = "SEALED, and the gauge did not take its key, twice: the bus is disturbed; try again";
+            return Err(Error::new(self.chip.model, Cause::NotNow, why).at(Step::Unseal));
+        }
+        self.refused = true;
+        Err(refused("SEALED, and the gauge refused the key"))
+    }
+
+    /// Whether the gauge that is there is known to have the unseal key: it has accepted it, and nothing has happened
+    /// since behind which it could have been exchanged.
+    pub fn key_is_proven(&self) -> bool {
+        self.proven.is_some_and(|moment| self.is_unbroken_since(moment))
+    }
+
+    /// Whether the unseal key was accepted since the gauge arrived, or by one that was exchanged unnoticed.
+    pub(crate) fn key_has_worked(&self) -> bool {
+        self.proven.is_some() || self.opened.is_some()
+    }
+
+    /// Notes that the gauge is known to have the unseal key, though it has not been used.
+    pub fn prove_key(&mut self) {
+        self.proven = Some(self.moment());
+    }
+
+    /// Notes that the gauge is certainly open: it has shown data flash, or two looks agree. If a key has opened it, that
+    /// key is right.
+    pub fn note_open(&mut self) {
+        self.proven = self.opened.or(self.proven);
+    }
+
+    /// Whether the gauge that is there was opened with the unseal key, so that it may be sealed again.
+    pub(crate) fn was_opened(&self) -> bool {
+        self.opened.into_iter().chain(self.proven).any(|moment| self.is_unbroken_since(moment))
+    }
+
+    /// Goes from UNSEALED to FULL ACCESS and confirms it.
+    pub fn full_access(&mut self) -> Result<()> {
+        let refuse = |reason| Error::of(self.chip.model, reason).at(Step::Unseal);
+        if !self.chip.security.full_access {
+            return Err(refuse(Reason::Text(Cause::NotPermitted, "this part has no FULL ACCESS".into())));
+        }
+        let name = Name::FullAccess.as_str();
+        let Some(key) = self.key(Name::FullAccess) else {
+            let before = "no full-access key is given";
+            return Err(refuse(Reason::NoKey { key: name, before, file: self.key_file.to_string() }));
+        };
+        if self.takes(&key, Seal::FullAccess)? {
+            return Ok(());
+        }
+        Err(refuse(Reason::KeyRefused { key: name, what: "the gauge refused the full-access key".into() }))
+    }
+
+    /// Sends a key, once more after a pause if it was refused, and returns whether the state followed.
+    pub fn takes(&mut self, key: &Secret, goal: Seal) -> Result<bool> {
+        if goal == Seal::Unsealed && self.make_ready().is_ok() && self.agreed != Some(self.moment()) {
+            // Another gauge may have come since the state was looked at.
+            let now = self.seal_anew()?;
+            if now != Seal::Sealed {
+                return Ok(now == goal);
+            }
+        }
+        if self.try_key(key, goal)? {
+            return Ok(true);
+        }
+        let silence = self.chip.security.key_silence;
+        if self.deadline.is_some_and(|deadline| self.clock.now() + silence >= deadline) {
+            let why = "the gauge did not take the key, and no time is left to send it once more; try again";
+            return Err(Error::new(self.chip.model, Cause::TimedOut, why).at(Step::Unseal));
+        }
+        self.wait(silence);
+        if goal == Seal::Unsealed {
+            // So long nobody has looked.
+            self.lose_sight();
+        }
+        self.try_key(key, goal)
+    }
+
+    /// Sends both words of a key and returns whether the state followed.
+    pub fn try_key(&mut self, key: &Secret, goal: Seal) -> Result<bool> {
+        let moment = self.moment();
+        self.set_secret(true);
+        // A word that was not acknowledged is sent again at once: nothing may come between the two.
+        let mut send = |word: &[u8]| self.again(|gauge| gauge.write_once(CONTROL, &[word[1], word[0]]));
+        let sent = key.bytes().chunks_exact(2).try_for_each(&mut send);
+        wipe_words();
+        self.set_secret(false);
+        // A word that was not acknowledged counts as a refused key; the state read below shows it.
+        if let Err(bus) = sent
+            && !bus.is_transient()
+        {
+            return Err(Error::bus(self.chip.model, bus).at(Step::Unseal));
+        }
+        self.commands(goal);
+        // A key that is sent too early is refused, for FULL ACCESS and on a gauge with RAM, so a single misread state
+        // could look like success: two looks must agree. Elsewhere one does, because only an open gauge echoes the
+        // selection of the block that is read next.
+        let is_echoed = goal == Seal::Unsealed && self.chip.access.scheme == Scheme::Block;
+        self.seen = is_echoed.then_some(goal);
+        let state = self.seal().map_err(|error| error.at(Step::Unseal))?;
+        // Another gauge may have been open already.
+        if state == goal && goal == Seal::Unsealed && self.is_unbroken_since(moment) {
+            self.opened = Some(moment);
+        }
+        Ok(state == goal)
+    }
+
+    /// Goes to a seal state from whatever state the gauge is in, and confirms it.
+    pub fn go_to(&mut self, goal: Seal) -> Result<()> {
+        let now = self.seal_anew()?;
+        self.go(now, goal)?;
+        if goal == Seal::Sealed {
+            return Ok(());
+        }
+        let now = self.seal_anew()?;
+        if now == goal {
+            self.note_open();
+            return Ok(());
+        }
+        let why = format!("the gauge is {} again: it has been reset or has lost its power", now.as_str());
+        Err(Error::new(self.chip.model, Cause::NotNow, why).at(Step::Unseal))
+    }
+
+    /// Goes to a seal state from the state `now`, and confirms it.
+    pub fn go(&mut self, now: Seal, goal: Seal) -> Result<()> {
+        match (now, goal) {
+            (now, goal) if now == goal => Ok(()),
+            (_, Seal::Sealed) => self.close(),
+            (Seal::Sealed, Seal::Unsealed) => self.unseal(),
+            (Seal::Sealed, Seal::FullAccess) => self.unseal().and_then(|()| self.full_access()),
+            (_, Seal::FullAccess) => self.full_access(),
+            // UNSEALED is reached from FULL ACCESS only through SEALED.
+            (_, Seal::Unsealed) => self.go(now, Seal::Sealed).and_then(|()| self.unseal()),
+        }
+    }
+
+    /// Seals the gauge, whatever its state is, and confirms it.
+    pub fn close(&mut self) -> Result<()> {
+        self.seal_with(|gauge| gauge.command(gauge.chip.security.seal))
+    }
+
+    /// Seals the gauge, but only if nothing has happened since then behind which it could have been exchanged.
+    pub(crate) fn close_since(&mut self, moment: Moment) -> Result<()> {
+        self.seal_with(|gauge| gauge.command_since(gauge.chip.security.seal, moment))
+    }
+
+    fn seal_with(&mut self, send: impl Fn(&mut Self) -> Result<()>) -> Result<()> {
+        let before = self.agreed.filter(|&moment| self.is_unbroken_since(moment)).map(|_| self.look.status);
+        let mut outcome = Ok(Seal::Unsealed);
+        for attempt in 0..SEALS {
+            if attempt > 0 {
+                let why =
+                    "SEALED did not reach the gauge, which may have taken it for another command; sent again";
+                log::warn!("{}: {why}", self.chip.name);
+            }
+            self.opened = None;
+            self.effects.seals();
+            let sent = send(self);
+            self.commands(Seal::Sealed);
+            outcome = sent.and_then(|()| self.seal());
+            match &outcome {
+                Ok(Seal::Sealed) => {
+                    if attempt > 0 {
+                        self.note_enabled(before);
+                    }
+                    return Ok(());
+                }
+                Err(error) if matches!(error.cause(), Cause::Bus(bus) if !bus.is_transient()) => break,
+                Err(error) if matches!(error.cause(), Cause::NotNow) => break,
+                _ => self.wait(SEAL_POLL),
+            }
+        }
+        let state = outcome.map_err(|error| error.at(Step::Seal))?;
+        let why = format!("the gauge was sent SEALED {SEALS} times and is still {}", state.as_str());
+        Err(Error::new(self.chip.model, Cause::Protocol, why).at(Step::Seal))
+    }
+
+    /// Notes that a SEALED which did not arrive was IT_ENABLE, which differs in one bit: [QEN] is set, and was not before.
+    fn note_enabled(&mut self, before: Option<u16>) {
+        let enabled = self.chip.control_status.iter().find(|bit| bit.name == "QEN").map_or(0, |bit| bit.mask);
+        let is_new = |now: u16| before.is_some_and(|before| before & enabled == 0) && now & enabled != 0;
+        // I2C has no error detection.
+        if is_new(self.look.status) && self.seal_anew().is_ok() && is_new(self.look.status) {
+            let why = "SEALED has reached the gauge as IT_ENABLE: [QEN] is set, and Update Status with it (04), which \
+                       nothing takes back; check whether Impedance Track was to be enabled";
+            self.mishap = Some(why.into());
+        }
+    }
+
+    /// What a command of ours has done that it was not meant to do, once.
+    pub(crate) fn take_mishap(&mut self) -> Option<String> {
+        self.mishap.take()
+    }
+
+    /// Sends RESET, after which a part that had been sealed is sealed again (SLUSBZ5D 7.3.3.1 step 11): not to a gauge
+    /// that may have been exchanged since then.
+    pub(crate) fn reset_since(&mut self, moment: Moment) -> Result<()> {
+        Statistics::count(&self.statistics.resets);
+        (self.seen, self.commanded) = (Some(Seal::Sealed), None);
+        self.command_since(RESET, moment).map_err(|error| error.at(Step::Reset))?;
+        self.effects.reset(self.clock.now());
+        Ok(())
+    }
+
+    /// Sends RESET to whatever gauge is there.
+    pub fn reset(&mut self) -> Result<()> {
+        let moment = self.moment();
+        self.reset_since(moment)
+    }
+
+    /// The key to send: the configured one, or the manual's default if that is allowed.
+    pub fn key(&self, name: Name) -> Option<Secret> {
+        self.keys.secret(name).or_else(|| self.default_key(name))
+    }
+
+    /// The manual's default key, if that is allowed.
+    pub fn default_key(&self, name: Name) -> Option<Secret> {
+        self.manual_key(name).filter(|_| !self.keys.no_default).map(Secret::from)
+    }
+
+    /// The two words that the manual gives for the key of that name.
+    pub(crate) fn manual_key(&self, name: Name) -> Option<[u16; 2]> {
+        match name {
+            Name::Unseal => Some(self.chip.security.default_unseal),
+            Name::FullAccess => Some(DEFAULT_FULL_ACCESS),
+            Name::Authentication => None,
+        }
+    }
+
+    /// Sets the key that the gauge has now.
+    pub fn set_key(&mut self, name: Name, key: &Secret) {
+        self.keys.set(name, key);
+        self.forget_refusal();
+    }
+
+    /// Forgets whether a key was refused or accepted: the gauge may be another one of the same kind.
+    pub fn forget_refusal(&mut self) {
+        (self.refused, self.opened, self.proven) = (false, None, None);
+    }
+}

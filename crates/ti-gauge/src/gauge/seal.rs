@@ -1,0 +1,134 @@
+// SPDX-License-Identifier: MIT
+
+//! Looks at the seal state, and when one counts.
+
+use std::time::Duration;
+
+use super::effects::Status;
+use super::state::{BEHIND, Look, Seal};
+use super::{CONTROL_STATUS, Gauge, TRIES};
+use crate::chip::SealStatus;
+use crate::error::{Cause, Error, Result, Step};
+use gauge_bus::BusError;
+
+/// Between two looks at CONTROL_STATUS when no earlier one counts: what disturbs the bus for a moment must not make
+/// both wrong.
+const APART: Duration = Duration::from_millis(5);
+
+/// How late CONTROL_STATUS may show a new seal state, and the pause between looks at it. Drivers wait 40 ms
+/// and try again (bq35100), or 100 ms after a key.
+pub(crate) const SEAL_LAG: Duration = Duration::from_millis(240);
+pub(super) const SEAL_POLL: Duration = Duration::from_millis(80);
+
+impl Gauge {
+    /// Reads the seal state.
+    pub fn seal(&mut self) -> Result<Seal> {
+        self.control_status().map(|(seal, _)| seal)
+    }
+
+    /// Reads the seal state with two looks, whatever was seen before.
+    pub fn seal_anew(&mut self) -> Result<Seal> {
+        self.seen = None;
+        self.seal()
+    }
+
+    /// Reads the seal state and the CONTROL_STATUS word.
+    ///
+    /// I2C has no error detection, and a gauge whose state was misread would be left in that state, or open. So a
+    /// state counts only if the look before has shown it too. What we have sent is no look: after a command that
+    /// changes the state it takes two looks to know what came of it, and while the gauge may still show the state
+    /// from before the command, that one does not count.
+    pub fn control_status(&mut self) -> Result<(Seal, u16)> {
+        let look = self.look_at_status()?;
+        Ok((look.seal, look.status))
+    }
+
+    /// Reads CONTROL_STATUS and the registers behind it, as many as [`Self::also_read`] says.
+    pub(crate) fn look_at_status(&mut self) -> Result<Look> {
+        let mut differ = 0;
+        loop {
+            let seal = self.control_status_once()?;
+            match self.seen.replace(seal) {
+                Some(before) if before == seal => {}
+                before => {
+                    differ += 1;
+                    if differ > TRIES {
+                        let why = "the seal state reads differently each time: check the bus";
+                        return Err(Error::new("CONTROL_STATUS", Cause::Protocol, why).at(Step::Control));
+                    }
+                    if before.is_none() {
+                        self.wait(APART);
+                    }
+                    continue;
+                }
+            }
+            match self.commanded {
+                Some((goal, until)) if seal != goal && self.clock.now() < until => self.wait(SEAL_POLL),
+                _ => {
+                    self.agreed = Some(self.moment());
+                    return Ok(self.look);
+                }
+            }
+        }
+    }
+
+    /// From now on each look at CONTROL_STATUS reads, in the same transfer, that many bytes of the registers from
+    /// 0x02 on.
+    pub(crate) fn also_read(&mut self, count: usize) {
+        self.also = count.min(BEHIND);
+    }
+
+    /// The last look at CONTROL_STATUS.
+    pub(crate) fn last_look(&self) -> Look {
+        self.look
+    }
+
+    fn control_status_once(&mut self) -> Result<Seal> {
+        let begun = self.clock.now();
+        self.command(CONTROL_STATUS)?;
+        let mut behind = [0; BEHIND];
+        let also = self.also;
+        let status = self.status_word(&mut behind[..also])?;
+        let seal = match self.chip.security.status {
+            SealStatus::Bits { sealed, .. } if status & sealed != 0 => Seal::Sealed,
+            SealStatus::Bits { not_full_access, .. } => {
+                if not_full_access != 0 && status & not_full_access == 0 {
+                    Seal::FullAccess
+                } else {
+                    Seal::Unsealed
+                }
+            }
+            SealStatus::None => {
+                return Err(Error::bus("CONTROL_STATUS", BusError::ReadOnly).of_register());
+            }
+            SealStatus::Field { register, shift } => {
+                let word = match register {
+                    None => status,
+                    Some(code) => {
+                        let mut word = [0; 2];
+                        self.read(code, &mut word)?;
+                        u16::from_le_bytes(word)
+                    }
+                };
+                match word >> shift & 3 {
+                    3 => Seal::Sealed,
+                    2 => Seal::Unsealed,
+                    1 => Seal::FullAccess,
+                    _ => {
+                        let why = format!("security bits of 0x{word:04x} are 00, which means no state");
+                        return Err(Error::new("CONTROL_STATUS", Cause::Protocol, why));
+                    }
+                }
+            }
+        };
+        self.look = Look { seal, status, behind };
+        let look = Status { begun, ended: self.clock.now(), status, seal };
+        self.effects.look(&look, &self.statistics.reset_seals, &self.statistics.offsets);
+        Ok(seal)
+    }
+
+    /// Something is sent that leads to a seal state, which CONTROL_STATUS may show late.
+    pub(super) fn commands(&mut self, goal: Seal) {
+        (self.seen, self.commanded) = (None, Some((goal, self.clock.now() + SEAL_LAG)));
+    }
+}

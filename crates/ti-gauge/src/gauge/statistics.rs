@@ -1,0 +1,101 @@
+// SPDX-License-Identifier: MIT
+
+//! What is counted of a gauge's traffic, and the progress of a write.
+
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use super::effects::Effects;
+
+/// Counters since the gauge was opened.
+#[derive(Debug, Default)]
+pub struct Statistics {
+    /// START...STOP transfers.
+    pub transfers: AtomicU64,
+    /// Bytes on the wire, address bytes included.
+    pub bytes: AtomicU64,
+    /// Transfers that were retried.
+    pub retries: AtomicU64,
+    /// Polls that succeeded.
+    pub polls: AtomicU64,
+    /// Polls that failed.
+    pub failed_polls: AtomicU64,
+    /// Blocks of data flash that were programmed.
+    pub flash_writes: AtomicU64,
+    /// Resets that were sent.
+    pub resets: AtomicU64,
+    /// Writes whose values were already stored.
+    pub unchanged_writes: AtomicU64,
+    /// Times until a commit was seen.
+    pub commits: Effects,
+    /// Times until a RESET was seen, which seals.
+    pub reset_seals: Effects,
+    /// Times until the measurement of an offset was seen.
+    pub offsets: Effects,
+    /// Progress of the current write.
+    pub progress: Progress,
+}
+
+/// Blocks that the current write has programmed, and their total.
+#[derive(Debug, Default)]
+pub struct Progress(AtomicU64);
+
+impl Progress {
+    /// Starts a write of `blocks` blocks.
+    pub fn begin(&self, blocks: usize) {
+        self.0.store(blocks as u64, Ordering::Relaxed);
+    }
+
+    /// Counts a block that was programmed and verified, while a write is in progress.
+    pub fn step(&self) {
+        if self.get().is_some() {
+            self.0.fetch_add(1 << 32, Ordering::Relaxed);
+        }
+    }
+
+    /// Ends the write, whatever its outcome.
+    pub fn end(&self) {
+        self.0.store(0, Ordering::Relaxed);
+    }
+
+    /// Blocks done and total; `None` while no write is in progress.
+    pub fn get(&self) -> Option<(u32, u32)> {
+        let both = self.0.load(Ordering::Relaxed);
+        (both != 0).then_some(((both >> 32) as u32, both as u32))
+    }
+}
+
+impl Statistics {
+    /// Value of a counter.
+    pub fn read(counter: &AtomicU64) -> u64 {
+        counter.load(Ordering::Relaxed)
+    }
+
+    /// Adds one to a counter.
+    pub fn count(counter: &AtomicU64) {
+        counter.fetch_add(1, Ordering::Relaxed);
+    }
+
+    /// Names and values, in the order of `gauge/statistics`.
+    pub fn list(&self) -> Vec<(&'static str, u64)> {
+        let read = Self::read;
+        vec![
+            ("transfers", read(&self.transfers)),
+            ("bytes", read(&self.bytes)),
+            ("retries", read(&self.retries)),
+            ("polls", read(&self.polls)),
+            ("failed_polls", read(&self.failed_polls)),
+            ("flash_writes", read(&self.flash_writes)),
+            ("resets", read(&self.resets)),
+            ("unchanged_writes", read(&self.unchanged_writes)),
+            ("commits_seen", self.commits.count()),
+            ("commit_seen_ms", self.commits.seen_ms()),
+            ("commit_unseen_ms", self.commits.unseen_ms()),
+            ("resets_seen", self.reset_seals.count()),
+            ("reset_seen_ms", self.reset_seals.seen_ms()),
+            ("reset_unseen_ms", self.reset_seals.unseen_ms()),
+            ("offsets_seen", self.offsets.count()),
+            ("offset_seen_ms", self.offsets.seen_ms()),
+            ("offset_unseen_ms", self.offsets.unseen_ms()),
+        ]
+    }
+}

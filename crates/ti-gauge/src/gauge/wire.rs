@@ -1,0 +1,229 @@
+// SPDX-License-Identifier: MIT
+
+//! Transfers: all of them go through one method, which counts them.
+//!
+//! Only this module retries, and only idempotent transfers; the checksum that commits a block is not one.
+
+use std::sync::atomic::Ordering;
+use std::time::Duration;
+
+use super::effects::Seen;
+use super::statistics::Statistics;
+use super::{CONTROL, Gauge};
+use crate::error::{Cause, Error, Result, Step};
+use gauge_bus::trace::Event;
+use gauge_bus::{BusError, wire_bytes};
+
+/// Pauses before each further attempt at an idempotent transfer. A gauge that programs a row of its flash stretches
+/// the clock or does not answer, for up to 250 ms, and it programs rows of its own at any time.
+const PAUSES: [Duration; 5] = [
+    Duration::from_millis(25),
+    Duration::from_millis(25),
+    Duration::from_millis(50),
+    Duration::from_millis(100),
+    Duration::from_millis(120),
+];
+
+/// The least time between two transfers (SLUSBZ5D 6.14, SLUSBH1C 9.5.4.3).
+const BUS_FREE: Duration = Duration::from_micros(66);
+
+impl Gauge {
+    /// Lets no transfer start later than `time` from now; `None` removes the limit.
+    pub fn limit(&mut self, time: Option<Duration>) {
+        self.limit_until(time.map(|time| self.clock.now() + time));
+    }
+
+    /// Lets no transfer start later than that; `None` removes the limit.
+    pub fn limit_until(&mut self, deadline: Option<Duration>) {
+        self.deadline = deadline;
+        self.bus.limit(deadline);
+    }
+
+    fn is_late(&self) -> bool {
+        self.deadline.is_some_and(|deadline| self.clock.now() >= deadline)
+    }
+
+    /// Whether something may still be tried: that time has not come, and the limit for transfers allows it.
+    pub fn may_try_until(&self, time: Duration) -> bool {
+        self.clock.now() < time && !self.is_late()
+    }
+
+    /// Waits without any transfer.
+    pub fn wait(&self, time: Duration) {
+        if !time.is_zero() {
+            self.rested.set(self.clock.now() + time);
+            self.clock.sleep(time);
+        }
+    }
+
+    pub(super) fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
+        // A register pointer is all that is ever sent to a part without a table.
+        if write.len() > 1 && !self.chip.has_table() {
+            return Err(BusError::ReadOnly);
+        }
+        self.make_ready()?;
+        self.pass(write, read)
+    }
+
+    /// Whatever comes before a transfer.
+    pub(super) fn make_ready(&mut self) -> Result<(), BusError> {
+        if self.is_late() {
+            return Err(BusError::Timeout);
+        }
+        self.recognise()
+    }
+
+    /// A transfer as it is.
+    pub(super) fn pass(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
+        if let Some(stopped) = self.stopped {
+            self.wait((stopped + BUS_FREE).saturating_sub(self.clock.now()));
+        }
+        let begun = self.clock.now();
+        Statistics::count(&self.statistics.transfers);
+        self.statistics.bytes.fetch_add(wire_bytes(write.len(), read.len()), Ordering::Relaxed);
+        let outcome = self.bus.transfer(write, read);
+        let stopped = self.clock.now();
+        self.stopped = Some(stopped);
+        self.presence.has_taken(stopped.saturating_sub(begun));
+        self.note(write, read, outcome);
+        if self.secrets > 0 {
+            self.effects.forget();
+        } else {
+            let seen = Seen { begun, ended: stopped, write, read, outcome };
+            self.effects.transfer(&seen, self.chip, &self.statistics.commits);
+        }
+        match outcome {
+            Ok(()) => {
+                self.silence = self.longest_silence();
+                self.answered = self.clock.now();
+            }
+            Err(_) => {
+                self.failures += 1;
+                self.presence.doubt();
+            }
+        }
+        outcome
+    }
+
+    /// Starts recording the transfers.
+    pub fn record(&mut self) {
+        self.recording = Some(Vec::new());
+    }
+
+    /// Stops recording, and returns what was transferred since [`Self::record`]. Keys are left out; serial numbers are
+    /// not, see [`anonymous`](crate::dataflash::anonymous).
+    pub fn recorded(&mut self) -> Vec<Event> {
+        self.recording.take().unwrap_or_default()
+    }
+
+    fn note(&mut self, write: &[u8], read: &[u8], outcome: Result<(), BusError>) {
+        let is_secret = self.secrets > 0;
+        let Some(recording) = &mut self.recording else { return };
+        recording.push(if is_secret {
+            Event::Hidden
+        } else {
+            let answer = outcome.map(|()| read.to_vec());
+            Event::Transfer { at: self.clock.now(), write: write.to_vec(), read: read.len(), answer }
+        });
+    }
+
+    /// Starts measuring the longest silence of the gauge.
+    pub fn watch(&mut self) {
+        (self.answered, self.silence) = (self.clock.now(), Duration::ZERO);
+    }
+
+    /// The longest time without an answer since `watch`. Within a short one nobody can exchange a pack.
+    pub fn longest_silence(&self) -> Duration {
+        self.silence.max(self.clock.now().saturating_sub(self.answered))
+    }
+
+    /// Retries an idempotent transfer a limited number of times.
+    pub(super) fn again(
+        &mut self,
+        mut attempt: impl FnMut(&mut Self) -> Result<(), BusError>,
+    ) -> Result<(), BusError> {
+        let mut outcome = attempt(self);
+        for pause in PAUSES {
+            if !outcome.is_err_and(BusError::is_transient) || self.is_late() {
+                break;
+            }
+            self.wait(pause);
+            Statistics::count(&self.statistics.retries);
+            outcome = attempt(self);
+        }
+        outcome
+    }
+
+    /// Why nothing is written to a gauge without a table.
+    pub(super) fn may_write(&self) -> Result<()> {
+        if self.chip.has_table() {
+            return Ok(());
+        }
+        let why = "only its standard commands are known, so nothing is written to it";
+        Err(Error::new(self.chip.name, Cause::NotPermitted, why))
+    }
+
+    /// Fills `into` with the bytes starting at an address.
+    pub fn read(&mut self, code: u8, into: &mut [u8]) -> Result<()> {
+        self.again(|gauge| gauge.transfer(&[code], into))
+            .map_err(|bus| Error::bus(self.name_of(code), bus).of_register().at(Step::Read))
+    }
+
+    /// Writes bytes that may be written twice without harm: a pointer, a selection, the window's buffer.
+    pub fn write(&mut self, code: u8, data: &[u8]) -> Result<()> {
+        self.may_write()?;
+        self.again(|gauge| gauge.write_once(code, data))
+            .map_err(|bus| Error::bus(self.name_of(code), bus).of_register())
+    }
+
+    /// Writes bytes whose effect must not happen twice.
+    pub fn write_once(&mut self, code: u8, data: &[u8]) -> Result<(), BusError> {
+        self.make_ready()?;
+        self.presence.sends(code, data);
+        self.send(code, data)?;
+        self.presence.sent(code, data, self.chip.access.scheme.is_flat());
+        Ok(())
+    }
+
+    fn send(&mut self, code: u8, data: &[u8]) -> Result<(), BusError> {
+        // Where the manual has the rule it is for Control() as well (SLUSBH1C 9.5.4.3); elsewhere Control()
+        // is only ever written as a word.
+        if self.byte_writes && (code != CONTROL || self.chip.byte_writes_above_hz.is_some()) {
+            for (at, &byte) in (code..).zip(data) {
+                self.transfer(&[at, byte], &mut [])?;
+            }
+            return Ok(());
+        }
+        let mut message = [0; 1 + crate::codec::WINDOW];
+        message[0] = code;
+        message[1..=data.len()].copy_from_slice(data);
+        self.transfer(&message[..=data.len()], &mut [])
+    }
+
+    pub(super) fn name_of(&self, code: u8) -> String {
+        self.chip
+            .register_at(code)
+            .map_or_else(|| format!("register 0x{code:02x}"), |register| format!("{}()", register.name))
+    }
+
+    /// Makes sure that no kernel driver has taken the address.
+    pub fn claim(&mut self) -> Result<()> {
+        self.bus.claim().map_err(|bus| Error::bus(self.chip.name, bus).at(Step::Check))
+    }
+
+    /// Releases an adapter that was removed.
+    pub fn release_if_gone(&mut self) {
+        self.bus.release_if_gone();
+    }
+
+    /// How many transfers have failed.
+    pub(crate) fn failures(&self) -> u64 {
+        self.failures
+    }
+
+    /// Marks the following transfers as secret (`true`), until as many calls have ended that (`false`).
+    pub fn set_secret(&mut self, secret: bool) {
+        self.secrets = if secret { self.secrets + 1 } else { self.secrets.saturating_sub(1) };
+        self.bus.set_secret(self.secrets > 0);
+    }
+}
