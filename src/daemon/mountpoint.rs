@@ -111,7 +111,7 @@ pub(crate) fn check(path: &Path, hiding: &Hiding<'_>) -> Result<PathBuf> {
     let (path, mounted) = examine(path)?;
     usable(&path, &mounted)?;
     if mounted == Mounted::Nothing {
-        may_be_made(&path)?;
+        assure_can_be_made(&path)?;
         hiding.check(&path)?;
     }
     Ok(path)
@@ -234,7 +234,7 @@ fn usable(path: &Path, mounted: &Mounted) -> Result<()> {
 
 /// Whether this account may mount there: it may write to the folder or, if that is missing, to the nearest one above
 /// it, in which it is created.
-fn may_be_made(path: &Path) -> Result<()> {
+fn assure_can_be_made(path: &Path) -> Result<()> {
     let Some(there) = path.ancestors().find(|folder| folder.exists()) else { return Ok(()) };
     if there == path && geteuid().is_root() {
         return Ok(());

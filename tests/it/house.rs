@@ -330,6 +330,65 @@ fn a_comparison_of_words_is_found() {
     }
 }
 
+/// The functions of a text that are named as questions and answer nothing.
+fn questions_without_answer(text: &str) -> Vec<&str> {
+    const QUESTIONS: [&str; 9] = ["are_", "can_", "did_", "had_", "has_", "is_", "may_", "needs_", "was_"];
+    let functions = text.split("fn ").skip(1).filter_map(|function| {
+        let end = function.find(|letter: char| !letter.is_alphanumeric() && letter != '_')?;
+        let (name, rest) = function.split_at(end);
+        // An arrow within parentheses is that of an argument, and a semicolon within brackets that of an array.
+        let (mut depth, mut head) = (0, String::new());
+        for letter in rest.chars() {
+            match letter {
+                '{' => break,
+                ';' if depth == 0 => break,
+                '(' | '[' => depth += 1,
+                ')' | ']' => depth -= 1,
+                _ if depth == 0 => head.push(letter),
+                _ => {}
+            }
+        }
+        let answers = head.contains("-> ") && !head.contains("-> Result<>");
+        let is_question = QUESTIONS.iter().any(|question| name.starts_with(question));
+        (is_question && !answers).then_some(name)
+    });
+    functions.collect()
+}
+
+/// A call has to show that it changes something: what only changes is named by a verb.
+#[test]
+fn what_is_named_as_a_question_has_an_answer() {
+    let mut found = Vec::new();
+    for folder in crates() {
+        for (module, text) in modules(&folder.join("src")) {
+            if !module.iter().any(|name| name == "tests" || name == "rig") {
+                let place = folder.join("src").join(module.join("/"));
+                found.extend(
+                    questions_without_answer(&text).iter().map(|name| format!("{}: {name}", place.display())),
+                );
+            }
+        }
+    }
+    assert!(found.is_empty(), "{}", found.join("\n"));
+}
+
+#[test]
+fn a_question_without_answer_is_found() {
+    for text in [
+        "pub fn is_gone(&mut self) {",
+        "fn is_gone<T>(\n    list: impl Fn(u8) -> bool,\n) where T: Copy {",
+        "pub(super) const fn is_gone(&self);",
+        "fn is_gone(&self) -> Result<()> {",
+    ] {
+        assert_eq!(questions_without_answer(text), ["is_gone"], "{text}");
+    }
+    for text in
+        ["fn is_gone(&self) -> bool {", "fn goes(&mut self) {", "fn has(\n    at: u8,\n) -> Option<()> {"]
+    {
+        assert_eq!(questions_without_answer(text), [""; 0], "{text}");
+    }
+}
+
 /// Every file below a folder, but for what a build makes and what git keeps.
 fn files(folder: &Path, found: &mut Vec<std::path::PathBuf>) {
     for entry in fs::read_dir(folder).expect("a folder of the checkout") {

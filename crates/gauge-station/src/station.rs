@@ -704,7 +704,7 @@ impl Station {
             return true;
         }
         if entry.event != Event::Pass {
-            self.first.has_failed();
+            self.first.begin_again();
             return true;
         }
         let what = "the first pack has passed; check it, then type yes, or no to end";
@@ -718,7 +718,7 @@ impl Station {
             false
         });
         if is_right {
-            self.first.is_confirmed();
+            self.first.confirm();
         }
         is_right
     }

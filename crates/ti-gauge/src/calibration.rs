@@ -11,7 +11,7 @@ use std::time::Duration;
 
 use crate::chip::{Calibration, Chip, Offset, Parameter, Role, Subclass, Word};
 use crate::codec;
-use crate::dataflash::{BEGINS, Change, DataFlash, Extras, Outcome, Place, Row, is_same};
+use crate::dataflash::{BEGINS, Change, DataFlash, Extras, Outcome, Place, Row, assure_same};
 use crate::error::{Cause, Error, Reason, Result, Step};
 use crate::gauge::{Gauge, Moment, agreed};
 use crate::notation;
@@ -479,7 +479,7 @@ impl Task<'_> {
                 return Err(Error::new(self.gauge.chip.model, Cause::Gone, why).at(Step::Identify));
             }
         }
-        is_same(self.gauge, self.since)
+        assure_same(self.gauge, self.since)
     }
 
     /// Has the gauge store what it has measured.

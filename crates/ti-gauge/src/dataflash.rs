@@ -62,7 +62,7 @@ pub use erased::{erased, erased_since, says_erased};
 use io::read_subclass;
 use job::{Job, Landed, Side, converge};
 use keychange::Unfinished;
-pub(crate) use measured::{BEGINS, is_same};
+pub(crate) use measured::{BEGINS, assure_same};
 use now::{Arrival, Name, Now, Pack, Values};
 use owedseal::OwedSeal;
 pub use pack::distinguishes;
@@ -178,14 +178,14 @@ impl DataFlash {
 
     /// Forgets what was read from data flash: the gauge has lost it, or is another one.
     pub fn forget(&mut self) {
-        self.now.may_be_another();
+        self.now.forget_pack();
     }
 
     /// The pack may have been exchanged unnoticed. Forgets what was read of it, but for what distinguishes it: that is
     /// compared when data flash is open for the next time.
     pub fn suspect(&mut self, chip: &'static Chip) {
         let fingerprint = self.fingerprint_now(chip);
-        self.now.may_be_another();
+        self.now.forget_pack();
         // An exchange of a gauge with RAM is a loss of power, which it reports.
         if chip.volatile.is_none() {
             self.fingerprint.learn(self.now.pack, fingerprint);
@@ -284,7 +284,7 @@ impl DataFlash {
                 // Marks for later comparison. Failing to read them must not fail the read.
                 match this.learn_marks(gauge) {
                     Ok(Some(row)) if is_broken => {
-                        session.pack.is_exchanged();
+                        session.pack.mark_exchanged();
                         return Err(this.other_pack(gauge, row));
                     }
                     Ok(_) => {}
@@ -341,7 +341,7 @@ impl DataFlash {
 
     /// Forgets the gate's values after any failure: the next write reads them again.
     fn noted<T>(&mut self, outcome: Result<T>) -> Result<T> {
-        outcome.inspect_err(|_| self.now.may_have_changed())
+        outcome.inspect_err(|_| self.now.forget_values())
     }
 
     /// Changes the seal state on request.
@@ -489,7 +489,7 @@ impl DataFlash {
                 };
                 let outcome = opened.and_then(|found| this.change(gauge, changes, &found, extras, session));
                 if outcome.is_err() && this.doubts() {
-                    session.pack.is_exchanged();
+                    session.pack.mark_exchanged();
                 }
                 outcome
             });
@@ -512,7 +512,7 @@ impl DataFlash {
         session: &mut Session,
     ) -> Result<Outcome> {
         let voltage_mv = found.voltage_mv;
-        extras.since.map_or(Ok(()), |since| is_same(gauge, since))?;
+        extras.since.map_or(Ok(()), |since| assure_same(gauge, since))?;
         if !gauge.is_unbroken_since(found.moment) {
             // It may have been exchanged since it was confirmed. Nothing was written yet.
             if found.seal == Seal::Sealed && !gauge.was_opened() && !self.is_certain(gauge)? {
@@ -588,7 +588,7 @@ impl DataFlash {
         }
         self.refer(gauge, session);
         // The write may change the serial number.
-        self.now.may_be_renamed();
+        self.now.forget_name();
         gauge.statistics.progress.begin(dirty.len());
         let mut job = Job::write(dirty, neighbours, reset);
         (job.in_window, job.was_lost, job.soon) = (in_window && !extras.soon, found.lost, extras.soon);
@@ -632,7 +632,7 @@ impl DataFlash {
         let chip = gauge.chip;
         read_subclass(gauge, subclass, |place, content| {
             if chip.volatile.is_none() && self.contradicted_mark(chip, place, content).is_some() {
-                self.now.may_be_another();
+                self.now.forget_pack();
                 self.doubt_pack();
             }
             self.known.in_epoch(self.now.pack).note(chip, place, *content);
@@ -675,7 +675,7 @@ impl DataFlash {
             row.1.name,
             Place::of(row)
         );
-        self.now.may_be_another();
+        self.now.forget_pack();
         self.doubt_pack();
         Error::new(gauge.chip.model, Cause::Gone, why).at(Step::Identify)
     }

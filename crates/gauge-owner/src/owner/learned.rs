@@ -493,7 +493,7 @@ impl Owner {
         };
         // Unnoticed, since the poll: these are the part's defaults, or some of them.
         if is_lost {
-            self.memory.is_doubtful();
+            self.memory.doubt();
             self.schedule.hurry();
             return Ok(None);
         }
@@ -582,7 +582,7 @@ impl Owner {
         self.schedule.hurry();
         let outcome = outcome?;
         self.log_written(&learned, &outcome);
-        self.has_written_memory();
+        self.note_memory_written();
         store.save(&image, Timestamp::now()).map_err(|error| {
             error.within(&format!("{version} is restored, but is not the newest version from now on"))
         })?;
@@ -1402,7 +1402,7 @@ mod tests {
     fn a_pack_that_moves_to_another_bay_gets_back_what_it_has_learned() {
         let folder = folder("moves");
         let (mut left, mut new) = (in_bay(&folder, 1), in_bay(&folder, 3));
-        new.owner.memory.is_doubtful();
+        new.owner.memory.doubt();
         learn(&mut left, 15_432);
         lose_power(&mut new);
         assert_eq!(words(&mut new), (16_000, 102), "it may be in the other one");

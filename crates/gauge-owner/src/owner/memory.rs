@@ -142,11 +142,11 @@ impl Memory {
         if self.exchanged.is_some() {
             self.loss = Loss::Owed { attempts: 0, failure: String::new() };
         }
-        self.is_doubtful();
+        self.doubt();
     }
 
     /// The gauge may have lost its power unnoticed.
-    pub(super) fn is_doubtful(&mut self) {
+    pub(super) fn doubt(&mut self) {
         self.compared = Fact::default();
         self.chosen = Fact::default();
         self.is_own = Fact::default();
@@ -178,7 +178,7 @@ impl Owner {
         // The register is a copy of data memory.
         let design = chip.register(Role::ChargeFullDesign).and_then(|design| registers.value(design));
         if flag == 0 && std::mem::replace(&mut self.memory.design, design) != design {
-            self.memory.is_doubtful();
+            self.memory.doubt();
         }
         // A gauge without the flag is believed once it has been compared.
         let is_believed = match flag {
@@ -218,7 +218,7 @@ impl Owner {
         let Some(snapshot) = snapshot.filter(|_| !self.dataflash.doubts()) else { return };
         let is_reported = reports_loss(chip, &snapshot.registers);
         if flag == 0 && published.seal != Seal::Sealed && self.schedule.has_read_slow_tier() {
-            self.memory.is_doubtful();
+            self.memory.doubt();
         }
         let is_compared = self.memory.compared.is_known(published.presence);
         let (attempts, is_lost) = match (&self.memory.loss, is_reported) {
@@ -416,7 +416,7 @@ impl Owner {
                 if self.gauge.chip.volatile == Some(0) && matches!(self.memory.loss, Loss::Written) {
                     self.memory.lost_again += 1;
                 }
-                self.has_written_memory();
+                self.note_memory_written();
                 self.schedule.hurry();
             }
             Err(error) => {
@@ -437,7 +437,7 @@ impl Owner {
     }
 
     /// All that was to be there was written.
-    pub(super) fn has_written_memory(&mut self) {
+    pub(super) fn note_memory_written(&mut self) {
         self.memory.compared.learn(self.shared.published().presence, ());
         (self.memory.loss, self.memory.exchanged) = (Loss::Written, None);
         self.memory.design = None;
@@ -692,7 +692,7 @@ mod tests {
         let row = chip.row("82", "10").expect("Design Capacity");
         rig.ask(&op::WRITE, vec![Change::parse(row, b"2000", false).expect("it fits")]).expect("UNSEALED");
         rig.ask(&op::REFRESH, ()).expect("it answers");
-        rig.owner.memory.is_doubtful();
+        rig.owner.memory.doubt();
         for _ in 0..3 {
             rig.poll_after(INTERVAL);
         }
@@ -711,7 +711,7 @@ mod tests {
         for qmax in [17_000_u16, 16_384] {
             let mut rig = rig(chip, "qmax-cell-0 = 15000\n");
             rig.sim.set_flash(82, 0, &qmax.to_be_bytes());
-            rig.owner.memory.is_doubtful();
+            rig.owner.memory.doubt();
             let before = rig.sim.flash();
             for _ in 0..3 {
                 rig.poll_after(INTERVAL);

@@ -197,7 +197,7 @@ impl Owner {
         // A pack may be exchanged while it does not answer.
         self.forget_dataflash();
         self.dataflash.suspect(self.gauge.chip);
-        self.memory.is_doubtful();
+        self.memory.doubt();
         if was_gone {
             return;
         }

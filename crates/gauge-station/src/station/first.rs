@@ -38,11 +38,11 @@ impl First {
     }
 
     /// The next pack is the first one.
-    pub(super) fn has_failed(&self) {
+    pub(super) fn begin_again(&self) {
         *self.state() = State::None;
     }
 
-    pub(super) fn is_confirmed(&self) {
+    pub(super) fn confirm(&self) {
         *self.state() = State::Confirmed;
     }
 

@@ -150,7 +150,7 @@ pub(super) fn program(station: &Station, bench: &Bench, slot: &mut dyn Slot) -> 
     entry.seconds = Some((clock.now() - since).as_millis() as f64 / 1000.0);
     station.end(entry, |entry| {
         std::mem::swap(entry, &mut task.entry);
-        if let Err(error) = task.is_still_there() {
+        if let Err(error) = task.assure_not_swapped() {
             task.failed(&error);
         }
         std::mem::swap(entry, &mut task.entry);
@@ -509,7 +509,7 @@ impl Task<'_> {
             // The pack may have been exchanged while the operator scanned.
             return match self.entry.label.clone() {
                 None => Ok(given),
-                Some(label) => self.is_still(before, &label).map(|()| given),
+                Some(label) => self.assure_not_exchanged(before, &label).map(|()| given),
             };
         };
         let own = &given.own;
@@ -531,11 +531,11 @@ impl Task<'_> {
         station.prompt(&self.bench.name, &format!("{line} ({shown})"));
         self.entry.scanned = Some(line).filter(|line| *line != shown);
         given.serial = Some(value);
-        self.is_still(before, &shown).map(|()| given)
+        self.assure_not_exchanged(before, &shown).map(|()| given)
     }
 
     /// Makes sure that the pack has not been exchanged while somebody scanned something for it.
-    fn is_still(&mut self, before: &Flash, scanned: &str) -> Result<()> {
+    fn assure_not_exchanged(&mut self, before: &Flash, scanned: &str) -> Result<()> {
         self.look().and_then(|now| now.check_same(before, &[])).map_err(|error| {
             refuse("pack", format!("it is not the one for which {scanned} was scanned: {error}"))
         })
@@ -847,7 +847,7 @@ impl Task<'_> {
             let last = self.look()?;
             check(&last)?;
             self.gauge.check_erased()?;
-            self.is_settled()?;
+            self.assure_settled()?;
             if self.watch.breaks() == breaks {
                 return Ok(last);
             }
@@ -859,7 +859,7 @@ impl Task<'_> {
 
     /// Makes sure that the pack was not swapped while the program of `exec` ran, which may take a minute: PASS would be shown
     /// over another one. A program that took less time than a swap needs no look.
-    fn is_still_there(&mut self) -> Result<()> {
+    fn assure_not_swapped(&mut self) -> Result<()> {
         match self.last.take().filter(|_| self.watch.may_be_exchanged()) {
             Some(last) => self.verify(|now| now.check_same(&last, &[])).map(drop).map_err(|error| {
                 let why = format!("it may have been swapped while the program of exec ran: {error}");
@@ -870,7 +870,7 @@ impl Task<'_> {
     }
 
     /// Nothing is left to do, and the pack is sealed.
-    fn is_settled(&mut self) -> Result<()> {
+    fn assure_settled(&mut self) -> Result<()> {
         if let Some((why, _)) = self.gauge.settle(PATIENCE) {
             return Err(Error::new("pack", Cause::StateUnknown, why));
         }

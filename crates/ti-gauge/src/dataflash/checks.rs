@@ -76,7 +76,7 @@ impl DataFlash {
             return Ok(());
         }
         // It is read again before the next write.
-        self.now.may_have_changed();
+        self.now.forget_values();
         Err(Error::of("", shut).at_place(gate.limit).at(Step::Check))
     }
 
@@ -99,7 +99,7 @@ impl DataFlash {
             return Ok(false);
         }
         // From here on the values that were read before the write no longer count.
-        self.now.may_have_changed();
+        self.now.forget_values();
         let mut loaded = false;
         if let Some(row) = gate.cells.filter(|row| !dirty.iter().any(|block| block.at(*row).is_some())) {
             let (place, at) = place_of(row);

@@ -51,7 +51,7 @@ impl DataFlash {
         left: Option<Left>,
     ) -> Result<T> {
         if session.pack.is_another {
-            self.now.may_be_another();
+            self.now.forget_pack();
             self.doubt_pack();
         }
         if left.is_some() && session.entry.as_ref().is_some_and(|entry| entry.plan.is_none()) {

@@ -90,7 +90,7 @@ impl DataFlash {
 
 /// Makes sure that nothing has happened since then behind which the pack could have been exchanged: what was measured on
 /// one says nothing of another.
-pub(crate) fn is_same(gauge: &Gauge, since: Moment) -> Result<()> {
+pub(crate) fn assure_same(gauge: &Gauge, since: Moment) -> Result<()> {
     if gauge.is_unbroken_since(since) {
         return Ok(());
     }
@@ -100,7 +100,7 @@ pub(crate) fn is_same(gauge: &Gauge, since: Moment) -> Result<()> {
 }
 
 /// Makes sure that the gauge does not measure any more: it would store its result later.
-pub(super) fn is_over(gauge: &mut Gauge) -> Result<()> {
+pub(super) fn assure_over(gauge: &mut Gauge) -> Result<()> {
     let Some(calibration) = gauge.chip.calibration else { return Ok(()) };
     gauge.wait(BEGINS);
     let running = calibration.board_offset.running | calibration.cc_offset.running;

@@ -30,23 +30,23 @@ impl Now {
     /// A gauge was connected, or has returned.
     pub(super) fn arrives(&mut self) {
         self.arrival.next();
-        self.may_be_renamed();
-        self.may_be_another();
+        self.forget_name();
+        self.forget_pack();
     }
 
     /// Its data memory is lost, or another pack may be there.
-    pub(super) fn may_be_another(&mut self) {
+    pub(super) fn forget_pack(&mut self) {
         self.pack.next();
-        self.may_have_changed();
+        self.forget_values();
     }
 
     /// An access has failed, or has changed what permits the next one.
-    pub(super) fn may_have_changed(&mut self) {
+    pub(super) fn forget_values(&mut self) {
         self.values.next();
     }
 
     /// Its serial number may have been written.
-    pub(super) fn may_be_renamed(&mut self) {
+    pub(super) fn forget_name(&mut self) {
         self.name.next();
     }
 }

@@ -154,7 +154,7 @@ impl DataFlash {
             None if pending.undecided => Ok(Verdict::Undecided(pending.why.clone())),
             None => Err(owed("", pending.why.clone(), false)),
         };
-        self.now.may_be_renamed();
+        self.now.forget_name();
         let reads_wrong = verdict.as_ref().is_err_and(|error| {
             matches!(error.cause(), Cause::StateUnknown) && error.step() == Some(Step::Restore)
         });
@@ -163,7 +163,7 @@ impl DataFlash {
         let (error, undecided) = match verdict {
             Ok(Verdict::Done(message) | Verdict::Plausible(message)) => {
                 self.pending = None;
-                self.now.may_be_another();
+                self.now.forget_pack();
                 if let Some(known_pack) = &mut self.known_pack {
                     known_pack.rewritten();
                 }
@@ -218,7 +218,7 @@ impl DataFlash {
         let elsewhere = pending.elsewhere && decision.is_none();
         gauge.claim()?;
         gauge.confirm_identity()?;
-        self.now.may_be_renamed();
+        self.now.forget_name();
         let identity = self.identity(gauge)?;
         if !entry.identity.is_of_part(&identity, gauge.chip) {
             let Identity { chip, firmware, .. } = &entry.identity;

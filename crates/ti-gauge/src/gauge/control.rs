@@ -19,7 +19,7 @@ impl Gauge {
 
     /// Sends a subcommand whose effect must not happen twice.
     pub fn command_once(&mut self, code: u16) -> Result<()> {
-        self.may_write()?;
+        self.refuse_without_table()?;
         let sent = self.write_once(CONTROL, &code.to_le_bytes());
         sent.map_err(|bus| Error::bus(self.subcommand_name(code), bus).at(Step::Control))
     }
@@ -27,7 +27,7 @@ impl Gauge {
     /// Sends a subcommand that must not reach another gauge: only if nothing has happened since then behind which this
     /// one could have been exchanged.
     pub(crate) fn command_since(&mut self, code: u16, moment: Moment) -> Result<()> {
-        self.may_write()?;
+        self.refuse_without_table()?;
         let subject = self.subcommand_name(code);
         let mut is_same = true;
         let sent = self.again(|gauge| {

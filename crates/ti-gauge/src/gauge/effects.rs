@@ -76,11 +76,11 @@ impl<T> Awaited<T> {
     }
 
     /// A look that began then has not shown it.
-    fn is_unseen(&mut self, begun: Duration) {
+    fn note_unseen(&mut self, begun: Duration) {
         self.unseen = begun.saturating_sub(self.since);
     }
 
-    fn is_seen(&self, ended: Duration, effects: &Effects) {
+    fn note_seen(&self, ended: Duration, effects: &Effects) {
         effects.note(ended.saturating_sub(self.since), self.unseen);
     }
 }
@@ -131,8 +131,8 @@ impl Watch {
         self.offset.take_if(|offset| offset.is_over(seen.begun));
         if seen.outcome.is_err() {
             // A gauge that programs or starts may not answer at all.
-            self.reset.iter_mut().for_each(|reset| reset.is_unseen(seen.begun));
-            self.commit.iter_mut().for_each(|commit| commit.is_unseen(seen.begun));
+            self.reset.iter_mut().for_each(|reset| reset.note_unseen(seen.begun));
+            self.commit.iter_mut().for_each(|commit| commit.note_unseen(seen.begun));
         }
         match seen.write.split_first() {
             Some((&start, [])) => self.reads(start, seen, is_flat, commits),
@@ -177,10 +177,10 @@ impl Watch {
         }
         match commit.what.is_shown(seen.read, is_flat) {
             Some(true) => {
-                commit.is_seen(seen.ended, commits);
+                commit.note_seen(seen.ended, commits);
                 self.commit = None;
             }
-            Some(false) => commit.is_unseen(seen.begun),
+            Some(false) => commit.note_unseen(seen.begun),
             None => {}
         }
     }
@@ -220,10 +220,10 @@ fn see<T>(
 ) {
     let Some(found) = awaited else { return };
     if shows(&mut found.what) {
-        found.is_seen(look.ended, effects);
+        found.note_seen(look.ended, effects);
         *awaited = None;
     } else {
-        found.is_unseen(look.begun);
+        found.note_unseen(look.begun);
     }
 }
 

@@ -48,7 +48,7 @@ impl Presence {
     }
 
     /// A transfer has taken that long.
-    pub(super) fn has_taken(&mut self, time: Duration) {
+    pub(super) fn note_duration(&mut self, time: Duration) {
         self.in_doubt |= self.attended && time >= PAUSE;
     }
 

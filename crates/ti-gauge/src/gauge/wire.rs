@@ -84,7 +84,7 @@ impl Gauge {
         let outcome = self.bus.transfer(write, read);
         let stopped = self.clock.now();
         self.stopped = Some(stopped);
-        self.presence.has_taken(stopped.saturating_sub(begun));
+        self.presence.note_duration(stopped.saturating_sub(begun));
         self.note(write, read, outcome);
         if self.secrets > 0 {
             self.effects.forget();
@@ -155,7 +155,7 @@ impl Gauge {
     }
 
     /// Why nothing is written to a gauge without a table.
-    pub(super) fn may_write(&self) -> Result<()> {
+    pub(super) fn refuse_without_table(&self) -> Result<()> {
         if self.chip.has_table() {
             return Ok(());
         }
@@ -171,7 +171,7 @@ impl Gauge {
 
     /// Writes bytes that may be written twice without harm: a pointer, a selection, the window's buffer.
     pub fn write(&mut self, code: u8, data: &[u8]) -> Result<()> {
-        self.may_write()?;
+        self.refuse_without_table()?;
         self.again(|gauge| gauge.write_once(code, data))
             .map_err(|bus| Error::bus(self.name_of(code), bus).of_register())
     }

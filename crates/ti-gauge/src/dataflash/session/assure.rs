@@ -89,7 +89,7 @@ impl Assurance {
     }
 
     /// Whatever is known of the gauge does not apply to the one that answers now.
-    pub(in crate::dataflash) fn is_exchanged(&mut self) {
+    pub(in crate::dataflash) fn mark_exchanged(&mut self) {
         self.is_another = true;
     }
 
@@ -264,7 +264,7 @@ impl Session {
             // CONTROL_STATUS may still show the state before the last key.
             gauge.wait(SEAL_LAG);
             if gauge.seal()? == Seal::Sealed {
-                return self.is_sealed(gauge).map(|()| None);
+                return self.assure_sealed(gauge).map(|()| None);
             }
         }
         let compared = match self.pack.is_another {
@@ -366,7 +366,7 @@ impl Session {
     }
 
     /// Makes sure that a gauge which is SEALED without our doing is not another pack while that of the session is open.
-    fn is_sealed(&mut self, gauge: &mut Gauge) -> Result<()> {
+    fn assure_sealed(&mut self, gauge: &mut Gauge) -> Result<()> {
         if !(self.pack.was_opened || gauge.key_has_worked()) || self.pack.pack.is_none() {
             return Ok(());
         }

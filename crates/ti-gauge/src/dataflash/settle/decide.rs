@@ -49,7 +49,7 @@ impl DataFlash {
             return Ok(format!("{text}the {names} key {how}\n"));
         }
         in_time(gauge, waited, |gauge, asked| {
-            self.now.may_be_renamed();
+            self.now.forget_name();
             let now = self.identity(gauge)?;
             let found = gauge.seal_anew()?;
             // The seal is owed already.

@@ -112,7 +112,7 @@ impl DataFlash {
 
     /// Adopts what is left of a change of keys, for somebody who makes it once more.
     pub(in crate::dataflash) fn adopt(&mut self, gauge: &mut Gauge, session: &mut Session) -> Result<()> {
-        self.now.may_be_renamed();
+        self.now.forget_name();
         self.identity(gauge)?;
         session.decided = true;
         session.entry = self.pending.as_ref().and_then(|pending| pending.entry.clone());

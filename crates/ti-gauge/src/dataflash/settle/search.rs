@@ -98,7 +98,7 @@ impl DataFlash {
         }
         let ruled_out = in_time(gauge, waited, |gauge, asked| {
             gauge.claim()?;
-            self.now.may_be_renamed();
+            self.now.forget_name();
             let now = self.identity(gauge)?;
             let (mut others, mut open) = (Vec::new(), Vec::new());
             for (path, entry) in entries {

@@ -58,7 +58,7 @@ impl Task<'_> {
     pub(super) fn run(&self, gauge: &mut Gauge, session: &mut Session) -> Result<Verdict> {
         let chip = gauge.chip;
         if self.plan.by_gauge {
-            measured::is_over(gauge)?;
+            measured::assure_over(gauge)?;
         }
         let moment = gauge.moment();
         let mut job = Job::interrupted(look(gauge, self.plan)?, self.plan.reset);
@@ -169,7 +169,7 @@ impl Task<'_> {
             ),
             Doubt::Another => Ok(ControlFlow::Break(Verdict::Another)),
             Doubt::Exchanged(why) => {
-                session.pack.is_exchanged();
+                session.pack.mark_exchanged();
                 undecided(why)
             }
             Doubt::Because(why, same) => {
