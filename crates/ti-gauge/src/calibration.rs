@@ -11,7 +11,7 @@ use std::time::Duration;
 
 use crate::chip::{Calibration, Chip, Offset, Parameter, Role, Subclass, Word};
 use crate::codec;
-use crate::dataflash::{BEGINS, Change, DataFlash, Extras, Outcome, Place, Row, assure_same};
+use crate::dataflash::{BEGINS, Change, DataFlash, Outcome, Place, Row, WriteOptions, assure_same};
 use crate::error::{Cause, Error, Reason, Result, Step};
 use crate::gauge::{Gauge, Moment, agreed};
 use crate::notation;
@@ -293,8 +293,8 @@ impl Task<'_> {
         };
         let waited = self.waited();
         let since = Some(self.since);
-        let extras = Extras { calibrate, accept: Some(&mut accept), since, ..Extras::default() };
-        let outcome = self.dataflash.write_with(self.gauge, &changes, extras, waited)?;
+        let options = WriteOptions { calibrate, accept: Some(&mut accept), since, ..WriteOptions::default() };
+        let outcome = self.dataflash.write_with(self.gauge, &changes, options, waited)?;
         self.note(target, before, after);
         if outcome == Outcome::Unchanged {
             return Ok(format!("{name}: {}: the calibration is right as it is", before.show(unit)));
@@ -614,8 +614,9 @@ impl Task<'_> {
         };
         let waited = self.waited();
         let since = Some(self.since);
-        let extras = Extras { calibrate: true, accept: Some(&mut accept), since, ..Extras::default() };
-        self.dataflash.write_with(self.gauge, &changes, extras, waited)?;
+        let options =
+            WriteOptions { calibrate: true, accept: Some(&mut accept), since, ..WriteOptions::default() };
+        self.dataflash.write_with(self.gauge, &changes, options, waited)?;
         // It was accepted as the same one, whatever has happened to it in its reset.
         self.since = self.gauge.moment();
         let read = match found {

@@ -77,7 +77,7 @@ pub use state::has_lost_memory;
 pub(crate) use state::read_word;
 use wear::Wear;
 use window::learned;
-use window::{Dirty, Window};
+use window::{Planned, Window};
 
 /// A place in data flash.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -360,13 +360,14 @@ impl DataFlash {
 
     /// Makes all changes, or none, in one transaction.
     pub fn write(&mut self, gauge: &mut Gauge, changes: &[Change], waited: Duration) -> Result<Outcome> {
-        self.write_with(gauge, changes, Extras::default(), waited)
+        self.write_with(gauge, changes, WriteOptions::default(), waited)
     }
 
     /// Makes every check of a write of these changes, and programs nothing. The gauge is unsealed for it, and sealed
     /// again.
     pub fn try_write(&mut self, gauge: &mut Gauge, changes: &[Change], waited: Duration) -> Result<()> {
-        self.write_with(gauge, changes, Extras { only_check: true, ..Extras::default() }, waited).map(drop)
+        self.write_with(gauge, changes, WriteOptions { only_check: true, ..WriteOptions::default() }, waited)
+            .map(drop)
     }
 
     /// Writes a saved configuration again to a gauge whose data memory is RAM and was lost: `lost` says so, or the gauge's
@@ -393,8 +394,12 @@ impl DataFlash {
                 log::warn!("{}: {told}", gauge.chip.name);
             }
         }
-        let outcome =
-            self.write_with(gauge, changes, Extras { soon: true, lost, ..Extras::default() }, waited)?;
+        let outcome = self.write_with(
+            gauge,
+            changes,
+            WriteOptions { soon: true, lost, ..WriteOptions::default() },
+            waited,
+        )?;
         self.drop_restorations(changes);
         Ok(outcome)
     }
@@ -418,11 +423,11 @@ impl DataFlash {
         &mut self,
         gauge: &mut Gauge,
         changes: &[Change],
-        extras: Extras<'_>,
+        options: WriteOptions<'_>,
         waited: Duration,
     ) -> Result<Outcome> {
         let outcome = self.check_wear(gauge).and_then(|()| {
-            self.counted(gauge, |dataflash, gauge| dataflash.transact(gauge, changes, extras, waited))
+            self.counted(gauge, |dataflash, gauge| dataflash.transact(gauge, changes, options, waited))
         });
         let outcome = self.noted(outcome);
         self.learn_from(gauge, changes, &outcome);
@@ -466,7 +471,7 @@ impl DataFlash {
         &mut self,
         gauge: &mut Gauge,
         changes: &[Change],
-        extras: Extras<'_>,
+        options: WriteOptions<'_>,
         waited: Duration,
     ) -> Result<Outcome> {
         let waited = self.settle_first(gauge, waited)?;
@@ -477,7 +482,7 @@ impl DataFlash {
                 found = self.next_look(gauge, &found, changes)?;
             }
             self.check_key(gauge, found.seal, changes)?;
-            let soon = extras.soon;
+            let soon = options.soon;
             let record = |this: &mut Self, gauge: &mut Gauge, session: &mut Session| {
                 let owed = this.owe(gauge, session, blocks(changes));
                 if soon { this.unless_unrecorded(gauge, owed) } else { owed }
@@ -487,7 +492,7 @@ impl DataFlash {
                     Seal::Sealed => this.look_while_opening(gauge, session, &found, changes),
                     Seal::Unsealed | Seal::FullAccess => session.open(gauge).map(|()| found),
                 };
-                let outcome = opened.and_then(|found| this.change(gauge, changes, &found, extras, session));
+                let outcome = opened.and_then(|found| this.change(gauge, changes, &found, options, session));
                 if outcome.is_err() && this.doubts() {
                     session.pack.mark_exchanged();
                 }
@@ -508,11 +513,11 @@ impl DataFlash {
         gauge: &mut Gauge,
         changes: &[Change],
         found: &Found,
-        extras: Extras<'_>,
+        options: WriteOptions<'_>,
         session: &mut Session,
     ) -> Result<Outcome> {
         let voltage_mv = found.voltage_mv;
-        extras.since.map_or(Ok(()), |since| assure_same(gauge, since))?;
+        options.since.map_or(Ok(()), |since| assure_same(gauge, since))?;
         if !gauge.is_unbroken_since(found.moment) {
             // It may have been exchanged since it was confirmed. Nothing was written yet.
             if found.seal == Seal::Sealed && !gauge.was_opened() && !self.is_certain(gauge)? {
@@ -526,60 +531,60 @@ impl DataFlash {
             session.pack.begin(gauge);
         }
         self.check_signature(gauge)?;
-        if extras.calibrate {
+        if options.calibrate {
             session.enter_calibration(gauge)?;
         }
         self.check_gate(gauge, voltage_mv)?;
         preflight::check_unsealed(gauge)?;
         let learning = self.learning(gauge, found.status, changes)?;
         // What a pack is known by is lost with its memory.
-        if !(extras.soon && found.lost)
+        if !(options.soon && found.lost)
             && let Some(row) = self.learn_marks(gauge)?
         {
             return Err(self.other_pack(gauge, row));
         }
         let known = self.known();
-        let mut dirty = gather(gauge, changes, |gauge, place| match extras.soon {
+        let mut planned = gather(gauge, changes, |gauge, place| match options.soon {
             true => sequence(gauge).load_soon(gauge, place),
             false => load_as_seen(gauge, place, known.get(place)),
         })?;
-        dirty.iter().try_for_each(|block| self.recognise(gauge, block.place, &block.old))?;
+        planned.iter().try_for_each(|block| self.recognise(gauge, block.place, &block.old))?;
         gauge.note_open();
         // The window holds the block that was read last, so a single block need not be loaded again.
-        let in_window = dirty.len() == 1 && !sequence(gauge).always_finishes();
+        let in_window = planned.len() == 1 && !sequence(gauge).always_finishes();
         for change in changes {
-            self.check_safe(change, &dirty)?;
+            self.check_safe(change, &planned)?;
         }
-        let old: Vec<_> = changes.iter().map(|change| old_bytes(change, &dirty)).collect();
-        if extras.soon && !extras.lost && !found.lost && !is_forgotten(gauge.chip, changes, &old) {
+        let old: Vec<_> = changes.iter().map(|change| old_bytes(change, &planned)).collect();
+        if options.soon && !options.lost && !found.lost && !is_forgotten(gauge.chip, changes, &old) {
             return Ok(Outcome::Unchanged);
         }
-        dirty.retain(|block| block.old != block.new);
+        planned.retain(|block| block.old != block.new);
         // The flag of a loss is cleared by the end of CONFIG UPDATE only, and would hide the next one.
-        if dirty.is_empty() && !(extras.soon && found.lost) {
+        if planned.is_empty() && !(options.soon && found.lost) {
             return Ok(Outcome::Unchanged);
         }
-        for block in &dirty {
+        for block in &planned {
             let lost = erased_in(gauge.chip, block.place, &block.new);
             if !lost.is_empty() {
                 return Err(says_erased(&lost, "").at(Step::Check));
             }
         }
-        let in_window = !self.check_gate_after(gauge, changes, &mut dirty, voltage_mv)? && in_window;
+        let in_window = !self.check_gate_after(gauge, changes, &mut planned, voltage_mv)? && in_window;
         match learning {
             Some(error) if !self.limits.allow_learning => return Err(error),
             Some(_) => log::warn!("{}: this write ends a learning cycle", gauge.chip.name),
             None => {}
         }
-        if extras.only_check {
+        if options.only_check {
             return Ok(Outcome::Unchanged);
         }
         let reset = changes.iter().any(|change| change.kind(gauge.chip) == Kind::Reset);
         // A loss of power takes all of RAM, and disturbs no row beside the one that is written.
-        let neighbours = if extras.soon { Vec::new() } else { self.neighbours(gauge, &dirty)? };
-        let plan = planned::plan(gauge, reset, &dirty, &neighbours, self.known().marks(gauge.chip));
+        let neighbours = if options.soon { Vec::new() } else { self.neighbours(gauge, &planned)? };
+        let plan = planned::plan(gauge, reset, &planned, &neighbours, self.known().marks(gauge.chip));
         if let Err(error) = self.note(session, plan.clone()) {
-            match extras.soon {
+            match options.soon {
                 true => self.unless_unrecorded(gauge, Err(error))?,
                 false => return Err(error),
             }
@@ -589,12 +594,12 @@ impl DataFlash {
         self.refer(gauge, session);
         // The write may change the serial number.
         self.now.forget_name();
-        gauge.statistics.progress.begin(dirty.len());
-        let mut job = Job::write(dirty, neighbours, reset);
-        (job.in_window, job.was_lost, job.soon) = (in_window && !extras.soon, found.lost, extras.soon);
+        gauge.statistics.progress.begin(planned.len());
+        let mut job = Job::write(planned, neighbours, reset);
+        (job.in_window, job.was_lost, job.soon) = (in_window && !options.soon, found.lost, options.soon);
         job.copied = Copied::of(gauge.chip, changes, &old);
-        session.stays_open = extras.soon && found.lost && found.seal != Seal::Sealed;
-        let landed = converge(gauge, session, &mut job, Side::New, extras.accept);
+        session.stays_open = options.soon && found.lost && found.seal != Seal::Sealed;
+        let landed = converge(gauge, session, &mut job, Side::New, options.accept);
         for block in job.changed() {
             match landed {
                 Landed::There => self.note_block(gauge, block.place, block.new),
@@ -682,12 +687,12 @@ impl DataFlash {
 
     /// The blocks next to those that change, where they are known. On a part with a flat address space they are
     /// read first: a row may hold bytes that no manual names.
-    fn neighbours(&mut self, gauge: &mut Gauge, dirty: &[Dirty]) -> Result<Vec<Dirty>> {
-        let mut found: Vec<Dirty> = Vec::new();
+    fn neighbours(&mut self, gauge: &mut Gauge, planned: &[Planned]) -> Result<Vec<Planned>> {
+        let mut found: Vec<Planned> = Vec::new();
         let apart = |one: Window, other: Window| {
             one.subclass != other.subclass || one.base.abs_diff(other.base) >= WINDOW as u16
         };
-        for place in dirty.iter().flat_map(|block| pack::neighbours(gauge.chip, block.place)) {
+        for place in planned.iter().flat_map(|block| pack::neighbours(gauge.chip, block.place)) {
             if place.subclass == FLAT && self.known().get(place).is_none() {
                 // Beyond the end of data flash there is none.
                 if let Ok(content) = sequence(gauge).load(gauge, place) {
@@ -695,10 +700,10 @@ impl DataFlash {
                 }
             }
             let is_new = found.iter().all(|block| apart(block.place, place))
-                && dirty.iter().all(|block| apart(block.place, place));
+                && planned.iter().all(|block| apart(block.place, place));
             if let Some(content) = self.known().get(place).filter(|_| is_new) {
                 let learned = learned(gauge.chip, place);
-                found.push(Dirty { place, old: content, new: content, written: Bytes::default(), learned });
+                found.push(Planned { place, old: content, new: content, written: Bytes::default(), learned });
             }
         }
         Ok(found)
@@ -744,9 +749,9 @@ fn is_forgotten(chip: &Chip, changes: &[Change], old: &[Vec<u8>]) -> bool {
 /// Judges the gauge that works with the new values.
 pub(crate) type Accept<'a> = &'a mut dyn FnMut(&mut Gauge) -> Result<()>;
 
-/// What a calibration needs besides the write.
+/// What a write does besides, or otherwise.
 #[derive(Default)]
-pub(crate) struct Extras<'a> {
+pub(crate) struct WriteOptions<'a> {
     /// The configuration of a gauge with RAM is written again: see [`DataFlash::restore`].
     pub(crate) soon: bool,
     /// Its data memory is known to be lost.

@@ -248,7 +248,7 @@ impl Owner {
         let has_changed =
             |registers: &Registers| had_battery.is_some_and(|had| had != has_battery(chip, registers));
         if self.dataflash.misreads_loss(&mut self.gauge, value)?
-            || self.dataflash.is_surprised(chip, value)
+            || self.dataflash.needs_second_poll(chip, value)
             || has_changed(&registers)
         {
             self.schedule.reads(taken);

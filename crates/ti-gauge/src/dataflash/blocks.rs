@@ -3,7 +3,7 @@
 //! Changes as blocks: which windows of data flash they touch, and what those hold before and after.
 
 use super::Change;
-use super::window::{Dirty, Window, learned, locate};
+use super::window::{Planned, Window, learned, locate};
 use crate::chip::Parameter;
 use crate::codec::{self, Bytes, WINDOW};
 use crate::error::Result;
@@ -23,28 +23,28 @@ pub(super) fn gather(
     gauge: &mut Gauge,
     changes: &[Change],
     load: impl Fn(&mut Gauge, Window) -> Result<[u8; WINDOW]>,
-) -> Result<Vec<Dirty>> {
-    let mut dirty: Vec<Dirty> = Vec::new();
+) -> Result<Vec<Planned>> {
+    let mut planned: Vec<Planned> = Vec::new();
     for change in changes {
         for (number, ((place, at), &byte)) in change.windows().zip(&change.bytes).enumerate() {
-            let index = match dirty.iter().position(|block| block.place == place) {
+            let index = match planned.iter().position(|block| block.place == place) {
                 Some(index) => index,
                 None => {
                     let old = load(gauge, place)?;
                     let learned = learned(gauge.chip, place);
-                    dirty.push(Dirty { place, old, new: old, written: Bytes::default(), learned });
-                    dirty.len() - 1
+                    planned.push(Planned { place, old, new: old, written: Bytes::default(), learned });
+                    planned.len() - 1
                 }
             };
-            let block = &mut dirty[index];
+            let block = &mut planned[index];
             let kept = change.kept_bits(number);
             block.new[at] = byte & !kept | block.old[at] & kept;
             block.written.insert(at);
             block.learned = block.learned.without(block.written);
         }
-        if is_same_string(change, &dirty) {
+        if is_same_string(change, &planned) {
             for (place, at) in change.windows() {
-                dirty
+                planned
                     .iter_mut()
                     .filter(|block| block.place == place)
                     .for_each(|block| block.new[at] = block.old[at]);
@@ -52,20 +52,20 @@ pub(super) fn gather(
         }
     }
     // In the order of the manual's table, which is that of the addresses.
-    arrange(&mut dirty, &|block| (block.place.subclass, block.place.base));
-    Ok(dirty)
+    arrange(&mut planned, &|block| (block.place.subclass, block.place.base));
+    Ok(planned)
 }
 
 /// Sorts blocks, which is one function whatever the key is.
-pub(super) fn arrange(dirty: &mut [Dirty], key: &dyn Fn(&Dirty) -> (u8, u16)) {
-    dirty.sort_by_key(key);
+pub(super) fn arrange(planned: &mut [Planned], key: &dyn Fn(&Planned) -> (u8, u16)) {
+    planned.sort_by_key(key);
 }
 
 /// Whether a change gives a string the value that it has. Its bytes then remain as they are, also those after its end
 /// and a length that is larger than the field: they are no part of the value.
-fn is_same_string(change: &Change, dirty: &[Dirty]) -> bool {
+fn is_same_string(change: &Change, planned: &[Planned]) -> bool {
     let Some((_, Parameter { kind: kind @ Type::S(_), .. })) = change.row else { return false };
-    codec::decode(*kind, &old_bytes(change, dirty)) == codec::decode(*kind, &change.bytes)
+    codec::decode(*kind, &old_bytes(change, planned)) == codec::decode(*kind, &change.bytes)
 }
 
 /// Number of blocks that the changes touch.
@@ -74,8 +74,8 @@ pub(super) fn blocks(changes: &[Change]) -> usize {
     (0..places.len()).filter(|&at| !places[..at].contains(&places[at])).count()
 }
 
-pub(super) fn old_bytes(change: &Change, dirty: &[Dirty]) -> Vec<u8> {
-    let byte = |(place, at)| Some(dirty.iter().find(|block| block.place == place)?.old[at]);
+pub(super) fn old_bytes(change: &Change, planned: &[Planned]) -> Vec<u8> {
+    let byte = |(place, at)| Some(planned.iter().find(|block| block.place == place)?.old[at]);
     change.windows().filter_map(byte).collect()
 }
 

@@ -7,7 +7,7 @@ use super::blocks::{arrange, old_bytes};
 use super::schemes::sequence;
 use super::state::{once_measured, read_word};
 use super::window::locate;
-use super::window::{Dirty, Window};
+use super::window::{Planned, Window};
 use super::{Change, DataFlash, Place};
 use crate::chip::{Gate, Parameter, Role, Safe, Scheme, Word};
 use crate::codec::{self, WINDOW};
@@ -86,22 +86,24 @@ impl DataFlash {
         &mut self,
         gauge: &mut Gauge,
         changes: &[Change],
-        dirty: &mut [Dirty],
+        planned: &mut [Planned],
         voltage_mv: u16,
     ) -> Result<bool> {
         let (Some(gate), Some(&known)) = (&gauge.chip.gate, self.gate.get(self.now.values)) else {
             return Ok(false);
         };
         let mut cells = 1;
-        let (before, after) =
-            (Setting::of(gate, known, cells, dirty, 0), Setting::of(gate, known, cells, dirty, dirty.len()));
+        let (before, after) = (
+            Setting::of(gate, known, cells, planned, 0),
+            Setting::of(gate, known, cells, planned, planned.len()),
+        );
         if before == after {
             return Ok(false);
         }
         // From here on the values that were read before the write no longer count.
         self.now.forget_values();
         let mut loaded = false;
-        if let Some(row) = gate.cells.filter(|row| !dirty.iter().any(|block| block.at(*row).is_some())) {
+        if let Some(row) = gate.cells.filter(|row| !planned.iter().any(|block| block.at(*row).is_some())) {
             let (place, at) = place_of(row);
             cells = sequence(gauge).load(gauge, place)?[at];
             loaded = true;
@@ -110,11 +112,11 @@ impl DataFlash {
         if gauge.chip.access.scheme == Scheme::Block {
             let raised = after.limit > before.limit;
             let [high, low] = both(gate.limit);
-            let holds = |block: &Dirty| block.changes(high) || block.changes(low);
-            let is_late = |block: &Dirty| after.limit != before.limit && holds(block) == raised;
-            arrange(dirty, &|block| (is_late(block).into(), 0));
+            let holds = |block: &Planned| block.changes(high) || block.changes(low);
+            let is_late = |block: &Planned| after.limit != before.limit && holds(block) == raised;
+            arrange(planned, &|block| (is_late(block).into(), 0));
         }
-        let setting = |stored: usize| Setting::of(gate, known, cells, dirty, stored);
+        let setting = |stored: usize| Setting::of(gate, known, cells, planned, stored);
         let before = setting(0);
         // One reading may have a wrong bit.
         let (mut low, mut high) = (voltage_mv, voltage_mv);
@@ -129,7 +131,7 @@ impl DataFlash {
             let subject = changes.iter().find(of_gate).map_or_else(String::new, Change::subject);
             Err(Error::new(subject, Cause::OutOfRange, why).at(Step::Check))
         };
-        let after = setting(dirty.len());
+        let after = setting(planned.len());
         // No source says that Voltage() follows a new divider before somebody calibrates, so with the limit as it is
         // flash has to stay open if it does not.
         let only_divider = before.limit == after.limit && before.external == after.external;
@@ -147,7 +149,7 @@ impl DataFlash {
             let next = setting(stored);
             before.shut_after(&next, gate, low, high).or_else(|| shut(&next))
         };
-        let shut = (1..dirty.len()).find_map(shut);
+        let shut = (1..planned.len()).find_map(shut);
         if let Some(shut) = shut
             && !calibration_enabled(gauge)?
         {
@@ -161,14 +163,14 @@ impl DataFlash {
     }
 
     /// Checks the safety limits of one value, which are narrower than the manual's.
-    pub(super) fn check_safe(&self, change: &Change, dirty: &[Dirty]) -> Result<()> {
+    pub(super) fn check_safe(&self, change: &Change, planned: &[Planned]) -> Result<()> {
         let Some((_, parameter)) = change.row else { return Ok(()) };
         match &parameter.safe {
             Some(Safe::AtLeast(..)) => change.check_least(),
             // `check_gate_after` judges it together with the other values.
             Some(Safe::BelowVoltage(_)) | None => Ok(()),
             Some(Safe::Keep(..)) if change.saved => Ok(()),
-            Some(Safe::Keep(..)) => change.check_reserved(&old_bytes(change, dirty)),
+            Some(Safe::Keep(..)) => change.check_reserved(&old_bytes(change, planned)),
         }
     }
 }
@@ -191,11 +193,11 @@ impl Setting {
     }
 
     /// The values after the first `stored` of the blocks. What no block holds is as `known` and `cells` say.
-    fn of(gate: &Gate, known: (i16, u16), cells: u8, dirty: &[Dirty], stored: usize) -> Self {
+    fn of(gate: &Gate, known: (i16, u16), cells: u8, planned: &[Planned], stored: usize) -> Self {
         let byte = |row, otherwise| {
-            let changed = dirty[..stored].iter().rev().filter(|block| block.changes(row));
+            let changed = planned[..stored].iter().rev().filter(|block| block.changes(row));
             let new = changed.filter_map(|block| block.at(row).map(|at| block.new[at])).next();
-            let old = || dirty.iter().find_map(|block| block.at(row).map(|at| block.old[at]));
+            let old = || planned.iter().find_map(|block| block.at(row).map(|at| block.old[at]));
             new.or_else(old).unwrap_or(otherwise)
         };
         let word = |row, otherwise: u16| {
@@ -282,7 +284,7 @@ impl Change {
     }
 }
 
-impl Dirty {
+impl Planned {
     /// The position of a byte in this block, if it is there.
     fn at(&self, (subclass, offset): (u8, u16)) -> Option<usize> {
         let at = usize::from(offset.checked_sub(self.place.base)?);

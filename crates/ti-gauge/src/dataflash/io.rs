@@ -5,7 +5,7 @@
 use std::time::Duration;
 
 use super::schemes::sequence;
-use super::window::{Dirty, Window, holds_keys, learned, locate};
+use super::window::{Planned, Window, holds_keys, learned, locate};
 use crate::chip::{Chip, Subclass};
 use crate::codec::WINDOW;
 use crate::error::{Cause, Error, Reason, Result, Step};
@@ -46,20 +46,20 @@ pub(super) fn read_subclass(
 
 /// Loads a block whose content is known into the window again, and returns it as it is now: learned bytes may
 /// have moved, and the checksum covers them.
-pub(super) fn reload(gauge: &mut Gauge, block: &Dirty) -> Result<Dirty> {
+pub(super) fn reload(gauge: &mut Gauge, block: &Planned) -> Result<Planned> {
     reload_by(gauge, block, |gauge| sequence(gauge).glance(gauge, block.place))
 }
 
 /// Loads a block of RAM into the window again.
-pub(super) fn reload_soon(gauge: &mut Gauge, block: &Dirty) -> Result<Dirty> {
+pub(super) fn reload_soon(gauge: &mut Gauge, block: &Planned) -> Result<Planned> {
     reload_by(gauge, block, |gauge| sequence(gauge).load_soon(gauge, block.place))
 }
 
 fn reload_by(
     gauge: &mut Gauge,
-    block: &Dirty,
+    block: &Planned,
     look: impl Fn(&mut Gauge) -> Result<[u8; WINDOW]>,
-) -> Result<Dirty> {
+) -> Result<Planned> {
     if !sequence(gauge).fills_window() {
         return Ok(block.clone());
     }
@@ -77,7 +77,7 @@ fn reload_by(
     for at in (0..WINDOW).filter(|&at| !block.learned.has(at)) {
         new[at] = block.new[at];
     }
-    Ok(Dirty { old: window, new, ..block.clone() })
+    Ok(Planned { old: window, new, ..block.clone() })
 }
 
 /// Whether an error may be gone at the next attempt.
@@ -100,7 +100,7 @@ pub(super) fn still_open(gauge: &mut Gauge) -> Result<()> {
 
 /// Selects and reads the block again: right after a write the window shows the buffer, not flash. Keys that are read wrong
 /// cannot be corrected once the gauge is sealed, so two looks have to agree on them.
-pub(super) fn verify(gauge: &mut Gauge, block: &Dirty) -> Result<()> {
+pub(super) fn verify(gauge: &mut Gauge, block: &Planned) -> Result<()> {
     patiently(gauge, |gauge| {
         let stored = match holds_keys(gauge.chip, block.place) {
             true => sequence(gauge).load(gauge, block.place),
@@ -125,7 +125,7 @@ fn patiently(gauge: &mut Gauge, look: impl Fn(&mut Gauge) -> Result<()>) -> Resu
 
 /// Compares the written bytes only: after a reset the gauge updates others itself, and what is its own. What reads wrong is
 /// read again with its checksum before it counts.
-pub(super) fn verify_written(gauge: &mut Gauge, block: &Dirty) -> Result<()> {
+pub(super) fn verify_written(gauge: &mut Gauge, block: &Planned) -> Result<()> {
     let written = |at: &usize| block.written.has(*at);
     let (Some(first), Some(last)) = ((0..WINDOW).find(written), (0..WINDOW).rfind(written)) else {
         return Ok(());
@@ -140,7 +140,7 @@ pub(super) fn verify_written(gauge: &mut Gauge, block: &Dirty) -> Result<()> {
 }
 
 /// Compares the written bytes of a block of RAM.
-pub(super) fn verify_soon(gauge: &mut Gauge, block: &Dirty) -> Result<()> {
+pub(super) fn verify_soon(gauge: &mut Gauge, block: &Planned) -> Result<()> {
     match sequence(gauge).load_soon(gauge, block.place) {
         Ok(stored) if wrong(gauge.chip, block, &stored).is_none() => Ok(()),
         _ => verify_whole(gauge, block),
@@ -148,12 +148,12 @@ pub(super) fn verify_soon(gauge: &mut Gauge, block: &Dirty) -> Result<()> {
 }
 
 /// The first of the written bytes that is not as it was stored, and was not rewritten by the gauge since.
-fn wrong(chip: &Chip, block: &Dirty, stored: &[u8; WINDOW]) -> Option<usize> {
+fn wrong(chip: &Chip, block: &Planned, stored: &[u8; WINDOW]) -> Option<usize> {
     let written = block.written.without(block.as_rewritten(chip, stored).learned);
     written.iter().find(|&at| stored[at] != block.new[at])
 }
 
-fn verify_whole(gauge: &mut Gauge, block: &Dirty) -> Result<()> {
+fn verify_whole(gauge: &mut Gauge, block: &Planned) -> Result<()> {
     let stored = sequence(gauge).load(gauge, block.place).map_err(|error| error.at(Step::Verify))?;
     if let Some(at) = block.rewritten(gauge.chip, &stored).iter().next() {
         log::info!(
@@ -166,14 +166,14 @@ fn verify_whole(gauge: &mut Gauge, block: &Dirty) -> Result<()> {
 }
 
 /// Compares the whole block but for bytes that the gauge rewrites itself.
-fn compare(block: &Dirty, stored: &[u8; WINDOW]) -> Result<()> {
+fn compare(block: &Planned, stored: &[u8; WINDOW]) -> Result<()> {
     match block.differs(stored, &block.new) {
         None => Ok(()),
         Some(at) => Err(mismatch(block, stored, at)),
     }
 }
 
-fn mismatch(block: &Dirty, stored: &[u8; WINDOW], at: usize) -> Error {
+fn mismatch(block: &Planned, stored: &[u8; WINDOW], at: usize) -> Error {
     let place = block.place.name(at);
     let reason = if block.differs(stored, &block.old).is_none() {
         let why = format!("{place}: the gauge acknowledged the write and stored nothing");

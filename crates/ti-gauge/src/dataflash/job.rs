@@ -10,7 +10,7 @@ use super::planned::{Held, Seen, classify};
 use super::schemes::sequence;
 use super::session::{RESTORES, Session, put, reads_wrong, store};
 use super::state::{Copied, has_lost_memory};
-use super::window::{Dirty, Window};
+use super::window::{Planned, Window};
 use crate::codec::{Bytes, WINDOW};
 use crate::error::{Cause, Error, Reason, Result, Step};
 use crate::gauge::Gauge;
@@ -62,9 +62,9 @@ pub(super) struct Job {
 
 impl Job {
     /// A write of blocks as they were just read.
-    pub(super) fn write(dirty: Vec<Dirty>, neighbours: Vec<Dirty>, reset: bool) -> Self {
-        let seen = |block: Dirty| Seen { stored: block.old, held: Held::Old, block };
-        let blocks = dirty.into_iter().chain(neighbours).map(seen).collect();
+    pub(super) fn write(planned: Vec<Planned>, neighbours: Vec<Planned>, reset: bool) -> Self {
+        let seen = |block: Planned| Seen { stored: block.old, held: Held::Old, block };
+        let blocks = planned.into_iter().chain(neighbours).map(seen).collect();
         Self { returns: true, ..Self::interrupted(blocks, reset) }
     }
 
@@ -85,7 +85,7 @@ impl Job {
     }
 
     /// The blocks that change.
-    pub(super) fn changed(&self) -> impl Iterator<Item = &Dirty> {
+    pub(super) fn changed(&self) -> impl Iterator<Item = &Planned> {
         self.blocks.iter().map(|seen| &seen.block).filter(|block| !block.is_neighbour())
     }
 
@@ -242,10 +242,10 @@ impl Job {
     }
 
     /// A block as it goes back: what was seen to move by itself is left to the gauge.
-    fn without_moving(&self, block: &Dirty) -> Dirty {
+    fn without_moving(&self, block: &Planned) -> Planned {
         let moving = self.moving.iter().filter(|(place, _)| *place == block.place);
         let learned = moving.fold(block.learned, |learned, (_, moving)| learned.with(*moving));
-        Dirty { learned, ..block.clone() }
+        Planned { learned, ..block.clone() }
     }
 
     /// Brings data flash to one side: stores what is not there, makes the gauge use it and reads back what was not read
@@ -322,9 +322,9 @@ pub(super) fn converge(
 
 impl Seen {
     /// The block with a side's content as the one to be read back.
-    fn to(&self, side: Side) -> Dirty {
+    fn to(&self, side: Side) -> Planned {
         let block = self.block.clone();
-        if side == Side::Old { Dirty { old: block.new, new: block.old, ..block } } else { block }
+        if side == Side::Old { Planned { old: block.new, new: block.old, ..block } } else { block }
     }
 
     /// Whether a block has the content of a side. A neighbour has only one.
@@ -338,7 +338,7 @@ impl Seen {
 
     /// The block on its way from what is stored to the new content. A learned byte stays as it is, unless its row was
     /// erased.
-    fn to_new(&self) -> Dirty {
+    fn to_new(&self) -> Planned {
         let mut new = self.block.new;
         let erased = self.block.is_erased(&self.stored);
         for at in (0..WINDOW).filter(|&at| self.block.learned.has(at) && !erased) {
@@ -349,7 +349,7 @@ impl Seen {
 }
 
 /// What a block has to hold when its old bytes are back. A learned byte stays as it is, unless the row was erased.
-fn restored(block: &Dirty, present: &[u8; WINDOW], in_use: bool) -> [u8; WINDOW] {
+fn restored(block: &Planned, present: &[u8; WINDOW], in_use: bool) -> [u8; WINDOW] {
     let erased = block.is_erased(present);
     let goes_back = Bytes::of(|at| match in_use && !block.is_neighbour() && !erased {
         true => block.written.has(at) && !block.learned.has(at),

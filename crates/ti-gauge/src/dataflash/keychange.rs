@@ -27,9 +27,9 @@ use super::keyrow::{keeps_unseal_key, quietly};
 use super::pack::Match;
 use super::planned;
 use super::schemes::sequence;
-use super::session::{Left, Patience, RESTORES, Session, own_up};
+use super::session::{Left, Patience, RESTORES, Session, report_mishap};
 use super::verdict::Verdict;
-use super::window::{Dirty, Window, learned, locate};
+use super::window::{Planned, Window, learned, locate};
 use super::{Change, DataFlash};
 use crate::authentication::Order;
 use crate::chip::{FLAT, KeyBlock, KeyStorage, Kind};
@@ -116,7 +116,7 @@ impl DataFlash {
     ) -> Result<()> {
         let name = change.name.as_str();
         let outcome = self.counted(gauge, |dataflash, gauge| {
-            own_up(gauge, |gauge| dataflash.change_key_unnamed(gauge, change, order, waited))
+            report_mishap(gauge, |gauge| dataflash.change_key_unnamed(gauge, change, order, waited))
         });
         gauge.limit(None);
         wipe_stack();
@@ -444,7 +444,7 @@ impl<'a> Task<'a> {
                     false => quietly(gauge, |gauge| sequence(gauge).load(gauge, place))?,
                 };
                 let learned = learned(gauge.chip, place);
-                rows.push(Dirty { place, old: content, new: content, written: Bytes::default(), learned });
+                rows.push(Planned { place, old: content, new: content, written: Bytes::default(), learned });
             }
         }
         let marks = dataflash.known().marks(gauge.chip);

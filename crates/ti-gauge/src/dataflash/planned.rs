@@ -5,7 +5,7 @@
 use super::Change;
 use super::io::COMMITTED;
 use super::schemes::sequence;
-use super::window::{Dirty, Window, learned, secrets};
+use super::window::{Planned, Window, learned, secrets};
 use crate::chip::{Chip, Row};
 use crate::codec::WINDOW;
 use crate::error::Result;
@@ -25,7 +25,7 @@ pub(super) enum Held {
 
 /// A planned block, what the gauge has in its place, and which content that is.
 pub(super) struct Seen {
-    pub(super) block: Dirty,
+    pub(super) block: Planned,
     pub(super) stored: [u8; WINDOW],
     pub(super) held: Held,
 }
@@ -34,11 +34,11 @@ pub(super) struct Seen {
 pub(super) fn plan(
     gauge: &Gauge,
     reset: bool,
-    dirty: &[Dirty],
-    neighbours: &[Dirty],
+    planned: &[Planned],
+    neighbours: &[Planned],
     marks: Vec<Mark>,
 ) -> Plan {
-    let blocks = dirty.iter().chain(neighbours).map(|block| {
+    let blocks = planned.iter().chain(neighbours).map(|block| {
         let (mut old, mut new) = (block.old, block.new);
         for at in secrets(gauge.chip, block.place).iter() {
             (old[at], new[at]) = (0, 0);
@@ -162,7 +162,7 @@ pub(super) fn look_by(
         let place = block.place();
         let stored = load(gauge, place)?;
         let learned = learned(gauge.chip, place).without(block.written);
-        let mut block = Dirty { place, old: block.old, new: block.new, written: block.written, learned };
+        let mut block = Planned { place, old: block.old, new: block.new, written: block.written, learned };
         for at in secrets(gauge.chip, place).iter() {
             (block.old[at], block.new[at]) = (stored[at], stored[at]);
         }
@@ -176,8 +176,8 @@ pub(super) fn look_by(
     Ok(seen)
 }
 
-pub(super) fn classify(block: &Dirty, stored: &[u8; WINDOW]) -> Held {
-    let Dirty { old, new, learned, .. } = block;
+pub(super) fn classify(block: &Planned, stored: &[u8; WINDOW]) -> Held {
+    let Planned { old, new, learned, .. } = block;
     let (mut all_old, mut all_new, mut torn) = (true, true, false);
     for at in (0..WINDOW).filter(|&at| !learned.has(at)) {
         let byte = stored[at];

@@ -108,7 +108,7 @@ impl DataFlash {
 
     /// Whether the registers of a poll have to be read again before they are believed: they show another pack, or another
     /// count of cycles, by which later polls are judged. I2C has no error detection.
-    pub fn is_surprised(&self, chip: &Chip, value: impl Fn(u8) -> Option<u16>) -> bool {
+    pub fn needs_second_poll(&self, chip: &Chip, value: impl Fn(u8) -> Option<u16>) -> bool {
         let cycles = self.known_pack.and_then(|known| known.cycles.zip(Distinct::of(chip, &value).cycles));
         cycles.is_some_and(|(then, now)| then != now) || self.contradicted(chip, value).is_some()
     }

@@ -4,7 +4,7 @@
 
 use std::time::Duration;
 
-use super::window::{Dirty, Window};
+use super::window::{Planned, Window};
 use crate::chip::Scheme;
 use crate::codec::WINDOW;
 use crate::error::{Cause, Error, Result, Step};
@@ -52,12 +52,12 @@ pub(super) trait Sequence {
     /// with their address and the checksum covers both.
     fn fills_window(&self) -> bool;
     /// The parts of a change that are committed one by one.
-    fn pieces(&self, block: &Dirty) -> Vec<Dirty>;
+    fn pieces(&self, block: &Planned) -> Vec<Planned>;
     /// Sends the bytes that differ to the gauge's buffer; flash is not changed yet.
-    fn fill(&self, gauge: &mut Gauge, block: &Dirty) -> Result<()>;
+    fn fill(&self, gauge: &mut Gauge, block: &Planned) -> Result<()>;
     /// Makes the gauge program the block. Never sent twice: after an error the caller reads the block to
     /// find out what it holds.
-    fn commit(&self, gauge: &mut Gauge, block: &Dirty) -> Result<()>;
+    fn commit(&self, gauge: &mut Gauge, block: &Planned) -> Result<()>;
     /// Makes the gauge use the new values: a reset, or the end of the mode that `begin` started.
     fn finish(&self, gauge: &mut Gauge) -> Result<()>;
     /// Ends that mode as `finish` does, and returns when data memory can be read again: what registers show is there before.

@@ -449,14 +449,14 @@ pub(super) fn in_time<T>(
     let asked = gauge.clock.now().saturating_sub(waited);
     gauge.limit(Some(BEFORE.saturating_sub(waited)));
     gauge.attend(true);
-    let outcome = own_up(gauge, |gauge| run(gauge, asked));
+    let outcome = report_mishap(gauge, |gauge| run(gauge, asked));
     gauge.attend(false);
     gauge.limit(None);
     outcome
 }
 
 /// Runs an access. What it has done by mistake is reported as what it is, whatever else has become of it.
-pub(super) fn own_up<T>(gauge: &mut Gauge, run: impl FnOnce(&mut Gauge) -> Result<T>) -> Result<T> {
+pub(super) fn report_mishap<T>(gauge: &mut Gauge, run: impl FnOnce(&mut Gauge) -> Result<T>) -> Result<T> {
     let outcome = run(gauge);
     let Some(mishap) = gauge.take_mishap() else { return outcome };
     let why = match outcome {

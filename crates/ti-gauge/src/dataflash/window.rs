@@ -19,7 +19,7 @@ pub(super) struct Window {
 
 /// A block that a change touches.
 #[derive(Clone)]
-pub(super) struct Dirty {
+pub(super) struct Planned {
     pub(super) place: Window,
     /// Content as read.
     pub(super) old: [u8; WINDOW],
@@ -31,7 +31,7 @@ pub(super) struct Dirty {
     pub(super) learned: Bytes,
 }
 
-impl Dirty {
+impl Planned {
     /// The runs of bytes to send: from one that differs to another, but never a learned byte in between, which
     /// may have moved since it was read.
     pub(super) fn runs(&self) -> Vec<Range<usize>> {

@@ -12,7 +12,7 @@ use crate::dataflash::DataFlash;
 use crate::dataflash::keyrow::{quietly, stored};
 use crate::dataflash::schemes::sequence;
 use crate::dataflash::session::{ByKeys, store};
-use crate::dataflash::window::{Dirty, secrets};
+use crate::dataflash::window::{Planned, secrets};
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::Gauge;
 use crate::journal::KeyPlan;
@@ -196,7 +196,8 @@ impl Task<'_> {
                 return Ok(());
             }
             let learned = Bytes::of(|at| !goes.has(at));
-            let mut block = Dirty { place: self.place, old: *present, new: *present, written: goes, learned };
+            let mut block =
+                Planned { place: self.place, old: *present, new: *present, written: goes, learned };
             goes.iter().for_each(|at| block.new[at] = keys[at]);
             // The keys that it has taken show that it is the one.
             let stored = store(gauge, &mut ByKeys, &block, touched);

@@ -6,7 +6,7 @@
 use super::{FIRST_LOOK, NEXT_LOOK, SECOND_LOOK, Sequence, look_soon, look_twice, settle, wait_until};
 use crate::chip::Kind;
 use crate::codec::{WINDOW, checksum};
-use crate::dataflash::window::{Dirty, Window};
+use crate::dataflash::window::{Planned, Window};
 use crate::error::{Cause, Error, Reason, Result, Step};
 use crate::gauge::{Gauge, Statistics};
 
@@ -118,18 +118,18 @@ impl Sequence for Block {
         true
     }
 
-    fn pieces(&self, block: &Dirty) -> Vec<Dirty> {
+    fn pieces(&self, block: &Planned) -> Vec<Planned> {
         vec![block.clone()]
     }
 
-    fn fill(&self, gauge: &mut Gauge, block: &Dirty) -> Result<()> {
+    fn fill(&self, gauge: &mut Gauge, block: &Planned) -> Result<()> {
         block.runs().into_iter().try_for_each(|run| {
             let at = BLOCK_DATA + run.start as u8;
             gauge.write(at, &block.new[run]).map_err(|error| error.at(Step::WriteBlock))
         })
     }
 
-    fn commit(&self, gauge: &mut Gauge, block: &Dirty) -> Result<()> {
+    fn commit(&self, gauge: &mut Gauge, block: &Planned) -> Result<()> {
         let sent = gauge.write_once(CHECKSUM, &[checksum(&block.new)]);
         gauge.wait(gauge.chip.access.commit);
         sent.map_err(|bus| Error::bus("BlockDataChecksum()", bus).at(Step::WriteBlock))

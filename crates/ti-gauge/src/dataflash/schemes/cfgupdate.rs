@@ -9,7 +9,7 @@ use super::Sequence;
 use super::block::Block;
 use super::mac::Mac;
 use crate::codec::WINDOW;
-use crate::dataflash::window::{Dirty, Window};
+use crate::dataflash::window::{Planned, Window};
 use crate::error::{Error, Reason, Result, Step};
 use crate::gauge::{Gauge, Seal, Statistics, agreed};
 
@@ -103,15 +103,15 @@ impl Sequence for CfgUpdate {
         self.access.fills_window()
     }
 
-    fn pieces(&self, block: &Dirty) -> Vec<Dirty> {
+    fn pieces(&self, block: &Planned) -> Vec<Planned> {
         self.access.pieces(block)
     }
 
-    fn fill(&self, gauge: &mut Gauge, block: &Dirty) -> Result<()> {
+    fn fill(&self, gauge: &mut Gauge, block: &Planned) -> Result<()> {
         self.access.fill(gauge, block)
     }
 
-    fn commit(&self, gauge: &mut Gauge, block: &Dirty) -> Result<()> {
+    fn commit(&self, gauge: &mut Gauge, block: &Planned) -> Result<()> {
         self.access.commit(gauge, block)
     }
 

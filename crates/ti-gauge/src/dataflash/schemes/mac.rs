@@ -6,7 +6,7 @@
 use super::{Sequence, look_soon, look_twice, settle};
 use crate::chip::FLAT;
 use crate::codec::{WINDOW, checksum};
-use crate::dataflash::window::{Dirty, Window};
+use crate::dataflash::window::{Planned, Window};
 use crate::dataflash::window::{has_address, holds_keys};
 use crate::error::{Cause, Error, Reason, Result, Step};
 use crate::gauge::{Gauge, Statistics};
@@ -72,11 +72,11 @@ impl Sequence for Mac {
         false
     }
 
-    fn pieces(&self, block: &Dirty) -> Vec<Dirty> {
+    fn pieces(&self, block: &Planned) -> Vec<Planned> {
         block.runs().into_iter().map(|run| block.only(run)).collect()
     }
 
-    fn fill(&self, gauge: &mut Gauge, block: &Dirty) -> Result<()> {
+    fn fill(&self, gauge: &mut Gauge, block: &Planned) -> Result<()> {
         for run in block.runs() {
             let address = block.place.base + run.start as u16;
             let at = |error: Error| error.at(Step::WriteBlock);
@@ -92,7 +92,7 @@ impl Sequence for Mac {
         Ok(())
     }
 
-    fn commit(&self, gauge: &mut Gauge, block: &Dirty) -> Result<()> {
+    fn commit(&self, gauge: &mut Gauge, block: &Planned) -> Result<()> {
         for run in block.runs() {
             let address = block.place.base + run.start as u16;
             let length = (run.len() + OVERHEAD) as u8;

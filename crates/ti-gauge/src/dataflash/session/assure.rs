@@ -18,7 +18,7 @@ use crate::dataflash::pack::{self, Match};
 use crate::dataflash::planned::{Held, look_at};
 use crate::dataflash::schemes::sequence;
 use crate::dataflash::state::has_lost_memory;
-use crate::dataflash::window::Dirty;
+use crate::dataflash::window::Planned;
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::{Gauge, Moment, SEAL_LAG, Seal};
 use crate::journal::{Entry, Identity, Plan};
@@ -139,13 +139,13 @@ impl Session {
                 (self.pack.since, self.pack.anew) = (Some(moment), false);
                 return Ok(moment);
             }
-            return Err(self.estranged(gauge, compared));
+            return Err(self.other_pack_error(gauge, compared));
         }
         let why = "it falls silent again and again, so its pack cannot be compared with the one before";
         Err(Error::new(gauge.chip.model, Cause::NotNow, why).at(Step::Identify))
     }
 
-    fn estranged(&mut self, gauge: &Gauge, compared: Match) -> Error {
+    fn other_pack_error(&mut self, gauge: &Gauge, compared: Match) -> Error {
         let error = |cause, why: String| Error::new(gauge.chip.model, cause, why).at(Step::Identify);
         match compared {
             Match::Other(name) => {
@@ -202,7 +202,7 @@ impl Session {
     fn holds_a_part(&self, gauge: &mut Gauge) -> Result<bool> {
         let Some(Reference { plan, .. }) = &self.pack.pack else { return Ok(false) };
         let seen = look_at(gauge, plan)?;
-        let changed = |block: &Dirty| !block.is_neighbour();
+        let changed = |block: &Planned| !block.is_neighbour();
         let torn = seen.iter().any(|seen| seen.held == Held::Torn && changed(&seen.block));
         Ok(torn && seen.iter().all(|seen| seen.held != Held::Unexplained))
     }

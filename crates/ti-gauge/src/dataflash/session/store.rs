@@ -6,12 +6,12 @@ use super::{Session, reads_wrong};
 use crate::dataflash::checks;
 use crate::dataflash::io::{STORES, is_passing, reload, still_open, verify};
 use crate::dataflash::schemes::sequence;
-use crate::dataflash::window::Dirty;
+use crate::dataflash::window::Planned;
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::{Gauge, Moment, Statistics};
 
 /// What shows that the gauge is still the one that a block is meant for.
-pub(in crate::dataflash) trait Surety {
+pub(in crate::dataflash) trait Confidence {
     /// Makes sure of it. What is sent is bound to the moment that this returns.
     fn assure(&mut self, gauge: &mut Gauge) -> Result<Moment>;
     /// How often other blocks were loaded for that.
@@ -20,7 +20,7 @@ pub(in crate::dataflash) trait Surety {
     }
 }
 
-impl Surety for Session {
+impl Confidence for Session {
     fn assure(&mut self, gauge: &mut Gauge) -> Result<Moment> {
         Session::assure(self, gauge)
     }
@@ -33,7 +33,7 @@ impl Surety for Session {
 /// The keys that a gauge has just taken.
 pub(in crate::dataflash) struct ByKeys;
 
-impl Surety for ByKeys {
+impl Confidence for ByKeys {
     fn assure(&mut self, gauge: &mut Gauge) -> Result<Moment> {
         Ok(gauge.moment())
     }
@@ -43,11 +43,11 @@ impl Surety for ByKeys {
 /// voltage is too low is told as that.
 pub(in crate::dataflash) fn store(
     gauge: &mut Gauge,
-    surety: &mut impl Surety,
-    block: &Dirty,
+    confidence: &mut impl Confidence,
+    block: &Planned,
     touched: &mut usize,
 ) -> Result<()> {
-    store_patiently(gauge, surety, block, touched).map_err(|error| match reads_wrong(&error) {
+    store_patiently(gauge, confidence, block, touched).map_err(|error| match reads_wrong(&error) {
         true => checks::shut(gauge).ok().flatten().unwrap_or(error),
         false => error,
     })
@@ -58,35 +58,35 @@ pub(in crate::dataflash) fn store(
 /// and that has changed nothing, is repeated: it was busy with a row of its own.
 fn store_patiently(
     gauge: &mut Gauge,
-    surety: &mut impl Surety,
-    block: &Dirty,
+    confidence: &mut impl Confidence,
+    block: &Planned,
     touched: &mut usize,
 ) -> Result<()> {
     let (mut block, before) = (block.clone(), *touched);
     for _ in 1..STORES {
-        let moment = assure_loaded(gauge, surety, &mut block)?;
+        let moment = assure_loaded(gauge, confidence, &mut block)?;
         let (committed, stored) = store_once(gauge, &block, moment, || *touched = before + 1);
         match (committed, stored) {
-            (_, Ok(())) => return surety.assure(gauge).map(drop),
+            (_, Ok(())) => return confidence.assure(gauge).map(drop),
             (Err(error), Err(_)) if is_passing(&error) => {}
             (committed, Err(error)) => return Err(committed.err().unwrap_or(error)),
         }
         still_open(gauge)?;
-        surety.assure(gauge)?;
+        confidence.assure(gauge)?;
         // Not the old content: what the commit has done must not be hidden by another.
         block = reload(gauge, &block)?;
     }
-    let moment = assure_loaded(gauge, surety, &mut block)?;
+    let moment = assure_loaded(gauge, confidence, &mut block)?;
     let (committed, stored) = store_once(gauge, &block, moment, || *touched = before + 1);
     stored.map_err(|error| committed.err().unwrap_or(error))?;
-    surety.assure(gauge).map(drop)
+    confidence.assure(gauge).map(drop)
 }
 
 /// Makes sure that it is still the same pack, with the block in the window.
-fn assure_loaded(gauge: &mut Gauge, surety: &mut impl Surety, block: &mut Dirty) -> Result<Moment> {
-    let compared = surety.compared();
-    let moment = surety.assure(gauge)?;
-    if surety.compared() != compared {
+fn assure_loaded(gauge: &mut Gauge, confidence: &mut impl Confidence, block: &mut Planned) -> Result<Moment> {
+    let compared = confidence.compared();
+    let moment = confidence.assure(gauge)?;
+    if confidence.compared() != compared {
         *block = reload(gauge, block)?;
     }
     Ok(moment)
@@ -96,7 +96,7 @@ fn assure_loaded(gauge: &mut Gauge, surety: &mut impl Surety, block: &mut Dirty)
 /// its acknowledgement was lost. It is not sent to a gauge that may have been exchanged since `moment`.
 fn store_once(
     gauge: &mut Gauge,
-    block: &Dirty,
+    block: &Planned,
     moment: Moment,
     commits: impl FnMut(),
 ) -> (Result<()>, Result<()>) {
@@ -113,7 +113,7 @@ fn store_once(
 /// Fills the window, which shows the block, and commits it.
 pub(in crate::dataflash) fn put(
     gauge: &mut Gauge,
-    block: &Dirty,
+    block: &Planned,
     moment: Moment,
     mut commits: impl FnMut(),
 ) -> Result<()> {
