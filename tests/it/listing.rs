@@ -139,6 +139,7 @@ fn a_gauge_and_a_value_have_one_shape_in_the_json_of_every_command() {
     // A serial number in hexadecimal is no number, whatever its digits are.
     let sample = json(&["top", "--json", "--count", "1", &at]);
     assert!(sample["serial_number"].is_string() && sample["capacity"].is_u64(), "{sample}");
+    assert_eq!(sample["present"], 1, "the template in docs/fleet compares it with a number: {sample}");
     let refused = json(&["set", "--json", &gauge, &format!("{voltage}=9999")]);
     let details = &refused["error_details"];
     assert!(details["least"].is_i64() && details["cause"] == "out-of-range", "{details}");

@@ -52,7 +52,7 @@ const fn number(name: &'static str, unit: &'static str) -> Attribute {
 static ATTRIBUTES: &[Attribute] = &[
     text("type"),
     text("status"),
-    text("present"),
+    number("present", ""),
     text("health"),
     text("technology"),
     text("scope"),
