@@ -548,17 +548,9 @@ impl Task<'_> {
         }
     }
 
-    /// Makes a new board of several cells writable: in calibration mode the limit is set to 0, and the divider with it.
-    fn bring_up(&mut self, cells: u8, divider: u16, voltage_mv: Option<f64>) -> Result<String> {
-        let chip = self.gauge.chip;
-        let gate = chip.gate.as_ref().and_then(|gate| {
-            let (external, cells) = (gate.external.as_ref()?, gate.cells?);
-            Some((gate.limit, gate.divider?, external, cells, gate.cell_divider))
-        });
-        let Some((limit, divider_row, external, cells_row, cell_divider)) = gate else {
-            return Err(not_documented(chip));
-        };
-        // The gauge would be set up for it, and only then be found to measure something else.
+    /// Refuses a divider or a voltage that cannot be that of so many cells: the gauge would be set up for it, and only
+    /// then be found to measure something else.
+    fn check_pack(&self, cells: u8, divider: u16, voltage_mv: Option<f64>) -> Result<()> {
         for (name, given) in [("Voltage Divider", Some(divider.into())), ("Voltage()", voltage_mv)] {
             if let Some(given) = given.filter(|given| *given < LEAST_CELL_MV * f64::from(cells)) {
                 let likely = unit::likely(given, "mV").unwrap_or_default();
@@ -573,6 +565,20 @@ impl Task<'_> {
             let why = format!("the converter ends at {divider} mV, and the pack has more");
             return self.refuse("Voltage Divider", why);
         }
+        Ok(())
+    }
+
+    /// Makes a new board of several cells writable: in calibration mode the limit is set to 0, and the divider with it.
+    fn bring_up(&mut self, cells: u8, divider: u16, voltage_mv: Option<f64>) -> Result<String> {
+        let chip = self.gauge.chip;
+        let gate = chip.gate.as_ref().and_then(|gate| {
+            let (external, cells) = (gate.external.as_ref()?, gate.cells?);
+            Some((gate.limit, gate.divider?, external, cells, gate.cell_divider))
+        });
+        let Some((limit, divider_row, external, cells_row, cell_divider)) = gate else {
+            return Err(not_documented(chip));
+        };
+        self.check_pack(cells, divider, voltage_mv)?;
         let ((subclass, parameter), old) = self.value(external.byte)?;
         let Value::Int(word) = old else { return Err(not_documented(chip)) };
         let shift = 8 * (parameter.kind.size() - 1);
@@ -626,6 +632,22 @@ impl Task<'_> {
         };
         let first = format!("{name}: {}", read.show(unit));
         (self.tell)(&first);
+        let rows = (limit, divider_row);
+        self.refine((cells, divider), voltage_mv, rows, cell_divider, read, &first)
+    }
+
+    /// The second transaction of a new board: the divider that the measured voltage gives, and the limit that belongs
+    /// to it.
+    fn refine(
+        &mut self,
+        (cells, divider): (u8, u16),
+        voltage_mv: Option<f64>,
+        (limit, divider_row): ((u8, u16), (u8, u16)),
+        cell_divider: Option<u32>,
+        read: Readings,
+        first: &str,
+    ) -> Result<String> {
+        let chip = self.gauge.chip;
         // What follows has its own time: flash is open and the pack is measured.
         self.asked = self.gauge.clock.now();
         let refined = voltage_mv.map(|voltage| (f64::from(divider) * voltage / read.mean).round());

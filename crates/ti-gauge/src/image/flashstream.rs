@@ -258,38 +258,7 @@ pub(super) fn read(text: &str, told: Option<&'static Chip>, faults: &mut Faults)
     let mut image = Image::new(chip, codes.1);
     image.names_chip = named.is_some() || codes.0.is_some();
     let mut stream = Stream::new(chip);
-    for (at, (number, command)) in commands.iter().enumerate() {
-        let outcome = match command {
-            Command::Write { address: GAUGE, register, bytes } => {
-                let next = commands.get(at + 1).map(|(_, next)| next);
-                stream.write(*number, *register, bytes, next)
-            }
-            Command::Compare { address: GAUGE, register, bytes } => stream.compare(*register, bytes),
-            Command::Write { .. } | Command::Unread => {
-                stream.unread = true;
-                stream.doubt();
-                Ok(())
-            }
-            Command::Compare { .. } | Command::Read { .. } | Command::Wait(_) => Ok(()),
-        };
-        if let Some(why) = stream.missed.take() {
-            faults.at(*number, why);
-        }
-        if let Err(why) = outcome {
-            faults.at(*number, why);
-            stream.doubt();
-        }
-    }
-    if let Some(number) = stream.pending {
-        faults.at(number, "these bytes are never committed by a checksum");
-    }
-    // A line that cannot be read may be the one that leaves it.
-    if let Some(number) = stream.update
-        && !stream.unread
-    {
-        let why = "CONFIG UPDATE is entered, and no SOFT_RESET leaves it; the file is cut short";
-        faults.at(number, why);
-    }
+    stream.run(&commands, faults);
     stream.into_image(&mut image, faults);
     match (device_type, firmware) {
         (Some((one, _)), Some((other, _))) => {
@@ -456,6 +425,42 @@ impl Stream {
             unchecked: Vec::new(),
             notes: Vec::new(),
             left_out: Vec::new(),
+        }
+    }
+
+    /// Carries out all commands, as a gauge would.
+    fn run(&mut self, commands: &[(usize, Command)], faults: &mut Faults) {
+        for (at, (number, command)) in commands.iter().enumerate() {
+            let outcome = match command {
+                Command::Write { address: GAUGE, register, bytes } => {
+                    let next = commands.get(at + 1).map(|(_, next)| next);
+                    self.write(*number, *register, bytes, next)
+                }
+                Command::Compare { address: GAUGE, register, bytes } => self.compare(*register, bytes),
+                Command::Write { .. } | Command::Unread => {
+                    self.unread = true;
+                    self.doubt();
+                    Ok(())
+                }
+                Command::Compare { .. } | Command::Read { .. } | Command::Wait(_) => Ok(()),
+            };
+            if let Some(why) = self.missed.take() {
+                faults.at(*number, why);
+            }
+            if let Err(why) = outcome {
+                faults.at(*number, why);
+                self.doubt();
+            }
+        }
+        if let Some(number) = self.pending {
+            faults.at(number, "these bytes are never committed by a checksum");
+        }
+        // A line that cannot be read may be the one that leaves it.
+        if let Some(number) = self.update
+            && !self.unread
+        {
+            let why = "CONFIG UPDATE is entered, and no SOFT_RESET leaves it; the file is cut short";
+            faults.at(number, why);
         }
     }
 

@@ -125,10 +125,69 @@ pub fn parse(text: &str, told: Option<&'static Chip>) -> Result<Image> {
     Reading { image, faults }.whole()
 }
 
+/// What the header lines say.
+#[derive(Default)]
+struct Header {
+    named: Option<&'static Chip>,
+    device_type: Option<u16>,
+    firmware: Option<u16>,
+    count: Option<usize>,
+    /// Names of the columns.
+    order: Option<Vec<String>>,
+}
+
+impl Header {
+    /// Takes a header line without its `*`; an error is one after which nothing can be read.
+    fn take(
+        &mut self,
+        head: &str,
+        fields: &[String],
+        number: usize,
+        faults: &mut Faults,
+    ) -> Result<(), String> {
+        let mut need = |is_right: bool, why| {
+            if !is_right {
+                faults.at(number, why);
+            }
+        };
+        if let Some(name) = head.strip_prefix(CHIP_LINE) {
+            self.named = Chip::by_name(name.trim());
+            need(self.named.is_some(), "not in the list of `gaugefs chips`");
+        } else if let Some(rows) = head.strip_prefix(COUNT_LINE) {
+            self.count = rows.trim().parse().ok();
+            need(self.count.is_some(), "not a number of parameters");
+        } else if let Some(code) = head.strip_prefix("Device Number") {
+            self.device_type = word(code.trim());
+            need(self.device_type.is_some(), "Device Number: not a hexadecimal word");
+        } else if let Some(version) = head.strip_prefix("Firmware Version") {
+            let parts: Option<Vec<u8>> =
+                version.trim().split('.').map(|part| u8::from_str_radix(part, 16).ok()).collect();
+            let word = match parts.as_deref() {
+                Some([high, low] | [high, low, _]) => Some(u16::from_be_bytes([*high, *low])),
+                _ => None,
+            };
+            need(word.is_some(), "Firmware Version: not two or three numbers");
+            self.firmware = word.or(self.firmware);
+        } else if let Some(first) = head.strip_prefix(ORDER_LINE) {
+            let names = std::iter::once(first).chain(fields[1..].iter().map(String::as_str));
+            let mut names: Vec<String> = names.map(kebab_case).collect();
+            // A spreadsheet makes all rows as long as the longest.
+            while names.pop_if(|name| name.is_empty()).is_some() {}
+            if let Some(missing) = NEEDED.iter().find(|name| !names.iter().any(|known| known == *name)) {
+                return Err(format!(
+                    "no column `{missing}`; `* {ORDER_LINE}` names the columns, with commas, semicolons or tabs \
+                     between them"
+                ));
+            }
+            self.order = Some(names);
+        }
+        Ok(())
+    }
+}
+
 /// Reads a gg.csv as far as it goes, and lists all its mistakes.
 pub(super) fn read(text: &str, told: Option<&'static Chip>, faults: &mut Faults) -> Option<Image> {
-    let (mut named, mut device_type, mut firmware, mut count) = (None, None, None, None);
-    let mut order: Option<Vec<String>> = None;
+    let mut header = Header::default();
     let mut rows = Vec::new();
     let comma = rows::separator(text.split_once(ORDER_LINE).map_or("", |(_, names)| names));
     for row in rows::rows(text, comma) {
@@ -140,51 +199,18 @@ pub(super) fn read(text: &str, told: Option<&'static Chip>, faults: &mut Faults)
                 continue;
             }
         };
-        let Some(head) = fields[0].trim().strip_prefix('*').map(str::trim) else {
-            if order.is_none() && fields[0].starts_with('[') {
-                let why = "a .gg file in sections has neither units nor formats; export it as .gg.csv";
+        if let Some(head) = fields[0].trim().strip_prefix('*').map(str::trim) {
+            if let Err(why) = header.take(head, &fields, number, faults) {
                 return faults.stop(number, at_line(number, why));
             }
+        } else if header.order.is_none() && fields[0].starts_with('[') {
+            let why = "a .gg file in sections has neither units nor formats; export it as .gg.csv";
+            return faults.stop(number, at_line(number, why));
+        } else {
             rows.push((number, fields));
-            continue;
-        };
-        if let Some(name) = head.strip_prefix(CHIP_LINE) {
-            named = Chip::by_name(name.trim());
-            if named.is_none() {
-                faults.at(number, "not in the list of `gaugefs chips`");
-            }
-        } else if let Some(number_of_rows) = head.strip_prefix(COUNT_LINE) {
-            count = number_of_rows.trim().parse::<usize>().ok();
-            if count.is_none() {
-                faults.at(number, "not a number of parameters");
-            }
-        } else if let Some(code) = head.strip_prefix("Device Number") {
-            device_type = word(code.trim());
-            if device_type.is_none() {
-                faults.at(number, "Device Number: not a hexadecimal word");
-            }
-        } else if let Some(version) = head.strip_prefix("Firmware Version") {
-            let parts: Option<Vec<u8>> =
-                version.trim().split('.').map(|part| u8::from_str_radix(part, 16).ok()).collect();
-            match parts.as_deref() {
-                Some([high, low] | [high, low, _]) => firmware = Some(u16::from_be_bytes([*high, *low])),
-                _ => faults.at(number, "Firmware Version: not two or three numbers"),
-            }
-        } else if let Some(first) = head.strip_prefix(ORDER_LINE) {
-            let names = std::iter::once(first).chain(fields[1..].iter().map(String::as_str));
-            let mut names: Vec<String> = names.map(kebab_case).collect();
-            // A spreadsheet makes all rows as long as the longest.
-            while names.pop_if(|name| name.is_empty()).is_some() {}
-            if let Some(missing) = NEEDED.iter().find(|name| !names.iter().any(|known| known == *name)) {
-                let why = format!(
-                    "no column `{missing}`; `* {ORDER_LINE}` names the columns, with commas, semicolons or tabs \
-                     between them"
-                );
-                return faults.stop(number, at_line(number, why));
-            }
-            order = Some(names);
         }
     }
+    let Header { named, device_type, firmware, count, order } = header;
     if let (Some(named), Some(told)) = (named, told)
         && !std::ptr::eq(named, told)
     {
@@ -207,8 +233,15 @@ pub(super) fn read(text: &str, told: Option<&'static Chip>, faults: &mut Faults)
     }
     let mut image = Image::new(chip, firmware);
     image.names_chip = named.is_some() || device_type.is_some();
+    rows.retain(|(number, _)| cut != Some(*number));
+    add_rows(&mut image, &order, rows, faults);
+    Some(image)
+}
+
+/// Adds the parameters of all rows, and says of unknown ones what was probably meant.
+fn add_rows(image: &mut Image, order: &[String], rows: Vec<(usize, Vec<String>)>, faults: &mut Faults) {
     let mut unknown = Vec::new();
-    for (number, fields) in rows.into_iter().filter(|(number, _)| cut != Some(*number)) {
+    for (number, fields) in rows {
         if fields.iter().skip(order.len()).any(|field| !field.trim().is_empty()) {
             let why = format!("{} fields, but the header names {}", fields.len(), order.len());
             faults.at(number, why);
@@ -218,7 +251,7 @@ pub(super) fn read(text: &str, told: Option<&'static Chip>, faults: &mut Faults)
             let at = order.iter().position(|column| column == name)?;
             fields.get(at).map(String::as_str)
         };
-        match add_row(&mut image, number, &field) {
+        match add_row(image, number, &field) {
             Ok(None) => {}
             Ok(Some(name)) if unknown.len() < NAMED => unknown.push((image.left_out.len() - 1, name)),
             Ok(Some(_)) => {}
@@ -227,7 +260,7 @@ pub(super) fn read(text: &str, told: Option<&'static Chip>, faults: &mut Faults)
     }
     // A parameter that has its own row is not meant by another one.
     let meant = |(at, name): (usize, String)| {
-        let (subclass, parameter) = chip.nearest(&name)?;
+        let (subclass, parameter) = image.chip.nearest(&name)?;
         let is_it = |entry: &Entry| std::ptr::eq(entry.parameter, parameter);
         let name = format!("{}/{}/{}", subclass.class, subclass.name, parameter.name);
         (!image.entries.iter().any(is_it)).then_some((at, name))
@@ -235,7 +268,6 @@ pub(super) fn read(text: &str, told: Option<&'static Chip>, faults: &mut Faults)
     for (at, name) in unknown.into_iter().filter_map(meant).collect::<Vec<_>>() {
         image.left_out[at].text += &format!("; did you mean {name}?");
     }
-    Some(image)
 }
 
 /// Adds the parameter of a row. Returns what is no parameter, as class and name.
@@ -297,7 +329,20 @@ fn add_row<'a>(
         image.add(subclass, parameter, value, number);
         return Ok(None);
     }
-    let shown = shown.trim();
+    let value = numeric(parameter, shown.trim(), raw, (format, decimals, unit), number)?;
+    image.add(subclass, parameter, value, number);
+    Ok(None)
+}
+
+/// The number of a row, with how it is shown: format, decimals and unit.
+fn numeric(
+    parameter: &Parameter,
+    shown: &str,
+    raw: Option<Value>,
+    (format, decimals, unit): (&str, usize, Option<&str>),
+    number: usize,
+) -> Result<Value> {
+    let bad = |why: String| at_line(number, format!("{}: {why}", parameter.name));
     let is_raw = |value: &Value| raw.as_ref() == Some(value);
     let value = match raw {
         // The format shows fewer digits than are stored.
@@ -321,8 +366,7 @@ fn add_row<'a>(
             "a spreadsheet has removed the point from it; empty its Data Flash Raw Value if it is right";
         return Err(bad(why.into()));
     }
-    image.add(subclass, parameter, value, number);
-    Ok(None)
+    Ok(value)
 }
 
 /// The text of a number as [`notation::parse_stored`] takes it, or why there is none, if that is not its format.
