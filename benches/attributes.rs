@@ -94,7 +94,8 @@ impl Bus for Numbered {
         read.copy_from_slice(self.first.entry((start, read.len())).or_insert_with(|| read.to_vec()));
         let serial = (self.serial.load(Ordering::SeqCst) % SERIALS) as i64;
         for (register, value) in &self.registers {
-            let Some(at) = register.code.checked_sub(start).map(usize::from) else { continue };
+            let at = register.source.command().and_then(|code| code.checked_sub(start)).map(usize::from);
+            let Some(at) = at else { continue };
             let size = usize::from(register.size);
             if let Some(bytes) = read.get_mut(at..at + size) {
                 bytes.copy_from_slice(&value(serial).to_le_bytes()[..size]);

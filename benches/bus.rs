@@ -255,10 +255,11 @@ fn rig(chip: &'static Chip, found: Seal) -> Result<(Arc<SimClock>, Gauge, DataFl
     let mut words = HashMap::new();
     for register in chip.registers.iter().filter(|register| register.size == 2) {
         let mut word = [0; 2];
-        gauge.read(register.code, &mut word)?;
-        words.insert(register.code, u16::from_le_bytes(word));
+        let Some(code) = register.source.command() else { continue };
+        gauge.read(code, &mut word)?;
+        words.insert(register.source, u16::from_le_bytes(word));
     }
-    dataflash.polled(chip, |code| words.get(&code).copied());
+    dataflash.polled(chip, |source| words.get(&source).copied());
     Ok((clock, gauge, dataflash))
 }
 

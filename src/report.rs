@@ -82,16 +82,11 @@ fn gauge(chip: &Chip, report: &Report) -> Vec<String> {
     for register in chip.registers.iter().filter(|register| register.tier != Tier::Window) {
         if let Some(value) = report.snapshot.value(register) {
             let shown = match register.unit {
-                _ if serial == Some(register.code) => "not shown".to_string(),
+                _ if serial.is_some_and(|serial| serial.source == register.source) => "not shown".to_string(),
                 unit if register.bits.is_empty() => format!("{value} {unit}"),
                 _ => format!("0x{value:04x}"),
             };
-            about.push(format!(
-                "Register 0x{:02x} {}() = {}",
-                register.code,
-                register.name,
-                shown.trim_end()
-            ));
+            about.push(format!("Register {} {}() = {}", register.source, register.name, shown.trim_end()));
         }
     }
     about

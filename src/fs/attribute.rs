@@ -198,8 +198,9 @@ impl Reading<'_> {
         let is_current = matches!(role, Role::CurrentNow | Role::CurrentAvg);
         let value = self.raw(role).filter(|_| snapshot.has_current || !is_current)?;
         let register = self.chip.register(role)?;
-        let is_ready =
-            |code| self.chip.register_at(code).and_then(|by| snapshot.value(by)).is_some_and(|by| by != 0);
+        let is_ready = |source| {
+            self.chip.register_at(source).and_then(|by| snapshot.value(by)).is_some_and(|by| by != 0)
+        };
         register.validity.is_none_or(is_ready).then_some(())?;
         valid(register, value, self.flags().unwrap_or_default())
     }
@@ -310,7 +311,7 @@ impl Reading<'_> {
         let register = match kind.scale(self.chip) {
             Scale::None => return Some(1),
             Scale::Flash(subclass, offset) => return self.handle.flash_scale((subclass, offset)),
-            Scale::Register(code) => self.chip.register_at(code)?,
+            Scale::Register(source) => self.chip.register_at(source)?,
         };
         let snapshot = self.snapshot.filter(|snapshot| snapshot.is_valid)?;
         snapshot.value(register).and_then(|scale| scale.try_into().ok()).filter(|&scale| scale > 0)
@@ -319,8 +320,8 @@ impl Reading<'_> {
     /// Whether the gauge says that its values are scaled by a factor that it does not have, and what says so; `None`
     /// if the part never says that.
     pub(super) fn is_scaled(&self) -> Option<(bool, String)> {
-        let (code, bit) = self.chip.scaling.scaled?;
-        let register = self.chip.register_at(code)?;
+        let (source, bit) = self.chip.scaling.scaled?;
+        let register = self.chip.register_at(source)?;
         let word = self.snapshot?.value(register)?;
         Some((word & i64::from(bit.mask) != 0, format!("[{}] of {}()", bit.name, register.name)))
     }

@@ -343,7 +343,7 @@ pub fn recorded(path: &Path) -> Result<(&'static Chip, Replay)> {
         refuse(format!("unknown chip `{}`; `gaugefs chips` lists the known ones", recording.chip))
     })?;
     let status = match chip.security.status {
-        SealStatus::Field { register, .. } => register,
+        SealStatus::Field { word, .. } => word.command(),
         SealStatus::Bits { .. } | SealStatus::None => None,
     };
     let replay = Replay::new(&recording, Seals { command: chip.security.seal, status });

@@ -9,7 +9,7 @@ use std::sync::mpsc;
 
 use gauge_bus::regular;
 use nix::errno::Errno;
-use ti_gauge::chip::{CHIPS, Chip, Kind, Row, Word, snake_case};
+use ti_gauge::chip::{CHIPS, Chip, Kind, Row, Source, snake_case};
 use ti_gauge::dataflash::Place;
 use ti_gauge::error::Cause;
 use ti_gauge::image::{Difference, Entry, Image, LeftOut, RawDifference};
@@ -323,9 +323,9 @@ impl Gauge {
         let chip = self.part().ok();
         let pack = chip.and_then(|chip| Some((chip, chip.preflight.pack.as_ref()?)));
         let pack = pack.and_then(|(chip, pack)| match pack.word {
-            Word::Register(_) => Some(format!("{} {}", pack.name, self.serial(chip)?)),
-            Word::Answer(_) => Some(format!("{} {}", pack.name, text("gauge/chem_id")?)),
-            Word::ControlStatus => None,
+            Source::Command(_) => Some(format!("{} {}", pack.name, self.serial(chip)?)),
+            Source::Answer(_) => Some(format!("{} {}", pack.name, text("gauge/chem_id")?)),
+            Source::Status => None,
         });
         let pack = pack.unwrap_or("no serial number".into());
         let age = text("gauge/age_ms").and_then(|age| age.parse::<f64>().ok());

@@ -172,6 +172,6 @@ pub(crate) fn unit(file: &str) -> Option<&'static str> {
 
 /// The serial number of a pack, from the register of a part that distinguishes packs.
 pub(crate) fn serial(chip: &Chip, register: impl FnOnce(&str) -> Option<u16>) -> Option<String> {
-    let row = chip.register_at(chip.serial_register()?)?;
+    let row = chip.serial_register()?;
     Some(format!("0x{:04x}", register(&snake_case(row.name))?))
 }

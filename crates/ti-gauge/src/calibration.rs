@@ -9,9 +9,11 @@
 
 use std::time::Duration;
 
-use crate::chip::{Calibration, Chip, Offset, Parameter, Role, Subclass, Word};
+use crate::chip::{Calibration, Chip, Offset, Parameter, Role, Subclass};
 use crate::codec;
-use crate::dataflash::{BEGINS, Change, DataFlash, Outcome, Place, Row, WriteOptions, assure_same};
+use crate::dataflash::{
+    BEGINS, Change, DataFlash, Outcome, Place, Row, WriteOptions, assure_same, read_word,
+};
 use crate::error::{Cause, Error, Reason, Result, Step};
 use crate::gauge::{Gauge, Moment, agreed};
 use crate::notation;
@@ -349,18 +351,19 @@ impl Task<'_> {
     }
 
     fn temperature(&mut self, actual: f64) -> Result<String> {
-        let Calibration { thermistor: (register, mask), internal, external, .. } = *self.calibration;
+        let Calibration { thermistor: (source, mask), internal, external, .. } = *self.calibration;
         let target = Target { role: Role::Temp, wanted: actual, spread: 1.0 };
         if !(-40.0..=125.0).contains(&actual) {
             return self
                 .refuse(naming(self.gauge.chip, Role::Temp).0, "give degrees Celsius, -40 to 125".into());
         }
         let before = self.steady(target, READINGS)?;
-        let place =
-            match agreed("the selection of the temperature sensor", || word(self.gauge, register))? & mask {
-                0 => internal,
-                _ => external,
-            };
+        let place = match agreed("the selection of the temperature sensor", || read_word(self.gauge, source))?
+            & mask
+        {
+            0 => internal,
+            _ => external,
+        };
         let new = self.number(place)? + ((actual - before.mean) / CELSIUS_STEP).round();
         self.write(target, before, &[(place, new)], false)
     }
@@ -709,10 +712,6 @@ fn is_running(gauge: &mut Gauge, bits: u16) -> Result<bool> {
     agreed("CONTROL_STATUS", || Ok(gauge.control_status()?.1 & bits != 0))
 }
 
-fn word(gauge: &mut Gauge, register: u8) -> Result<u16> {
-    crate::dataflash::read_word(gauge, Word::Register(register))
-}
-
 fn readings(gauge: &mut Gauge, role: Role, count: usize) -> Result<Readings> {
     let chip = gauge.chip;
     let register = chip.register(role).ok_or_else(|| not_documented(chip))?;
@@ -721,7 +720,7 @@ fn readings(gauge: &mut Gauge, role: Role, count: usize) -> Result<Readings> {
         if number > 0 {
             gauge.wait(INTERVAL);
         }
-        let word = word(gauge, register.code)?;
+        let word = read_word(gauge, register.source)?;
         let value = if register.signed { f64::from(word as i16) } else { f64::from(word) };
         values.push(if role == Role::Temp { (value - FREEZING) * CELSIUS_STEP } else { value });
     }

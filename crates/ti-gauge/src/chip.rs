@@ -30,6 +30,7 @@ mod names;
 mod parameter;
 mod preflight;
 mod recognise;
+mod source;
 mod values;
 
 pub use beliefs::{BELIEFS, Belief};
@@ -37,8 +38,9 @@ pub use calibration::{Calibration, Offset};
 pub use identity::{Answers, Identity, SIBLINGS, Sibling, Signature};
 pub use names::{Unnamed, kebab_case, snake_case};
 pub use parameter::{FLAT, Kind, Parameter, Range, Row, Safe, Stays, Subclass};
-pub use preflight::{Learning, Mode, Pack, Preflight, Word};
+pub use preflight::{Learning, Mode, Pack, Preflight};
 pub use recognise::{Limited, Recognised, recognise};
+pub use source::Source;
 pub use values::Values;
 
 /// Every chip that has a table, in the order of the README. The others are in [`kernel::GAUGES`].
@@ -281,8 +283,8 @@ pub enum Role {
 /// A standard command.
 #[derive(Debug)]
 pub struct Register {
-    /// Address of its least significant byte.
-    pub code: u8,
+    /// Where it is read.
+    pub source: Source,
     /// Bytes.
     pub size: u8,
     /// Whether the value is two's complement.
@@ -306,7 +308,7 @@ pub struct Register {
     /// The readings that are values of its property.
     pub values: Values,
     /// The register of one byte that is 0 while the reading is not valid.
-    pub validity: Option<u8>,
+    pub validity: Option<Source>,
     /// Names of its bits, if it is a flag word.
     pub bits: &'static [Bit],
 }
@@ -371,7 +373,7 @@ pub struct Condition {
     pub uncertain: u16,
     /// The bit that is set once values are valid after power-up or a reset: of CONTROL_STATUS, or of a register that is
     /// polled; `None` where none is documented.
-    pub complete: Option<(Word, u16)>,
+    pub complete: Option<(Source, u16)>,
     /// A gauge for primary cells.
     pub primary: Option<Primary>,
 }
@@ -417,7 +419,7 @@ pub struct Scaling {
     pub energy: Scale,
     /// Shows that the host has to multiply currents, charges and energies by a factor that the gauge does not have:
     /// a register that is read when the gauge is opened, and its bit.
-    pub scaled: Option<(u8, Bit)>,
+    pub scaled: Option<(Source, Bit)>,
 }
 
 /// Where a part has a scale.
@@ -426,7 +428,7 @@ pub enum Scale {
     /// Nowhere.
     None,
     /// In a polled register, which is not 0 in a configured gauge.
-    Register(u8),
+    Register(Source),
     /// In a byte of data flash, by subclass and offset. Its default is 1.
     Flash(u8, u16),
 }
@@ -523,10 +525,10 @@ pub enum SealStatus {
         /// `[FAS]`; 0 where there is no FULL ACCESS.
         not_full_access: u16,
     },
-    /// A two-bit field of the CONTROL_STATUS word or of a register: 11 SEALED, 10 UNSEALED, 01 FULL ACCESS.
+    /// A two-bit field of a word: 11 SEALED, 10 UNSEALED, 01 FULL ACCESS.
     Field {
-        /// Register that holds the field; `None` for CONTROL_STATUS.
-        register: Option<u8>,
+        /// The word.
+        word: Source,
         /// The lower of the two bits.
         shift: u8,
     },
@@ -641,7 +643,7 @@ pub struct Gate {
     /// Parameter of one byte that holds the number of cells in series, where the limit is a cell's by its name.
     pub cells: Option<(u8, u16)>,
     /// Register of two bytes and its bit that is set while calibration is enabled. The gate is open then.
-    pub calibration: Option<(u8, u16)>,
+    pub calibration: Option<(Source, u16)>,
 }
 
 /// A bit of data flash that selects the divider by which the pack's voltage reaches the converter.
@@ -660,10 +662,11 @@ pub struct External {
 impl Register {
     /// A row of a manual's table: address, size and sign, name, unit, tier.
     pub const fn new(code: u8, kind: Type, name: &'static str, unit: &'static str, tier: Tier) -> Self {
+        let source = Source::Command(code);
         let signed = matches!(kind, Type::I(_));
         let size = kind.size() as u8;
         Self {
-            code,
+            source,
             size,
             signed,
             name,
@@ -698,7 +701,7 @@ impl Register {
     /// The register that is 0 while the reading is not valid.
     #[must_use]
     pub const fn valid_by(mut self, code: u8) -> Self {
-        self.validity = Some(code);
+        self.validity = Some(Source::Command(code));
         self
     }
 
@@ -796,13 +799,13 @@ impl Chip {
     }
 
     /// The register that distinguishes packs. A chemistry ID is no serial number.
-    pub fn serial_register(&self) -> Option<u8> {
-        self.preflight.pack.as_ref()?.word.register()
+    pub fn serial_register(&self) -> Option<&'static Register> {
+        self.register_at(self.preflight.pack.as_ref()?.word)
     }
 
-    /// The register at an address.
-    pub fn register_at(&self, code: u8) -> Option<&'static Register> {
-        self.registers.iter().find(|register| register.code == code)
+    /// The register of a source.
+    pub fn register_at(&self, source: Source) -> Option<&'static Register> {
+        self.registers.iter().find(|register| register.source == source)
     }
 
     /// The register that feeds a property.

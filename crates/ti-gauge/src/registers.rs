@@ -51,7 +51,7 @@ impl Registers {
 
     /// The value of a register, sign applied; `None` unless all of its bytes have been read.
     pub fn value(&self, register: &Register) -> Option<i64> {
-        let (start, size) = (usize::from(register.code), usize::from(register.size));
+        let (start, size) = (usize::from(register.source.command()?), usize::from(register.size));
         if (start..start + size).any(|at| self.known >> at & 1 == 0) {
             return None;
         }
@@ -71,12 +71,13 @@ impl Registers {
 pub fn bursts(registers: &[Register], wanted: impl Fn(Tier) -> bool) -> Vec<(u8, u8)> {
     let mut bursts: Vec<(u8, u8)> = Vec::new();
     for register in registers.iter().filter(|register| wanted(register.tier)) {
-        let end = register.code + register.size;
+        let Some(code) = register.source.command() else { continue };
+        let end = code + register.size;
         match bursts.last_mut() {
-            Some((start, length)) if register.code <= *start + *length + GAP => {
+            Some((start, length)) if code <= *start + *length + GAP => {
                 *length = (end - *start).max(*length);
             }
-            _ => bursts.push((register.code, register.size)),
+            _ => bursts.push((code, register.size)),
         }
     }
     bursts
@@ -87,7 +88,7 @@ mod tests {
     use std::sync::Arc;
 
     use super::*;
-    use crate::chip::Chip;
+    use crate::chip::{Chip, Source};
     use crate::keys::Keys;
     use crate::value::Type;
     use gauge_bus::clock::SimClock;
@@ -178,7 +179,7 @@ mod tests {
     #[test]
     fn a_failed_read_leaves_its_registers_unknown() {
         let chip = Chip::by_name("bq34z100-g1").expect("it has a table");
-        let polled = |code| chip.registers.iter().find(|register| register.code == code).expect("a register");
+        let polled = |code| chip.register_at(Source::Command(code)).expect("a register");
         let read = |broken| {
             let clock = Arc::new(SimClock::new());
             let mut gauge = Gauge::new(chip, Box::new(Addresses { broken }), clock, Keys::default(), false);

@@ -56,15 +56,15 @@ const OTHERS: &[(&str, Role, &str)] = &[
 const REST: &[&str] = &["type", "status", "present", "scope", "manufacturer", "model_name"];
 
 /// A value of a part that feeds an attribute.
-enum Source {
+enum Feed {
     Register(&'static Register),
     Stored(&'static Subclass, &'static Parameter),
 }
 
-fn source(chip: &Chip, roles: &[Role]) -> Option<(Role, Source)> {
+fn source(chip: &Chip, roles: &[Role]) -> Option<(Role, Feed)> {
     roles.iter().find_map(|&role| {
-        let stored = || chip.stored(role).map(|(subclass, parameter)| Source::Stored(subclass, parameter));
-        Some((role, chip.register(role).map(Source::Register).or_else(stored)?))
+        let stored = || chip.stored(role).map(|(subclass, parameter)| Feed::Stored(subclass, parameter));
+        Some((role, chip.register(role).map(Feed::Register).or_else(stored)?))
     })
 }
 
@@ -75,11 +75,14 @@ fn place(subclass: &Subclass, parameter: &Parameter) -> String {
     }
 }
 
-impl Source {
+impl Feed {
     fn name(&self) -> String {
         match self {
-            Source::Register(register) => format!("{}(), 0x{:02X}", register.name, register.code),
-            Source::Stored(subclass, parameter) => {
+            Feed::Register(register) => {
+                let code = register.source.command().expect("a standard command");
+                format!("{}(), 0x{code:02X}", register.name)
+            }
+            Feed::Stored(subclass, parameter) => {
                 format!("{}, {}", parameter.name, place(subclass, parameter))
             }
         }
@@ -88,8 +91,8 @@ impl Source {
     /// Its unit, and how a reading becomes the attribute.
     fn conversion(&self, chip: &Chip, role: Role, units: i64, less: i64) -> String {
         let (unit, (numerator, denominator), discharge) = match self {
-            Source::Register(register) => (register.unit, register.step, register.discharge),
-            Source::Stored(_, parameter) => (parameter.unit, (1, 1), false),
+            Feed::Register(register) => (register.unit, register.step, register.discharge),
+            Feed::Stored(_, parameter) => (parameter.unit, (1, 1), false),
         };
         let sign = if discharge { -1 } else { 1 };
         let (numerator, denominator) = (sign * units * numerator, denominator);
@@ -117,7 +120,7 @@ impl Source {
                 _ => {}
             }
         }
-        if let Source::Register(Register { positive: 1.., .. }) = self {
+        if let Feed::Register(Register { positive: 1.., .. }) = self {
             text += ", negative without [CHGS]";
         }
         let text = text.trim_start().to_string();
@@ -126,10 +129,10 @@ impl Source {
 }
 
 /// The readings that are no value of an attribute, and who says so.
-fn absent(chip: &Chip, role: Role, source: &Source) -> Option<(String, &'static str)> {
+fn absent(chip: &Chip, role: Role, source: &Feed) -> Option<(String, &'static str)> {
     let (values, register) = match source {
-        Source::Register(register) => (register.values, Some(*register)),
-        Source::Stored(..) => (role.values(), None),
+        Feed::Register(register) => (register.values, Some(*register)),
+        Feed::Stored(..) => (role.values(), None),
     };
     let (zero, end) = (values.least == 1, values.greatest);
     let mut readings: Vec<String> = zero.then(|| "0".into()).into_iter().collect();
@@ -137,8 +140,8 @@ fn absent(chip: &Chip, role: Role, source: &Source) -> Option<(String, &'static 
         0xfffe => "65535".into(),
         end => format!("above {end}"),
     }));
-    if let Some(code) = register.and_then(|register| register.validity) {
-        let by = chip.register_at(code).expect("a register").name;
+    if let Some(source) = register.and_then(|register| register.validity) {
+        let by = chip.register_at(source).expect("a register").name;
         readings.push(format!("any while {by}() is 0"));
     }
     if register.is_some_and(|register| register.empty != 0) {
@@ -161,7 +164,7 @@ fn words(chip: &Chip, words: &[(u16, &str)]) -> Option<(String, String)> {
     let words: Vec<_> = words.iter().filter(|(mask, _)| *mask != 0).collect();
     let listed = words.iter().map(|(mask, word)| format!("`{word}`{}", names(*mask)));
     let listed = listed.collect::<Vec<_>>().join(", ");
-    (!words.is_empty()).then(|| (Source::Register(flags).name(), listed))
+    (!words.is_empty()).then(|| (Feed::Register(flags).name(), listed))
 }
 
 /// Source and conversion of an attribute on a part.
@@ -298,8 +301,8 @@ fn simulated_gauges_show_what_the_conversions_yield() {
                 };
                 let Some(shown) = show(&rig, name) else { continue };
                 let reading = match source(chip, roles).expect("a source").1 {
-                    Source::Register(register) => snapshot.value(register),
-                    Source::Stored(subclass, parameter) => {
+                    Feed::Register(register) => snapshot.value(register),
+                    Feed::Stored(subclass, parameter) => {
                         let place = (subclass.id, parameter.offset);
                         match rig.handle.kept_value(place, parameter.kind) {
                             Some(Value::Int(number)) => Some(number),

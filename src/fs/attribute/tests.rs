@@ -14,7 +14,7 @@ use super::*;
 use gauge_owner::rig::{INTERVAL, Rig};
 use gauge_owner::{Settings, Startup, operations as op};
 use gauge_sim::SimBus;
-use ti_gauge::chip::Tier;
+use ti_gauge::chip::{Source, Tier};
 
 /// What the kernel's ABI lets a battery report (`Documentation/ABI/testing/sysfs-class-power` and
 /// `Documentation/power/power_supply_class.rst`).
@@ -148,7 +148,7 @@ fn reading(chip: &Chip, register: &Register, value: i64, name: &str) -> Option<S
     let mut rig = Rig::on(chip.name, Settings::default(), Startup::default(), wrap);
     rig.start().expect("it answers");
     let bytes = value.to_le_bytes()[..usize::from(register.size)].to_vec();
-    *other.lock().expect("no panic") = Some((register.code, bytes));
+    *other.lock().expect("no panic") = Some((register.source.command().expect("a standard command"), bytes));
     rig.poll_after(Duration::from_secs(3));
     show(&rig, name)
 }
@@ -189,7 +189,7 @@ fn regression_a_reading_that_is_no_value_was_shown_as_one() {
                 assert_eq!(shown, None, "{}: {name}, {}() is {none}", chip.name, register.name);
                 compared.insert(name);
             }
-            if let Some(by) = register.validity.and_then(|code| chip.register_at(code)) {
+            if let Some(by) = register.validity.and_then(|source| chip.register_at(source)) {
                 assert_eq!(reading(chip, by, 0, name), None, "{}: {name}", chip.name);
                 assert!(reading(chip, by, 1, name).is_some(), "{}: {name}", chip.name);
             }
@@ -211,7 +211,7 @@ fn regression_a_full_charge_capacity_of_0_was_a_value() {
 #[test]
 fn regression_initcomp_of_a_bq27220_was_not_looked_at() {
     let chip = Chip::by_name("bq27220").expect("it has a table");
-    let status = chip.register_at(0x3A).expect("OperationStatus()");
+    let status = chip.register_at(Source::Command(0x3A)).expect("OperationStatus()");
     for (word, is_shown) in [(0x0024, true), (0x0004, false)] {
         assert_eq!(reading(chip, status, word, "capacity").is_some(), is_shown, "0x{word:04x}");
     }

@@ -34,8 +34,7 @@ impl Owner {
         let sign = match chip.condition.complete {
             _ if voltage == Some(0) => "Voltage() stays 0 mV".to_string(),
             Some((shown_in, mask)) => {
-                let register = shown_in.register().and_then(|code| chip.register_at(code));
-                let bits = register.map_or(chip.control_status, |register| register.bits);
+                let bits = chip.register_at(shown_in).map_or(chip.control_status, |register| register.bits);
                 format!("[{}] stays clear", bits.iter().find(|bit| bit.mask & mask != 0)?.name)
             }
             None => return None,

@@ -388,7 +388,7 @@ impl Owner {
 
     /// The pack's serial number at the last poll, as the beginning of a line of the log.
     fn serial(&self) -> String {
-        let register = self.gauge.chip.serial_register().and_then(|code| self.gauge.chip.register_at(code));
+        let register = self.gauge.chip.serial_register();
         let published = self.shared.published();
         let word = register.and_then(|register| published.snapshot.as_ref()?.value(register));
         word.map_or_else(String::new, |word| format!("serial 0x{word:04x}: "))

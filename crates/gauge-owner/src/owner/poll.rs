@@ -8,7 +8,7 @@ use std::time::Duration;
 use super::{Attempt, Owner, Snapshot, now};
 use crate::error::{Cause, Error, Result, Step};
 use gauge_bus::BusError;
-use ti_gauge::chip::{Chip, Role, Tier, Word};
+use ti_gauge::chip::{Chip, Role, Source, Tier};
 use ti_gauge::gauge::Statistics;
 use ti_gauge::registers::Registers;
 
@@ -242,7 +242,7 @@ impl Owner {
             let why = "every byte reads 0xff, as on a bus without a gauge; check that it is connected";
             return Err(Error::new(chip.name, Cause::Protocol, why).at(Step::Read));
         }
-        let value = |code| word(chip, &registers, code);
+        let value = |source| word(chip, &registers, source);
         let last = self.shared.published().snapshot.clone();
         let had_battery = last.map(|last| has_battery(chip, &last.registers));
         let has_changed =
@@ -262,8 +262,8 @@ impl Owner {
         }
         let number = self.schedule.succeeded(taken);
         Statistics::count(&self.shared.statistics.polls);
-        let contradicted = self.dataflash.contradicted(chip, |code| word(chip, &registers, code));
-        if self.dataflash.polled(chip, |code| word(chip, &registers, code)) {
+        let contradicted = self.dataflash.contradicted(chip, |source| word(chip, &registers, source));
+        if self.dataflash.polled(chip, |source| word(chip, &registers, source)) {
             let name = contradicted.unwrap_or("data flash");
             log::warn!("{}: another pack answers, as {name} shows; it is read anew", self.shared.name());
             self.forget_dataflash();
@@ -310,8 +310,8 @@ impl Owner {
         let has_started =
             read(registers, Role::Flags).zip(before).is_some_and(|(now, before)| now & !before & starts != 0);
         let shows = |(shown_in, bit)| match shown_in {
-            Word::Register(code) => word(chip, registers, code).is_some_and(|word| word & bit != 0),
-            Word::ControlStatus | Word::Answer(_) => self.control_status & bit != 0,
+            Source::Command(_) => word(chip, registers, shown_in).is_some_and(|word| word & bit != 0),
+            Source::Status | Source::Answer(_) => self.control_status & bit != 0,
         };
         chip.condition.complete.is_none_or(shows)
             && read(registers, Role::VoltageNow) != Some(0)
@@ -324,9 +324,9 @@ pub(super) fn has_battery(chip: &Chip, registers: &Registers) -> bool {
     chip.condition.shows_battery(chip.register(Role::Flags).and_then(|flags| registers.value(flags)))
 }
 
-/// The register at an address, in two bytes.
-fn word(chip: &Chip, registers: &Registers, code: u8) -> Option<u16> {
-    registers.value(chip.register_at(code)?).map(|value| value as u16)
+/// The register of a source, in two bytes.
+fn word(chip: &Chip, registers: &Registers, source: Source) -> Option<u16> {
+    registers.value(chip.register_at(source)?).map(|value| value as u16)
 }
 
 #[cfg(test)]

@@ -225,7 +225,7 @@ mod tests {
         let flash = rig.sim.flash();
         rig.ask(&op::REPORT, ()).expect("it answers");
         let report = rig.handle.published().report.clone().expect("a report");
-        let voltage = rig.handle.chip().register_at(0x08).expect("Voltage()");
+        let voltage = rig.handle.chip().register(ti_gauge::chip::Role::VoltageNow).expect("Voltage()");
         assert!(report.snapshot.value(voltage).is_some_and(|mv| (10_900..11_100).contains(&mv)));
         assert!(report.data_flash.is_ok() && report.events.contains(&Event::Hidden));
         assert_eq!(rig.sim.get("seal").as_deref(), Some("sealed"));

@@ -479,7 +479,7 @@ impl Task<'_> {
     fn with_number(&self, error: &Error) -> Error {
         let chip = self.chip();
         let number = || {
-            let register = chip.register_at(chip.serial_register()?)?;
+            let register = chip.serial_register()?;
             let number = self.gauge.handle.published().snapshot.as_ref()?.value(register)?;
             let shown = serial::shown(self.station.plan.serial_row?, &Value::Int(number));
             let pack = self.station.record().passed(&shown)?;

@@ -134,7 +134,7 @@ struct Looks {
 impl Looks {
     fn of(chip: &Chip) -> Self {
         let roles = [Role::VoltageNow, Role::Temp, Role::CurrentNow];
-        let codes = roles.into_iter().filter_map(|role| chip.register(role)).map(|register| register.code);
+        let codes = roles.into_iter().filter_map(|role| chip.register(role)?.source.command());
         Self { codes: codes.collect(), next: 0 }
     }
 

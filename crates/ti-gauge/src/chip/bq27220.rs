@@ -30,7 +30,7 @@ use super::Kind::Reset;
 use super::Tier::{Poll, Slow, Static, Window};
 use super::{
     Access, Bit, Chip, Condition, Evidence, FLAT, Identity, KeyStorage, Mode, Parameter as P, Preflight,
-    Register, Role, Safe, Scaling, Scheme, SealStatus, Security, Signature, Subclass, Subcommand, Word,
+    Register, Role, Safe, Scaling, Scheme, SealStatus, Security, Signature, Source, Subclass, Subcommand,
 };
 use crate::value::Type::U;
 use crate::value::types::{H1, H2, I1, I2, U1, U2};
@@ -61,13 +61,13 @@ pub static CHIP: Chip = Chip {
         present: 0x0008, // [BATTPRES]
         absent: 0,
         uncertain: 0,
-        complete: Some((Word::Register(0x3A), 0x0020)), // [INITCOMP]
+        complete: Some((Source::Command(0x3A), 0x0020)), // [INITCOMP]
         primary: None,
     },
     scaling: Scaling::NONE,
     security: Security {
         // 4.2: OperationStatus() [SEC1], [SEC0].
-        status: SealStatus::Field { register: Some(0x3A), shift: 1 },
+        status: SealStatus::Field { word: Source::Command(0x3A), shift: 1 },
         // 6.1, and most drivers. The text of 4.2 has 8000 8000, which is another family's; no part has been seen
         // that accepts it.
         default_unseal: [0x0414, 0x3672],
@@ -119,7 +119,7 @@ pub static CHIP: Chip = Chip {
         marks: &[(FLAT, 0x91B5), (FLAT, 0x91B6), (FLAT, 0x91B7)],
         modes: &[
             Mode {
-                word: Word::Register(0x3A),
+                word: Source::Command(0x3A),
                 mask: 0x0400,
                 name: "OperationStatus() [CFGUPDATE]",
                 what: "somebody has left CONFIG UPDATE on, and the gauge does not gauge",
@@ -127,7 +127,7 @@ pub static CHIP: Chip = Chip {
                 ours: true,
             },
             Mode::calibration(
-                Word::Register(0x3A),
+                Source::Command(0x3A),
                 0x0001,
                 "OperationStatus() [CALMD]",
                 "leave it with the tool that entered it (CAL_TOGGLE, 0x002d)",

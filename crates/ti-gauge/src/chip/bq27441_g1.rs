@@ -13,7 +13,7 @@ use super::Kind::{Reset, Security as Keys};
 use super::Tier::{Poll, Slow, Static, Window};
 use super::{
     Access, Bit, Chip, Condition, Evidence, Identity, KeyStorage, Learning, Mode, Pack, Parameter as P,
-    Preflight, Register, Role, Safe, Scaling, Scheme, SealStatus, Security, Subclass, Subcommand, Word,
+    Preflight, Register, Role, Safe, Scaling, Scheme, SealStatus, Security, Source, Subclass, Subcommand,
 };
 use crate::value::Type::U;
 use crate::value::types::{H1, H2, H4, I1, I2, U1, U2};
@@ -62,7 +62,7 @@ pub static CHIP: Chip = Chip {
 /// The preflight checks of the family; `rows` is where data memory chooses the chemistry.
 pub(super) const fn preflight(rows: &'static [(u8, u16)]) -> Preflight {
     Preflight {
-        pack: Some(Pack { word: Word::Answer(0x0008), name: "Control(CHEM_ID)", rows }),
+        pack: Some(Pack { word: Source::Answer(0x0008), name: "Control(CHEM_ID)", rows }),
         marks: &[(104, 1), (104, 2), (105, 4), (105, 8)],
         modes: MODES,
         // 6.4.2.3.2: both low bits of Update Status are set for a learning cycle only. Leaving CONFIG UPDATE
@@ -70,7 +70,7 @@ pub(super) const fn preflight(rows: &'static [(u8, u16)]) -> Preflight {
         learning: Some(Learning {
             status: 0x0002,
             row: (82, 2),
-            register: None,
+            shown: None,
             mask: 0x03,
             value: 0x03,
             name: "CONTROL_STATUS [VOK], Update Status (82/2) 03",
@@ -83,7 +83,7 @@ pub(super) const fn preflight(rows: &'static [(u8, u16)]) -> Preflight {
 /// Table 4-3 and, for [CFGUPMODE], 2.4.3.
 static MODES: &[Mode] = &[
     Mode {
-        word: Word::Register(0x06),
+        word: Source::Command(0x06),
         mask: 0x0010,
         name: "Flags() [CFGUPMODE]",
         what: "somebody has left CONFIG UPDATE on, and the gauge does not gauge",
@@ -91,7 +91,7 @@ static MODES: &[Mode] = &[
         ours: true,
     },
     Mode::calibration(
-        Word::ControlStatus,
+        Source::Status,
         0x1000,
         "CONTROL_STATUS [CALMODE]",
         "leave it with the tool that entered it",
@@ -115,7 +115,7 @@ pub(super) const CONDITION: Condition = Condition {
     present: 0x0008, // [BAT_DET]
     absent: 0,
     uncertain: 0,
-    complete: Some((Word::ControlStatus, 0x0080)), // [INITCOMP]
+    complete: Some((Source::Status, 0x0080)), // [INITCOMP]
     primary: None,
 };
 

@@ -21,7 +21,7 @@ use super::Tier::{Poll, Slow, Static, Window};
 use super::{
     Access, Bit, Chip, Condition, Evidence, Gate, Identity, KeyBlock, KeyOrder, KeyStorage, Mode, Pack,
     Parameter as P, Preflight, Register, Role, Safe, Scaling, Scheme, SealStatus, Security, Signature,
-    Subclass, Subcommand, Word,
+    Source, Subclass, Subcommand,
 };
 use crate::value::Type::U;
 use crate::value::types::{H1, H2, I1, I2, U1, U2};
@@ -58,7 +58,7 @@ pub static CHIP: Chip = Chip {
         present: 0x0008, // [BAT_DET]
         absent: 0,
         uncertain: 0,
-        complete: Some((Word::ControlStatus, 0x0080)), // [INITCOMP]
+        complete: Some((Source::Status, 0x0080)), // [INITCOMP]
         primary: None,
     },
     scaling: Scaling::NONE,
@@ -116,7 +116,7 @@ pub static CHIP: Chip = Chip {
     quirks: &[],
     rom_image: None,
     preflight: Preflight {
-        pack: Some(Pack { word: Word::Answer(0x0008), name: "Control(CHEM_ID)", rows: &[] }),
+        pack: Some(Pack { word: Source::Answer(0x0008), name: "Control(CHEM_ID)", rows: &[] }),
         marks: &[(104, 0), (104, 4), (104, 11), (104, 12), (104, 13)],
         // No bit shows CAL_MODE.
         modes: &[

@@ -16,8 +16,8 @@ use super::Tier::{Poll, Slow, Static, Window};
 use super::bq27427::ACCESS;
 use super::bq27441_g1::{CAPACITY, CONDITION, ITPOR, LOAD_SELECT, OP_CONFIG_B, SECURITY};
 use super::{
-    Bit, Chip, Evidence, Identity, Mode, Pack, Parameter as P, Preflight, Register, Role, Scaling, Subclass,
-    Subcommand, Word,
+    Bit, Chip, Evidence, Identity, Mode, Pack, Parameter as P, Preflight, Register, Role, Scaling, Source,
+    Subclass, Subcommand,
 };
 use crate::value::Type::U;
 use crate::value::types::{H1, H2, H4, I1, I2, U1, U2};
@@ -57,7 +57,7 @@ pub static CHIP: Chip = Chip {
     quirks: &[],
     rom_image: None,
     preflight: Preflight {
-        pack: Some(Pack { word: Word::Answer(0x0008), name: "Control(CHEM_ID)", rows: &[(82, 36)] }),
+        pack: Some(Pack { word: Source::Answer(0x0008), name: "Control(CHEM_ID)", rows: &[(82, 36)] }),
         // Without a sense resistor there is no calibration of the current, and no serial number is known.
         marks: &[(104, 1), (104, 2)],
         modes: MODES,
@@ -70,7 +70,7 @@ pub static CHIP: Chip = Chip {
 
 static MODES: &[Mode] = &[
     Mode {
-        word: Word::Register(0x06),
+        word: Source::Command(0x06),
         mask: 0x0010,
         name: "Flags() [CFGUPMODE]",
         what: "somebody has left CONFIG UPDATE on, and the gauge does not gauge",
@@ -78,7 +78,7 @@ static MODES: &[Mode] = &[
         ours: true,
     },
     Mode::calibration(
-        Word::ControlStatus,
+        Source::Status,
         0x1000,
         "CONTROL_STATUS [CALMODE]",
         "leave it with the tool that entered it",

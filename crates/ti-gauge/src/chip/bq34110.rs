@@ -21,8 +21,8 @@ use super::Kind::{Plain, Reset};
 use super::Tier::{Poll, Slow, Static, Window};
 use super::{
     Access, Bit, Chip, Condition, Evidence, External, FLAT, Gate, Identity, KeyStorage, Mode, Parameter as P,
-    Preflight, Register, Role, Safe, Scaling, Scheme, SealStatus, Security, Signature, Subclass, Subcommand,
-    Word,
+    Preflight, Register, Role, Safe, Scaling, Scheme, SealStatus, Security, Signature, Source, Subclass,
+    Subcommand,
 };
 use crate::value::Type::U;
 use crate::value::types::{H1, H2, H4, I1, I2, U1, U2};
@@ -61,7 +61,7 @@ pub static CHIP: Chip = Chip {
     scaling: Scaling::NONE,
     security: Security {
         // OperationStatus() bits 2 and 1, as the underwater vehicle's driver reads them.
-        status: SealStatus::Field { register: Some(0x3A), shift: 1 },
+        status: SealStatus::Field { word: Source::Command(0x3A), shift: 1 },
         // Read from a part by an owner (E2E 992107) and sent by the underwater vehicle's driver.
         default_unseal: [0x0414, 0x3672],
         full_access: true,
@@ -120,7 +120,7 @@ pub static CHIP: Chip = Chip {
         marks: &[(FLAT, 0x4000), (FLAT, 0x4004), (FLAT, 0x400D), (FLAT, 0x400E), (FLAT, 0x400F)],
         modes: &[
             Mode::calibration(
-                Word::Answer(0x0057),
+                Source::Answer(0x0057),
                 0x8000,
                 "ManufacturingStatus() [CAL_EN]",
                 "leave it with the tool that entered it (CAL_TOGGLE, 0x002d)",

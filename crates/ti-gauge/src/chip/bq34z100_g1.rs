@@ -14,7 +14,7 @@ use super::Tier::{Poll, Slow, Static, Window};
 use super::{
     Access, Authentication, Bit, Calibration, Chip, Condition, Evidence, External, Gate, Identity, KeyBlock,
     KeyOrder, KeyStorage, Learning, Mode, Offset, Pack, Parameter as P, Preflight, Register, Role, RomImage,
-    Safe, Scale, Scaling, Scheme, SealStatus, Security, Subclass, Subcommand, Word,
+    Safe, Scale, Scaling, Scheme, SealStatus, Security, Source, Subclass, Subcommand,
 };
 use crate::value::Type::U;
 use crate::value::types::{H1, H2, H4, I1, I2, U1, U2};
@@ -59,7 +59,11 @@ pub static CHIP: Chip = Chip {
         primary: None,
     },
     // 7.3.7.1: the factor that [SCALED] announces is not in the gauge. 7.3.6.5: Design Energy Scale.
-    scaling: Scaling { energy: Scale::Flash(48, 30), scaled: Some((0x3A, SCALED)), ..Scaling::NONE },
+    scaling: Scaling {
+        energy: Scale::Flash(48, 30),
+        scaled: Some((Source::Command(0x3A), SCALED)),
+        ..Scaling::NONE
+    },
     security: Security {
         status: SealStatus::Bits { sealed: 0x2000, not_full_access: 0x4000 },
         // 7.3.3.1; stored the other way round, as 36 72 04 14 (Table 7-11).
@@ -107,7 +111,7 @@ pub static CHIP: Chip = Chip {
         cell_divider: Some(5000),
         external: Some(External { byte: (64, 0), mask: 0x08, name: "[VOLTSEL]", factor: Some(5) }),
         cells: Some((64, 7)),
-        calibration: Some((0x3A, 0x4000)),
+        calibration: Some((Source::Command(0x3A), 0x4000)),
     }),
     // 7.3.15.3 gives the sequence and no times: these are a shipped driver's for the bq27541, which has the
     // same commands.
@@ -123,12 +127,12 @@ pub static CHIP: Chip = Chip {
     quirks: &[],
     rom_image: Some(ROM_IMAGE),
     preflight: Preflight {
-        pack: Some(Pack { word: Word::Register(0x28), name: "SerialNumber()", rows: &[(48, 4)] }),
+        pack: Some(Pack { word: Source::Command(0x28), name: "SerialNumber()", rows: &[(48, 4)] }),
         marks: &[(104, 0), (104, 4), (104, 11), (104, 12), (48, 4), (48, 6)],
         // Table 7-3.
         modes: &[
             Mode::calibration(
-                Word::ControlStatus,
+                Source::Status,
                 0x1000,
                 "CONTROL_STATUS [CALEN]",
                 "leave it with `gaugefs calibrate GAUGE leave` or the tool that entered it (EXIT_CAL, 0x0080)",
@@ -142,7 +146,7 @@ pub static CHIP: Chip = Chip {
         learning: Some(Learning {
             status: 0x0003,
             row: (82, 4),
-            register: Some(0x63),
+            shown: Some(Source::Command(0x63)),
             mask: 0x06,
             value: 0x04,
             name: "CONTROL_STATUS [VOK] [QEN], LearnedStatus() [ITEN] without [CF1]",
@@ -158,7 +162,7 @@ pub(super) static CALIBRATION: Calibration = Calibration {
     enable: 0x002D,
     enter: 0x0081,
     exit: 0x0080,
-    enabled: (0x3A, 0x4000),
+    enabled: (Source::Command(0x3A), 0x4000),
     mode: 0x1000,
     board_offset: Offset { start: 0x0009, running: 0x0C00, row: (104, 10) },
     cc_offset: Offset { start: 0x000A, running: 0x0800, row: (104, 8) },
@@ -169,7 +173,7 @@ pub(super) static CALIBRATION: Calibration = Calibration {
     ratio: 1_193_046.471_2,
     internal: (104, 11),
     external: (104, 12),
-    thermistor: (0x3A, 0x0001),
+    thermistor: (Source::Command(0x3A), 0x0001),
 };
 
 /// Found by laying Table 7-11 over an image of firmware 0.16 (github.com/tibms/kernel-4.4,

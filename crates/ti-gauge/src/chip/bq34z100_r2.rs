@@ -18,7 +18,7 @@ use super::bq34z100_g1::{
 use super::{
     Access, Authentication, Bit, Chip, Condition, Evidence, External, Gate, Identity, KeyBlock, KeyOrder,
     KeyStorage, Learning, Mode, Pack, Parameter as P, Preflight, Register, Role, RomImage, Scale, Scaling,
-    Scheme, SealStatus, Security, Signature, Subclass, Word,
+    Scheme, SealStatus, Security, Signature, Source, Subclass,
 };
 use crate::value::Type::U;
 use crate::value::types::{H1, H2, H4, I1, I2, U1, U2};
@@ -62,10 +62,10 @@ pub static CHIP: Chip = Chip {
     },
     // 2.2.5 to 2.2.9: energies are in cWh and powers in cW before the scale.
     scaling: Scaling {
-        voltage: Scale::Register(0x20),
-        current: Scale::Register(0x21),
-        charge: Scale::Register(0x21),
-        energy: Scale::Register(0x22),
+        voltage: Scale::Register(Source::Command(0x20)),
+        current: Scale::Register(Source::Command(0x21)),
+        charge: Scale::Register(Source::Command(0x21)),
+        energy: Scale::Register(Source::Command(0x22)),
         scaled: None,
     },
     security: Security {
@@ -110,7 +110,7 @@ pub static CHIP: Chip = Chip {
         cell_divider: None,
         external: Some(External { byte: (64, 0), mask: 0x08, name: "[VOLTSEL]", factor: None }),
         cells: Some((64, 7)),
-        calibration: Some((0x3A, 0x4000)),
+        calibration: Some((Source::Command(0x3A), 0x4000)),
     }),
     // The sequence is the bq34z100-G1's, as are the times.
     authentication: Some(Authentication {
@@ -130,11 +130,11 @@ pub static CHIP: Chip = Chip {
     quirks: &[],
     rom_image: Some(ROM_IMAGE),
     preflight: Preflight {
-        pack: Some(Pack { word: Word::Register(0x28), name: "SerialNumber()", rows: &[(48, 4)] }),
+        pack: Some(Pack { word: Source::Command(0x28), name: "SerialNumber()", rows: &[(48, 4)] }),
         marks: &[(104, 0), (104, 4), (104, 11), (104, 12), (48, 4), (48, 6)],
         modes: &[
             Mode::calibration(
-                Word::ControlStatus,
+                Source::Status,
                 0x1000,
                 "CONTROL_STATUS [CALEN]",
                 "leave it with `gaugefs calibrate GAUGE leave` or the tool that entered it (EXIT_CAL, 0x0080)",
@@ -146,7 +146,7 @@ pub static CHIP: Chip = Chip {
         learning: Some(Learning {
             status: 0x0003,
             row: (82, 4),
-            register: Some(0x63),
+            shown: Some(Source::Command(0x63)),
             mask: 0x06,
             value: 0x04,
             name: "CONTROL_STATUS [VOK] [QEN], LearnedStatus() [ITEN] without [CF1]",

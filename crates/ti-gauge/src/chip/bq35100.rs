@@ -21,7 +21,7 @@ use super::Tier::{Poll, Slow, Static, Window};
 use super::{
     Access, Bit, Chip, Condition, Evidence, External, FLAT, Gate, Identity, KeyBlock, KeyOrder, KeyStorage,
     Mode, Pack, Parameter as P, Preflight, Primary, Register, Role, Safe, Scaling, Scheme, SealStatus,
-    Security, Signature, Subclass, Subcommand, Word,
+    Security, Signature, Source, Subclass, Subcommand,
 };
 use crate::value::Type::U;
 use crate::value::types::{H1, H2, H4, I1, I2, I4, U1, U2, U4};
@@ -60,7 +60,7 @@ pub static CHIP: Chip = Chip {
         present: 0,
         absent: 0,
         uncertain: 0,
-        complete: Some((Word::ControlStatus, 0x0080)), // [INITCOMP]
+        complete: Some((Source::Status, 0x0080)), // [INITCOMP]
         primary: Some(Primary {
             active: 0x0001,         // [GA]
             alerts: (FLAT, 0x41B2), // ALERT Configuration
@@ -72,7 +72,7 @@ pub static CHIP: Chip = Chip {
     },
     scaling: Scaling::NONE,
     security: Security {
-        status: SealStatus::Field { register: None, shift: 13 },
+        status: SealStatus::Field { word: Source::Status, shift: 13 },
         // Owners send them so; stored in this order at 0x41CC.
         default_unseal: [0x0414, 0x3672],
         full_access: true,
@@ -133,11 +133,11 @@ pub static CHIP: Chip = Chip {
     quirks: &[],
     rom_image: None,
     preflight: Preflight {
-        pack: Some(Pack { word: Word::Answer(0x0006), name: "Control(CHEM_ID)", rows: &[] }),
+        pack: Some(Pack { word: Source::Answer(0x0006), name: "Control(CHEM_ID)", rows: &[] }),
         marks: &[(FLAT, 0x4000), (FLAT, 0x4004), (FLAT, 0x400D), (FLAT, 0x400E), (FLAT, 0x400F)],
         modes: &[
             Mode::calibration(
-                Word::ControlStatus,
+                Source::Status,
                 0x1000,
                 "CONTROL_STATUS [CALMODE]",
                 "leave it with the tool that entered it (EXIT_CAL, 0x0080)",

@@ -2,6 +2,8 @@
 
 //! How a part is calibrated, as data.
 
+use super::Source;
+
 /// The subcommands, bits and parameters of calibration.
 #[derive(Debug)]
 pub struct Calibration {
@@ -12,7 +14,7 @@ pub struct Calibration {
     /// Leaves calibration mode.
     pub exit: u16,
     /// The register and its bit that are set while calibration is enabled.
-    pub enabled: (u8, u16),
+    pub enabled: (Source, u16),
     /// The bit of CONTROL_STATUS that is set in calibration mode.
     pub mode: u16,
     /// Measures the offset of the board and the converter; the gauge stores it.
@@ -34,7 +36,7 @@ pub struct Calibration {
     /// See `internal`.
     pub external: (u8, u16),
     /// The register and its bit that are set while Temperature() is the thermistor's.
-    pub thermistor: (u8, u16),
+    pub thermistor: (Source, u16),
 }
 
 /// An offset that the gauge measures itself while no current flows.

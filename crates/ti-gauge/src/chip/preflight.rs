@@ -2,6 +2,8 @@
 
 //! What is checked before a write, as data.
 
+use super::Source;
+
 /// What is checked before a write, besides identity, gate and seal.
 #[derive(Debug)]
 pub struct Preflight {
@@ -24,30 +26,12 @@ impl Preflight {
         Self { pack: None, marks: &[], modes: &[], learning: None, voltage_mv: None };
 }
 
-/// A word of the gauge.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Word {
-    /// CONTROL_STATUS, which is read for the seal in any case.
-    ControlStatus,
-    /// A standard command of two bytes.
-    Register(u8),
-    /// The answer to a subcommand.
-    Answer(u16),
-}
-
-impl Word {
-    /// The address of a standard command; `None` for another word.
-    pub fn register(self) -> Option<u8> {
-        if let Word::Register(code) = self { Some(code) } else { None }
-    }
-}
-
 /// A word that differs from pack to pack.
 #[derive(Debug)]
 pub struct Pack {
     /// The word. Reading a register also detects a part of another type, which has something else at that
     /// address.
-    pub word: Word,
+    pub word: Source,
     /// Its name in a message.
     pub name: &'static str,
     /// Subclass and offset of the rows that determine it: a write to those changes it.
@@ -58,7 +42,7 @@ pub struct Pack {
 #[derive(Debug)]
 pub struct Mode {
     /// The word that shows it. A subcommand is sent only after the gauge is unsealed.
-    pub word: Word,
+    pub word: Source,
     /// The bit that is set in this mode.
     pub mask: u16,
     /// Name of word and bit, for a message.
@@ -75,11 +59,11 @@ impl Mode {
     /// A running calibration: a bit of CONTROL_STATUS that the gauge clears by itself.
     pub const fn measuring(mask: u16, name: &'static str, what: &'static str) -> Self {
         let remedy = "it ends by itself; try again in a minute";
-        Self { word: Word::ControlStatus, mask, name, what, remedy, ours: false }
+        Self { word: Source::Status, mask, name, what, remedy, ours: false }
     }
 
     /// Calibration mode, which stays until somebody leaves it.
-    pub const fn calibration(word: Word, mask: u16, name: &'static str, remedy: &'static str) -> Self {
+    pub const fn calibration(word: Source, mask: u16, name: &'static str, remedy: &'static str) -> Self {
         Self { word, mask, name, what: "somebody has left calibration mode on", remedy, ours: false }
     }
 }
@@ -92,8 +76,8 @@ pub struct Learning {
     /// Subclass and offset of Update Status, the byte that distinguishes a first cycle from the continuous
     /// learning of a finished pack. A write to this byte alone starts or ends a cycle by hand.
     pub row: (u8, u16),
-    /// A standard command that shows the same bits without unsealing.
-    pub register: Option<u8>,
+    /// What shows the same bits without unsealing.
+    pub shown: Option<Source>,
     /// The bits of Update Status to compare.
     pub mask: u8,
     /// Their value until the cycle has ended.

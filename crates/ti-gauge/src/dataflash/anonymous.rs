@@ -140,7 +140,7 @@ pub fn anonymous(chip: &Chip, mut events: Vec<Event>) -> Vec<Event> {
         None => true,
     });
     events.retain(|event| !private.iter().any(|block| alike(block, window(event))));
-    if let Some(serial) = chip.serial_register() {
+    if let Some(serial) = chip.serial_register().and_then(|register| register.source.command()) {
         events.iter_mut().for_each(|event| hide(serial..serial + 2, event));
     }
     events

@@ -6,7 +6,7 @@
 use std::time::Duration;
 
 use super::state::read_word;
-use crate::chip::{Calibration, Word};
+use crate::chip::Calibration;
 use crate::error::{Error, Reason, Result, Step};
 use crate::gauge::{Gauge, Seal, agreed};
 
@@ -16,8 +16,8 @@ const SHOWS: Duration = Duration::from_millis(100);
 
 /// Whether calibration is enabled.
 fn is_enabled(gauge: &mut Gauge, calibration: &Calibration) -> Result<bool> {
-    let (register, mask) = calibration.enabled;
-    agreed("the bit that allows calibration", || Ok(read_word(gauge, Word::Register(register))? & mask != 0))
+    let (source, mask) = calibration.enabled;
+    agreed("the bit that allows calibration", || Ok(read_word(gauge, source)? & mask != 0))
 }
 
 /// Whether the gauge is in calibration mode.

@@ -9,7 +9,7 @@ use super::state::{once_measured, read_word};
 use super::window::locate;
 use super::window::{Planned, Window};
 use super::{Change, DataFlash, Place};
-use crate::chip::{Gate, Parameter, Role, Safe, Scheme, Word};
+use crate::chip::{Gate, Parameter, Role, Safe, Scheme};
 use crate::codec::{self, WINDOW};
 use crate::error::{Cause, Error, Reason, Result, Step};
 use crate::gauge::{Gauge, agreed};
@@ -120,10 +120,10 @@ impl DataFlash {
         let before = setting(0);
         // One reading may have a wrong bit.
         let (mut low, mut high) = (voltage_mv, voltage_mv);
-        let code = gauge.chip.register(Role::VoltageNow).map(|register| Word::Register(register.code));
+        let voltage = gauge.chip.register(Role::VoltageNow).map(|register| register.source);
         for _ in 0..2 {
-            let Some(word) = code else { break };
-            let again = read_word(gauge, word)?;
+            let Some(voltage) = voltage else { break };
+            let again = read_word(gauge, voltage)?;
             (low, high) = (low.min(again), high.max(again));
         }
         let refuse = |why: String| {
@@ -314,10 +314,10 @@ fn short_word(gauge: &mut Gauge, row: (u8, u16)) -> Result<u16> {
 
 /// Whether calibration is enabled, in which the gauge ignores its gate.
 fn calibration_enabled(gauge: &mut Gauge) -> Result<bool> {
-    let Some((code, mask)) = gauge.chip.gate.as_ref().and_then(|gate| gate.calibration) else {
+    let Some((source, mask)) = gauge.chip.gate.as_ref().and_then(|gate| gate.calibration) else {
         return Ok(false);
     };
-    agreed("the bit that allows calibration", || Ok(read_word(gauge, Word::Register(code))? & mask != 0))
+    agreed("the bit that allows calibration", || Ok(read_word(gauge, source)? & mask != 0))
 }
 
 /// How flash is opened where Voltage() is low because the divider is not set.
@@ -340,7 +340,7 @@ fn remedy(gate: &Gate) -> String {
 /// Why the gate is shut, by what an open gauge holds and measures now. What a loss of power has erased may shut it: the
 /// divider, or the bit that switches it.
 pub(super) fn shut(gauge: &mut Gauge) -> Result<Option<Error>> {
-    let voltage = gauge.chip.register(Role::VoltageNow).map(|register| Word::Register(register.code));
+    let voltage = gauge.chip.register(Role::VoltageNow).map(|register| register.source);
     let Some((gate, voltage)) = gauge.chip.gate.as_ref().zip(voltage) else { return Ok(None) };
     let mut word = |row| {
         let (place, at) = place_of(row);

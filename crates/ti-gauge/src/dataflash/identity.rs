@@ -6,7 +6,6 @@ use super::DataFlash;
 use super::pack::{Match, compare};
 use super::schemes::sequence;
 use super::state::read_word;
-use crate::chip::Word;
 use crate::error::Result;
 use crate::gauge::{Gauge, agreed};
 use crate::journal::{Identity, Plan};
@@ -46,5 +45,5 @@ pub(super) fn identify(gauge: &mut Gauge) -> Result<Identity> {
 
 fn serial_number(gauge: &mut Gauge) -> Result<u16> {
     let Some(register) = gauge.chip.serial_register() else { return Ok(0) };
-    agreed("SerialNumber()", || read_word(gauge, Word::Register(register)))
+    agreed("SerialNumber()", || read_word(gauge, register.source))
 }

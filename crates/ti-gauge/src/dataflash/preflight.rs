@@ -10,7 +10,7 @@ use super::schemes::sequence;
 use super::session::Session;
 use super::state::{lost_flag, once_measured, read_word};
 use super::{Change, DataFlash, Outcome};
-use crate::chip::{Chip, Kind, Learning, Mode, Role, Word};
+use crate::chip::{Chip, Kind, Learning, Mode, Role, Source};
 use crate::error::{Cause, Error, Reason, Result, Step};
 use crate::gauge::{Answers, Gauge, Look, Moment, Seal, Statistics, agreed};
 use crate::journal::Identity;
@@ -50,15 +50,12 @@ struct Distinct {
 }
 
 impl Distinct {
-    fn of(chip: &Chip, value: impl Fn(u8) -> Option<u16>) -> Self {
-        let pack = match chip.preflight.pack.as_ref().map(|pack| pack.word) {
-            Some(Word::Register(code)) => value(code),
-            _ => None,
-        };
+    fn of(chip: &Chip, value: impl Fn(Source) -> Option<u16>) -> Self {
+        let pack = chip.serial_register().and_then(|register| value(register.source));
         // After a power loss a RAM gauge shows defaults, which identify no pack.
         let of = |role: Role| {
             let register = chip.register(role).filter(|_| chip.volatile.is_none());
-            register.and_then(|register| value(register.code))
+            register.and_then(|register| value(register.source))
         };
         Self { pack, cycles: of(Role::CycleCount), design: of(Role::ChargeFullDesign) }
     }
@@ -89,7 +86,7 @@ impl DataFlash {
         self.look_again();
         let pack = match chip.preflight.pack.as_ref().map(|pack| pack.word) {
             // All subcommands that distinguish packs are named CHEM_ID.
-            Some(Word::Answer(_)) => answers.chem_id,
+            Some(Source::Answer(_)) => answers.chem_id,
             _ => None,
         };
         let firmware_version = answers.firmware_version;
@@ -108,14 +105,14 @@ impl DataFlash {
 
     /// Whether the registers of a poll have to be read again before they are believed: they show another pack, or another
     /// count of cycles, by which later polls are judged. I2C has no error detection.
-    pub fn needs_second_poll(&self, chip: &Chip, value: impl Fn(u8) -> Option<u16>) -> bool {
+    pub fn needs_second_poll(&self, chip: &Chip, value: impl Fn(Source) -> Option<u16>) -> bool {
         let cycles = self.known_pack.and_then(|known| known.cycles.zip(Distinct::of(chip, &value).cycles));
         cycles.is_some_and(|(then, now)| then != now) || self.contradicted(chip, value).is_some()
     }
 
     /// Whether the flags of a poll show a loss of data memory that was not known, or no longer show one, and the gauge does
     /// not say the same once more. The profile is written for a loss.
-    pub fn misreads_loss(&self, gauge: &mut Gauge, value: impl Fn(u8) -> Option<u16>) -> Result<bool> {
+    pub fn misreads_loss(&self, gauge: &mut Gauge, value: impl Fn(Source) -> Option<u16>) -> Result<bool> {
         let Some((flags, lost)) = lost_flag(gauge.chip) else { return Ok(false) };
         let shown = value(flags).map(|word| word & lost != 0);
         let Some(shown) =
@@ -123,13 +120,13 @@ impl DataFlash {
         else {
             return Ok(false);
         };
-        let again = read_word(gauge, Word::Register(flags))?;
+        let again = read_word(gauge, flags)?;
         Ok((again & lost != 0) != shown)
     }
 
     /// The register of a poll that contradicts what is known of the pack, by its name; `value` returns a register by
-    /// its address.
-    pub fn contradicted(&self, chip: &Chip, value: impl Fn(u8) -> Option<u16>) -> Option<&'static str> {
+    /// its source.
+    pub fn contradicted(&self, chip: &Chip, value: impl Fn(Source) -> Option<u16>) -> Option<&'static str> {
         let known = self.known_pack?;
         let now = Distinct::of(chip, value);
         let changes =
@@ -144,9 +141,9 @@ impl DataFlash {
         rows.into_iter().find(|(contradicts, _)| *contradicts).map(|(_, name)| name)
     }
 
-    /// Notes a poll; `value` returns a register by its address. Returns whether another pack answers now.
-    pub fn polled(&mut self, chip: &Chip, value: impl Fn(u8) -> Option<u16>) -> bool {
-        let flags = chip.register(Role::Flags).and_then(|flags| value(flags.code));
+    /// Notes a poll; `value` returns a register by its source. Returns whether another pack answers now.
+    pub fn polled(&mut self, chip: &Chip, value: impl Fn(Source) -> Option<u16>) -> bool {
+        let flags = chip.register(Role::Flags).and_then(|flags| value(flags.source));
         let contradicted = self.contradicted(chip, &value).is_some();
         let Distinct { pack, cycles, design } = Distinct::of(chip, value);
         let Some(known_pack) = &mut self.known_pack else { return false };
@@ -242,7 +239,7 @@ impl DataFlash {
     pub(super) fn confirm(&mut self, gauge: &mut Gauge) -> Result<()> {
         let chip = gauge.chip;
         let pack = chip.preflight.pack.as_ref();
-        if !pack.is_some_and(|pack| matches!(pack.word, Word::Register(_))) {
+        if chip.serial_register().is_none() {
             gauge.confirm_identity().inspect_err(|error| self.doubt(error))?;
         }
         let firmware_version = match self.known_pack {
@@ -296,7 +293,7 @@ impl DataFlash {
     fn check(&self, chip: &Chip, found: &Found, changes: &[Change]) -> Result<()> {
         let flags = chip.volatile.zip(chip.register(Role::Flags));
         if let Some((bit, flags)) = flags
-            && found.register(flags.code) & bit != 0
+            && found.word(flags.source).is_some_and(|flags| flags & bit != 0)
             && self.known_pack.is_some_and(|known_pack| known_pack.lost == Some(false))
         {
             let why = "set, and was not when its values were read: the gauge has lost its power, and its data memory \
@@ -380,24 +377,22 @@ impl Found {
     fn of(chip: &Chip, look: Look, moment: Moment) -> Self {
         let found = Self { seal: look.seal, status: look.status, voltage_mv: 0, lost: false, moment, look };
         Self {
-            voltage_mv: found.register(voltage(chip)),
-            lost: lost_flag(chip).is_some_and(|(flags, lost)| found.register(flags) & lost != 0),
+            voltage_mv: found.word(voltage(chip)).unwrap_or_default(),
+            lost: lost_flag(chip)
+                .is_some_and(|(flags, lost)| found.word(flags).is_some_and(|word| word & lost != 0)),
             ..found
         }
     }
 
-    /// A register of two bytes that was read along with CONTROL_STATUS.
-    fn register(&self, code: u8) -> u16 {
-        let at = usize::from(code) - 2;
-        u16::from_le_bytes([self.look.behind[at], self.look.behind[at + 1]])
-    }
-
     /// A word that the look has shown; `None` for an answer to a subcommand, which takes a question of its own.
-    fn word(&self, word: Word) -> Option<u16> {
-        match word {
-            Word::ControlStatus => Some(self.status),
-            Word::Register(code) => Some(self.register(code)),
-            Word::Answer(_) => None,
+    fn word(&self, source: Source) -> Option<u16> {
+        match source {
+            Source::Status => Some(self.status),
+            Source::Command(code) => {
+                let at = usize::from(code).checked_sub(2)?;
+                Some(u16::from_le_bytes([*self.look.behind.get(at)?, *self.look.behind.get(at + 1)?]))
+            }
+            Source::Answer(_) => None,
         }
     }
 
@@ -425,15 +420,11 @@ impl Learning {
 
     /// Whether Update Status shows that it has begun and not ended.
     fn runs(&self, gauge: &mut Gauge) -> Result<bool> {
-        let state = match self.register {
-            None => read_byte(gauge, self.row)?,
-            Some(code) => {
-                let mut byte = [0];
-                gauge.read(code, &mut byte)?;
-                byte[0]
-            }
+        let state = match self.shown {
+            None => read_byte(gauge, self.row)?.into(),
+            Some(source) => read_word(gauge, source)?,
         };
-        Ok(state & self.mask == self.value)
+        Ok(state & u16::from(self.mask) == u16::from(self.value))
     }
 }
 
@@ -445,16 +436,17 @@ fn differs(gauge: &mut Gauge, ask: impl Fn(&mut Gauge) -> Result<u16>, expected:
     Ok(Some(ask(gauge)?).filter(|&again| again != expected))
 }
 
-/// The address of Voltage().
-fn voltage(chip: &Chip) -> u8 {
-    chip.register(Role::VoltageNow).expect("the tables' tests ask for Voltage()").code
+/// The source of Voltage().
+fn voltage(chip: &Chip) -> Source {
+    chip.register(Role::VoltageNow).expect("the tables' tests ask for Voltage()").source
 }
 
 /// How many bytes behind CONTROL_STATUS show the state of a gauge.
 fn behind(chip: &Chip) -> usize {
-    let modes = chip.preflight.modes.iter().filter_map(|mode| mode.word.register());
-    let flags = chip.register(Role::Flags).filter(|_| chip.volatile.is_some()).map(|flags| flags.code);
-    modes.chain(flags).fold(voltage(chip), u8::max).into()
+    let modes = chip.preflight.modes.iter().map(|mode| mode.word);
+    let flags = chip.register(Role::Flags).filter(|_| chip.volatile.is_some()).map(|flags| flags.source);
+    let all = modes.chain(flags).chain([voltage(chip)]);
+    all.filter_map(Source::command).fold(0, u8::max).into()
 }
 
 /// Whether the voltage decides about a write. Restoring a saved configuration to a gauge with RAM that lost power is
@@ -475,7 +467,7 @@ fn read_state(gauge: &mut Gauge) -> Result<Found> {
 /// Checks the modes that only an unsealed gauge reports.
 pub(super) fn check_unsealed(gauge: &mut Gauge) -> Result<()> {
     for mode in gauge.chip.preflight.modes {
-        let Word::Answer(code) = mode.word else { continue };
+        let Source::Answer(code) = mode.word else { continue };
         off(mode, agreed(mode.name, || Ok(gauge.ask(code)? & mode.mask))?)?;
     }
     Ok(())

@@ -5,7 +5,7 @@
 use std::time::Duration;
 
 use super::Change;
-use crate::chip::{Chip, Role, Word};
+use crate::chip::{Chip, Role, Source};
 use crate::codec;
 use crate::error::Result;
 use crate::gauge::{Gauge, agreed};
@@ -19,13 +19,15 @@ const COPIES: Duration = Duration::from_millis(500);
 const FIRST_MEASUREMENT: Duration = Duration::from_secs(2);
 const MEASUREMENT_POLL: Duration = Duration::from_millis(50);
 
-pub(crate) fn read_word(gauge: &mut Gauge, word: Word) -> Result<u16> {
-    match word {
-        Word::ControlStatus => Ok(gauge.control_status()?.1),
-        Word::Answer(code) => gauge.ask(code),
-        Word::Register(code) => {
+/// Reads a word, or a byte where the source has a row of one byte.
+pub(crate) fn read_word(gauge: &mut Gauge, source: Source) -> Result<u16> {
+    match source {
+        Source::Status => Ok(gauge.control_status()?.1),
+        Source::Answer(code) => gauge.ask(code),
+        Source::Command(code) => {
+            let size = gauge.chip.register_at(source).map_or(2, |row| row.size.min(2));
             let mut bytes = [0; 2];
-            gauge.read(code, &mut bytes)?;
+            gauge.read(code, &mut bytes[..size.into()])?;
             Ok(u16::from_le_bytes(bytes))
         }
     }
@@ -47,10 +49,10 @@ pub(super) fn once_measured<T>(
     }
 }
 
-/// The address of Flags(), and the bit of it that reports that data memory was lost, where there is one.
-pub(super) fn lost_flag(chip: &Chip) -> Option<(u8, u16)> {
+/// Flags(), and the bit of it that reports that data memory was lost, where there is one.
+pub(super) fn lost_flag(chip: &Chip) -> Option<(Source, u16)> {
     let lost = chip.volatile.filter(|&lost| lost != 0)?;
-    Some((chip.register(Role::Flags)?.code, lost))
+    Some((chip.register(Role::Flags)?.source, lost))
 }
 
 /// Whether the gauge's data memory is RAM and was lost. Two looks must agree: much is given up where it was. A gauge in
@@ -58,15 +60,15 @@ pub(super) fn lost_flag(chip: &Chip) -> Option<(u8, u16)> {
 pub fn has_lost_memory(gauge: &mut Gauge) -> Result<bool> {
     let chip = gauge.chip;
     let Some((flags, lost)) = lost_flag(chip) else { return Ok(false) };
-    let modes = chip.preflight.modes.iter().filter(|mode| mode.ours && mode.word == Word::Register(flags));
+    let modes = chip.preflight.modes.iter().filter(|mode| mode.ours && mode.word == flags);
     let ours = modes.fold(0, |all, mode| all | mode.mask);
-    agreed("Flags()", || Ok(read_word(gauge, Word::Register(flags))? & (lost | ours) == lost))
+    agreed("Flags()", || Ok(read_word(gauge, flags)? & (lost | ours) == lost))
 }
 
 /// A register that shows a parameter while the gauge works, and what it is to show before and after a change.
 #[derive(Clone, Copy)]
 pub(super) struct Copied {
-    code: u8,
+    source: Source,
     old: u16,
     new: u16,
 }
@@ -83,7 +85,7 @@ impl Copied {
             Value::Int(word) => u16::try_from(word).ok(),
             _ => None,
         };
-        Some(Self { code: register.code, old: word(old)?, new: word(&change.stored_over(old))? })
+        Some(Self { source: register.source, old: word(old)?, new: word(&change.stored_over(old))? })
     }
 }
 
@@ -96,7 +98,7 @@ pub(super) fn has_kept(gauge: &mut Gauge, copied: Option<&Copied>) -> Result<boo
         return Ok(has_flag);
     };
     let limit = gauge.clock.now() + COPIES.max(gauge.chip.access.reset);
-    while agreed("DesignCapacity()", || read_word(gauge, Word::Register(copied.code)))? != copied.new {
+    while agreed("DesignCapacity()", || read_word(gauge, copied.source))? != copied.new {
         if !gauge.may_try_until(limit) {
             return Ok(false);
         }

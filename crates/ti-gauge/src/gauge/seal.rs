@@ -7,7 +7,7 @@ use std::time::Duration;
 use super::effects::Status;
 use super::state::{BEHIND, Look, Seal};
 use super::{CONTROL_STATUS, Gauge, TRIES};
-use crate::chip::SealStatus;
+use crate::chip::{SealStatus, Source};
 use crate::error::{Cause, Error, Result, Step};
 use gauge_bus::BusError;
 
@@ -101,10 +101,11 @@ impl Gauge {
             SealStatus::None => {
                 return Err(Error::bus("CONTROL_STATUS", BusError::ReadOnly).of_register());
             }
-            SealStatus::Field { register, shift } => {
-                let word = match register {
-                    None => status,
-                    Some(code) => {
+            SealStatus::Field { word, shift } => {
+                let word = match word {
+                    Source::Status => status,
+                    Source::Answer(code) => self.ask(code)?,
+                    Source::Command(code) => {
                         let mut word = [0; 2];
                         self.read(code, &mut word)?;
                         u16::from_le_bytes(word)

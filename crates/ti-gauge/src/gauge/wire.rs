@@ -10,6 +10,7 @@ use std::time::Duration;
 use super::effects::Seen;
 use super::statistics::Statistics;
 use super::{CONTROL, Gauge};
+use crate::chip::Source;
 use crate::error::{Cause, Error, Result, Step};
 use gauge_bus::trace::Event;
 use gauge_bus::{BusError, wire_bytes};
@@ -202,7 +203,7 @@ impl Gauge {
 
     pub(super) fn name_of(&self, code: u8) -> String {
         self.chip
-            .register_at(code)
+            .register_at(Source::Command(code))
             .map_or_else(|| format!("register 0x{code:02x}"), |register| format!("{}()", register.name))
     }
 

@@ -67,7 +67,8 @@ impl Bench {
                 continue;
             }
             let mut bytes = [0; 2];
-            gauge.read(register.code, &mut bytes[..usize::from(register.size)]).expect("an answer");
+            let code = register.source.command().expect("a standard command");
+            gauge.read(code, &mut bytes[..usize::from(register.size)]).expect("an answer");
             let word = u16::from_le_bytes(bytes);
             names.extend(register.bits.iter().filter(|bit| word & bit.mask != 0).map(|bit| bit.name));
             match register.role {

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use gauge_bus::clock::Clock;
 use gauge_bus::{Bus, BusError};
-use ti_gauge::chip::{CHIPS, FLAT, Role, Word};
+use ti_gauge::chip::{CHIPS, FLAT, Register, Role, Source};
 use ti_gauge::dataflash::{DataFlash, Limits, Outcome};
 use ti_gauge::error::Result;
 use ti_gauge::gauge::{BEHIND, Gauge, Seal};
@@ -440,7 +440,7 @@ fn a_write_to_a_pack_in_service_needs_no_more_transfers() {
     // The state after mounting.
     rig.dataflash = DataFlash::default();
     rig.meet();
-    rig.dataflash.polled(rig.gauge.chip, |code| (code == 0x28).then_some(1));
+    rig.dataflash.polled(rig.gauge.chip, |source| (source == Source::Command(0x28)).then_some(1));
     let before = rig.cost();
     assert_eq!(write(&mut rig), WRITTEN);
     let after = rig.cost();
@@ -462,35 +462,34 @@ fn the_tables_have_what_the_checks_need() {
         let within = |last: u8, code: u8| {
             assert!((0x02..=last).contains(&code), "{name}: 0x{code:02x} is far from Control()");
         };
-        let near = |code| within(0x0E, code);
-        near(chip.register(Role::VoltageNow).expect("every part measures a voltage").code);
+        let near = |row: &Register| within(0x0E, row.source.command().expect("a standard command"));
+        near(chip.register(Role::VoltageNow).expect("every part measures a voltage"));
         if chip.volatile.is_some() {
-            near(chip.register(Role::Flags).expect("flags").code);
+            near(chip.register(Role::Flags).expect("flags"));
         }
         assert!(chip.gate.is_some() != chip.preflight.voltage_mv.is_some(), "{name}: one of them watches");
         for mode in chip.preflight.modes {
             match mode.word {
                 // OperationStatus() has the modes of the bq27220, and one read reaches it.
-                Word::Register(code) => within(BEHIND as u8, code),
-                Word::ControlStatus => {
+                Source::Command(code) => within(BEHIND as u8, code),
+                Source::Status => {
                     let bit = chip.control_status.iter().find(|bit| bit.mask == mode.mask).expect("a bit");
                     assert_eq!(mode.name, format!("CONTROL_STATUS [{}]", bit.name), "{name}");
                 }
-                Word::Answer(code) => {
+                Source::Answer(code) => {
                     assert!(chip.subcommands.iter().any(|known| known.code == code), "{name}")
                 }
             }
         }
         match chip.preflight.pack.as_ref().map(|pack| pack.word) {
-            Some(Word::Answer(code)) => {
+            Some(Source::Answer(code)) => {
                 let asked = chip.subcommands.iter().find(|known| known.code == code).expect("a subcommand");
                 assert_eq!((asked.name, asked.sealed), ("CHEM_ID", true), "{name}");
             }
-            Some(Word::Register(code)) => {
-                let register = chip.registers.iter().find(|register| register.code == code);
-                assert_eq!(register.map(|register| register.size), Some(2), "{name}");
+            Some(source @ Source::Command(_)) => {
+                assert_eq!(chip.register_at(source).map(|register| register.size), Some(2), "{name}");
             }
-            Some(Word::ControlStatus) => panic!("{name}: a seal tells no packs apart"),
+            Some(Source::Status) => panic!("{name}: a seal tells no packs apart"),
             None => {}
         }
         if let Some(learning) = &chip.preflight.learning {
@@ -600,7 +599,7 @@ fn a_poll_that_contradicts_the_last_one_shows_another_pack() {
         rig.dataflash.meet(rig.gauge.chip, &answers);
         let chip = rig.gauge.chip;
         assert!(!rig.dataflash.polled(chip, |_| Some(7)), "{code:#x}");
-        let shown = rig.dataflash.polled(chip, |at| Some(if at == code { now } else { 7 }));
+        let shown = rig.dataflash.polled(chip, |at| Some(if at == Source::Command(code) { now } else { 7 }));
         assert_eq!(shown, is_another, "{code:#x} is {now}");
     }
 }

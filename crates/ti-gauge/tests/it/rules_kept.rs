@@ -204,11 +204,12 @@ fn a_block_whose_write_failed_is_not_known() {
 /// A poll of a RAM gauge.
 fn polled(rig: &mut Rig) {
     let chip = rig.gauge.chip;
-    let code = chip.register(Role::Flags).expect("every part has Flags()").code;
+    let source = chip.register(Role::Flags).expect("every part has Flags()").source;
+    let code = source.command().expect("a standard command");
     let mut word = [0; 2];
     rig.gauge.read(code, &mut word).expect("it answers");
     let flags = u16::from_le_bytes(word);
-    rig.dataflash.polled(chip, |at| (at == code).then_some(flags));
+    rig.dataflash.polled(chip, |at| (at == source).then_some(flags));
 }
 
 fn lose_power(rig: &Rig) {

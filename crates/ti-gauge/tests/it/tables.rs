@@ -9,7 +9,8 @@ use std::hash::Hash;
 use gauge_bus::wire_bytes;
 use ti_gauge::chip::{
     Answers, Bit, CHIPS, Chip, Effect, FLAT, Identity, Kind, Parameter, Range, Recognised, Role, SIBLINGS,
-    Safe, Scale, Scaling, Scheme, SealStatus, Signature, Subclass, Tier, kebab_case, recognise, snake_case,
+    Safe, Scale, Scaling, Scheme, SealStatus, Signature, Source, Subclass, Tier, kebab_case, recognise,
+    snake_case,
 };
 use ti_gauge::codec::{self, WINDOW};
 use ti_gauge::registers::bursts;
@@ -91,10 +92,11 @@ fn registers_are_in_order_and_do_not_overlap() {
     for chip in CHIPS {
         let mut end = 0;
         for register in chip.registers {
-            let at = format!("{} 0x{:02x} {}", chip.name, register.code, register.name);
-            assert!(u16::from(register.code) >= end, "{at} overlaps the one before");
+            let at = format!("{} {} {}", chip.name, register.source, register.name);
+            let Source::Command(code) = register.source else { continue };
+            assert!(u16::from(code) >= end, "{at} overlaps the one before");
             assert!(register.size > 0, "{at} is empty");
-            end = u16::from(register.code) + u16::from(register.size);
+            end = u16::from(code) + u16::from(register.size);
             assert!(end <= 0x80, "{at} ends above 0x7f");
             if register.tier != Tier::Window {
                 assert!(register.size <= 4, "{at} is no number");
@@ -220,11 +222,11 @@ fn bits_are_single_uniquely_named_and_inside_their_word() {
                 let told = named(chip.control_status, not_full_access).is_some();
                 assert_eq!(told, chip.security.full_access, "{}", chip.name);
             }
-            SealStatus::Field { register, shift } => {
-                let bits = match register {
-                    None => chip.control_status,
-                    Some(code) => {
-                        let register = chip.registers.iter().find(|register| register.code == code);
+            SealStatus::Field { word, shift } => {
+                let bits = match word {
+                    Source::Status => chip.control_status,
+                    source => {
+                        let register = chip.register_at(source);
                         register.filter(|register| register.size == 2).expect(chip.name).bits
                     }
                 };
@@ -475,8 +477,8 @@ fn the_flash_voltage_check_refers_to_existing_parameters() {
         if let Some((id, offset)) = gate.cells {
             assert_eq!(chip.parameter(id, offset).expect(chip.name).kind, Type::U(1), "{}", chip.name);
         }
-        if let Some((code, mask)) = gate.calibration {
-            let register = chip.registers.iter().find(|register| register.code == code).expect(chip.name);
+        if let Some((source, mask)) = gate.calibration {
+            let register = chip.register_at(source).expect(chip.name);
             assert!(
                 register.bits.iter().any(|bit| (bit.mask, bit.name) == (mask, "CAL_EN")),
                 "{}",
@@ -741,8 +743,8 @@ fn scales_are_bytes_of_polled_registers_or_of_data_flash() {
         for scale in [voltage, current, charge, energy] {
             match *scale {
                 Scale::None => {}
-                Scale::Register(code) => {
-                    let register = chip.register_at(code).expect(chip.name);
+                Scale::Register(source) => {
+                    let register = chip.register_at(source).expect(chip.name);
                     let found = (register.size, register.tier);
                     assert_eq!(found, (1, Tier::Poll), "{} {}", chip.name, register.name);
                 }
@@ -753,8 +755,8 @@ fn scales_are_bytes_of_polled_registers_or_of_data_flash() {
             }
         }
         // The log warns of it when the gauge has been opened.
-        if let Some((code, bit)) = scaled {
-            let register = chip.register_at(*code).expect(chip.name);
+        if let Some((source, bit)) = scaled {
+            let register = chip.register_at(*source).expect(chip.name);
             assert!(register.tier == Tier::Static && register.bits.contains(bit), "{}", chip.name);
         }
         // A unit that is not the kernel's thousandth has a step.
