@@ -9,7 +9,7 @@ use clap::Args;
 
 use crate::config::{self, AlertOptions, At, Given, names};
 use crate::error::{Cause, Error, Result};
-use gaugefs_screen::alert::Rule;
+use gaugefs_screen::watch::Rule;
 
 const WATCH: &str = "\
 An alert is raised when its condition is true, as `gaugefs wait --help` explains it, and cleared
@@ -73,8 +73,8 @@ impl Watch {
         };
         let rules: Vec<Rule> = alerts.into_iter().map(Rule::from).collect();
         match self.test {
-            true => gaugefs_screen::alert::test(&place, &rules),
-            false => gaugefs_screen::alert::watch(&place, &rules),
+            true => gaugefs_screen::watch::test(&place, &rules),
+            false => gaugefs_screen::watch::run(&place, &rules),
         }
     }
 }

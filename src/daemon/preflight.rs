@@ -20,7 +20,7 @@ use gauge_bus::clock::{Clock, RealClock};
 use gauge_bus::regular;
 use gauge_owner::{GaugeSetup, Source, journal_dir};
 #[cfg(feature = "screen")]
-use gaugefs_screen::alert::Rule;
+use gaugefs_screen::watch::Rule;
 
 const CONFIGURATION: &str = "/etc/fuse.conf";
 /// Its line that lets ordinary users open their mounts to others.

@@ -30,7 +30,6 @@ use clap::Subcommand;
 
 use gaugefs_host::error::Result;
 
-pub mod alert;
 mod decimal;
 mod events;
 mod learn;
@@ -43,6 +42,7 @@ mod thin;
 mod ticks;
 mod top;
 mod wait;
+pub mod watch;
 mod wrap;
 
 /// The commands of this crate.

@@ -63,7 +63,7 @@ impl Rule {
 }
 
 /// Watches the gauges at a mount point, or one by its folder, until nobody reads the output any more.
-pub fn watch(place: &Path, rules: &[Rule]) -> Result<ExitCode> {
+pub fn run(place: &Path, rules: &[Rule]) -> Result<ExitCode> {
     Watching::start(place, rules)?.run()
 }
 
@@ -127,10 +127,10 @@ struct State {
 
 impl State {
     /// Takes a poll in.
-    fn update(&mut self, alert: &Rule, texts: Option<&Texts>, now: Instant) {
-        let holds = alert.when.holds(texts);
+    fn update(&mut self, rule: &Rule, texts: Option<&Texts>, now: Instant) {
+        let holds = rule.when.holds(texts);
         if self.raised {
-            let is_over = match &alert.clear {
+            let is_over = match &rule.clear {
                 Some(clear) => clear.holds(texts) == Some(true),
                 None => holds == Some(false),
             };
@@ -140,7 +140,7 @@ impl State {
         // What clears an alert does not raise it again at once.
         else if holds == Some(true) {
             let since = *self.since.get_or_insert(now);
-            self.raised = now.duration_since(since) >= alert.hold;
+            self.raised = now.duration_since(since) >= rule.hold;
         } else {
             self.since = None;
         }
@@ -378,7 +378,7 @@ fn facts(gauge: &Gauge, alert: &Alert) -> HashMap<String, OsString> {
 mod tests {
     use super::*;
 
-    fn alert(when: &str, clear: Option<&str>, hold: u64) -> Rule {
+    fn rule(when: &str, clear: Option<&str>, hold: u64) -> Rule {
         let parse = |text: &str| text.parse().expect(text);
         Rule {
             when: parse(when),
@@ -392,13 +392,13 @@ mod tests {
     }
 
     /// The states after polls with these capacities, one a second.
-    fn states(alert: &Rule, capacities: &[Option<u32>]) -> Vec<bool> {
+    fn states(rule: &Rule, capacities: &[Option<u32>]) -> Vec<bool> {
         let (start, mut state) = (Instant::now(), State::default());
         let seconds = (0..).zip(capacities);
         let states = seconds.map(|(second, capacity)| {
             let texts: Texts =
                 capacity.iter().map(|number| ("capacity".into(), number.to_string())).collect();
-            state.update(alert, Some(&texts), start + Duration::from_secs(second));
+            state.update(rule, Some(&texts), start + Duration::from_secs(second));
             state.raised
         });
         states.collect()
@@ -406,37 +406,37 @@ mod tests {
 
     #[test]
     fn an_alert_is_raised_once_and_cleared_by_its_own_condition() {
-        let low = alert("capacity<20", Some("capacity>25"), 0);
+        let low = rule("capacity<20", Some("capacity>25"), 0);
         let polls = [30, 20, 19, 21, 19, 25, 26, 21, 19].map(Some);
         let raised = [false, false, true, true, true, true, false, false, true];
         assert_eq!(states(&low, &polls), raised);
-        let plain = alert("capacity<20", None, 0);
+        let plain = rule("capacity<20", None, 0);
         assert_eq!(states(&plain, &[19, 20, 19].map(Some)), [true, false, true]);
     }
 
     #[test]
     fn a_missing_value_neither_raises_nor_clears() {
-        let low = alert("capacity<20", None, 0);
+        let low = rule("capacity<20", None, 0);
         assert_eq!(states(&low, &[None, Some(19), None, Some(30), None]), [false, true, true, false, false]);
     }
 
     #[test]
     fn a_condition_must_be_true_in_every_poll_of_its_time() {
-        let low = alert("capacity<20", None, 2);
+        let low = rule("capacity<20", None, 2);
         let polls = [Some(19), Some(19), Some(19), Some(30), Some(19), None, Some(19), Some(19), Some(19)];
         let raised = [false, false, true, false, false, false, false, false, true];
         assert_eq!(states(&low, &polls), raised);
-        let zero = alert("capacity<20", None, 0);
+        let zero = rule("capacity<20", None, 0);
         assert_eq!(states(&zero, &[Some(19)]), [true]);
     }
 
     #[test]
     fn a_gauge_that_is_gone_raises_missing_only() {
         let (mut gone, mut low) = (State::default(), State::default());
-        gone.update(&alert("missing", None, 0), None, Instant::now());
-        low.update(&alert("capacity<20", None, 0), None, Instant::now());
+        gone.update(&rule("missing", None, 0), None, Instant::now());
+        low.update(&rule("capacity<20", None, 0), None, Instant::now());
         assert!(gone.raised && !low.raised);
-        gone.update(&alert("missing", None, 0), Some(&Texts::new()), Instant::now());
+        gone.update(&rule("missing", None, 0), Some(&Texts::new()), Instant::now());
         assert!(!gone.raised);
     }
 }
