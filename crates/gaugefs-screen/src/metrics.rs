@@ -174,13 +174,13 @@ impl Reader {
 
     fn page(self: &Arc<Self>, format: Prometheus) -> String {
         let begun = Instant::now();
-        let mounts = self.read();
+        let mounts = self.read(page::files(self.all));
         page::render(&mounts, begun.elapsed(), format, self.all)
     }
 
     /// The file of the one gauge for NUT, and whether the gauge is there.
     fn of_gauge(self: &Arc<Self>) -> Result<(String, Result<()>)> {
-        let mut mounts = self.read();
+        let mut mounts = self.read(nut::files());
         let mut gauges = mounts.iter_mut().flat_map(|mount| mount.gauges.drain(..));
         let gauge = gauges.next();
         if gauges.next().is_some() {
@@ -194,9 +194,10 @@ impl Reader {
         Ok((nut::render(gauge.as_ref()), is_there.then_some(()).ok_or_else(gone)))
     }
 
-    /// Reads all gauges. A mount of which nothing is heard for some seconds is reported as down, and is not read again
+    /// Reads these files of all gauges. A mount of which nothing is heard for some seconds is reported as down, and is not read again
     /// while too many threads wait for it.
-    fn read(self: &Arc<Self>) -> Vec<Mount> {
+    fn read(self: &Arc<Self>, files: Vec<String>) -> Vec<Mount> {
+        let files: Arc<[String]> = files.into();
         let all = self.places();
         let mut mounts: Vec<Mount> = Vec::new();
         let (sender, found) = mpsc::channel();
@@ -206,7 +207,7 @@ impl Reader {
                 mounts.push(Mount { path: mountpoint, up: Up::No, gauges: Vec::new() });
             }
             let own = path.clone();
-            let (reader, sender) = (self.clone(), sender.clone());
+            let (reader, sender, files) = (self.clone(), sender.clone(), files.clone());
             match self.threads().entry(path.clone()).or_default() {
                 &mut MOST => continue,
                 count => *count += 1,
@@ -214,7 +215,7 @@ impl Reader {
             let work = move || {
                 // Nobody listens any more to a mount that was silent for too long.
                 let report = |seen| sender.send((number, seen)).is_ok();
-                let up = match read(&path, |gauge| report(Seen::Gauge(gauge))) {
+                let up = match read(&path, &files, |gauge| report(Seen::Gauge(gauge))) {
                     Ok(()) => Up::Yes,
                     // The kernel keeps everybody else out of a private mount, so it may be as well as it likes.
                     Err(error) if error.kind() == io::ErrorKind::PermissionDenied => Up::Unknown,
@@ -264,16 +265,15 @@ enum Seen {
     End(Up),
 }
 
-/// Reads the gauges of a mount, and reports each.
-fn read(path: &Path, report: impl Fn(page::Gauge) -> bool) -> io::Result<()> {
-    let names = page::names();
+/// Reads these files of the gauges of a mount, and reports each gauge.
+fn read(path: &Path, files: &[String], report: impl Fn(page::Gauge) -> bool) -> io::Result<()> {
     // Where a mount is gone there may be something else, even supplies of the kernel's.
     if mounts::of(path).is_none() && mounts::of(&std::fs::canonicalize(path)?).is_none() {
         return Err(io::ErrorKind::NotFound.into());
     }
     for folder in gaugefs_client::gauges_at(path)? {
         // One that goes away meanwhile is not there.
-        let Ok(texts) = follow::all(&folder, &names) else { continue };
+        let Ok(texts) = follow::all(&folder, files) else { continue };
         if !report(page::Gauge { name: gaugefs_client::last_name(&folder), texts }) {
             break;
         }

@@ -10,80 +10,127 @@ use std::fmt::Write;
 
 use ti_gauge::text;
 
-use super::page::Gauge;
+use super::page::{Gauge, ordered};
 
-/// A variable: its name, and its text if the gauge has it.
-type Variable = (&'static str, fn(&Gauge) -> Option<String>);
+/// A variable: its name, and what its text is made of.
+type Variable = (&'static str, Origin);
+
+/// What a text is made of, if the gauge has it. A file is read because a row names it here.
+enum Origin {
+    Fixed(&'static str),
+    /// The text of a file.
+    Text(&'static str),
+    /// The number of a file, in the unit that so many of the file's are.
+    Number(&'static str, f64),
+    /// What a function makes of the texts of these files, in their order.
+    Made(&'static [&'static str], fn(&[Option<&str>]) -> Option<String>),
+}
+
+use Origin::{Fixed, Made, Number, Text};
 
 static VARIABLES: &[Variable] = &[
-    ("device.type", |_| Some("ups".into())),
-    ("device.mfr", |gauge| gauge.named("manufacturer")),
-    ("device.model", |gauge| gauge.named("model_name")),
-    ("device.serial", |gauge| gauge.named("serial_number")),
+    ("device.type", Fixed("ups")),
+    ("device.mfr", Text("manufacturer")),
+    ("device.model", Text("model_name")),
+    ("device.serial", Text("serial_number")),
     // The driver has others of its own for these, which NUT's clients show beside them.
-    ("ups.mfr", |gauge| gauge.named("manufacturer")),
-    ("ups.model", |gauge| gauge.named("model_name")),
-    ("ups.serial", |gauge| gauge.named("serial_number")),
-    ("ups.firmware", |gauge| gauge.named("gauge/firmware_version")),
-    ("battery.type", |gauge| gauge.named("technology").filter(|name| name != "Unknown")),
-    ("battery.mfr.date", |gauge| {
-        let number = |end: &str| gauge.number(&format!("manufacture_{end}"));
-        Some(format!("{:04}-{:02}-{:02}", number("year")?, number("month")?, number("day")?))
-    }),
-    ("battery.charge", |gauge| gauge.scaled("capacity", 1.0)),
-    ("battery.voltage", |gauge| gauge.scaled("voltage_now", 1e6)),
-    ("battery.voltage.low", |gauge| gauge.scaled("voltage_min_design", 1e6)),
-    ("battery.voltage.high", |gauge| gauge.scaled("voltage_max_design", 1e6)),
-    ("battery.current", |gauge| gauge.scaled("current_now", 1e6)),
-    ("battery.temperature", |gauge| gauge.scaled("temp", 10.0)),
-    ("battery.capacity", |gauge| gauge.scaled("charge_full", 1e6)),
-    ("battery.capacity.nominal", |gauge| gauge.scaled("charge_full_design", 1e6)),
-    ("battery.runtime", |gauge| {
-        gauge.scaled("time_to_empty_now", 1.0).or_else(|| gauge.scaled("time_to_empty_avg", 1.0))
-    }),
-    ("battery.status", |gauge| gauge.named("health").filter(|word| word != "Unknown")),
-    ("battery.charger.status", |gauge| {
-        let word = match gauge.text("status")? {
-            "Charging" => "charging",
-            "Discharging" => "discharging",
-            "Full" => "resting",
-            _ => return None,
-        };
-        Some(word.into())
-    }),
-    ("ups.status", status),
+    ("ups.mfr", Text("manufacturer")),
+    ("ups.model", Text("model_name")),
+    ("ups.serial", Text("serial_number")),
+    ("ups.firmware", Text("gauge/firmware_version")),
+    ("battery.type", Made(&["technology"], known)),
+    (
+        "battery.mfr.date",
+        Made(&["manufacture_year", "manufacture_month", "manufacture_day"], |texts| {
+            let number = |at: usize| texts[at]?.parse::<u16>().ok();
+            Some(format!("{:04}-{:02}-{:02}", number(0)?, number(1)?, number(2)?))
+        }),
+    ),
+    ("battery.charge", Number("capacity", 1.0)),
+    ("battery.voltage", Number("voltage_now", 1e6)),
+    ("battery.voltage.low", Number("voltage_min_design", 1e6)),
+    ("battery.voltage.high", Number("voltage_max_design", 1e6)),
+    ("battery.current", Number("current_now", 1e6)),
+    ("battery.temperature", Number("temp", 10.0)),
+    ("battery.capacity", Number("charge_full", 1e6)),
+    ("battery.capacity.nominal", Number("charge_full_design", 1e6)),
+    (
+        "battery.runtime",
+        Made(&["time_to_empty_now", "time_to_empty_avg"], |texts| {
+            texts
+                .iter()
+                .flatten()
+                .find_map(|text| text.parse::<u64>().ok())
+                .map(|seconds| seconds.to_string())
+        }),
+    ),
+    ("battery.status", Made(&["health"], known)),
+    (
+        "battery.charger.status",
+        Made(&["status"], |texts| {
+            let word = match texts[0]? {
+                "Charging" => "charging",
+                "Discharging" => "discharging",
+                "Full" => "resting",
+                _ => return None,
+            };
+            Some(word.into())
+        }),
+    ),
+    ("ups.status", Made(&["status", "capacity_level"], status)),
 ];
+
+/// A word, unless it says that there is none.
+fn known(texts: &[Option<&str>]) -> Option<String> {
+    texts[0].filter(|word| !["", "Unknown"].contains(word)).map(String::from)
+}
 
 /// The words of `ups.status`: on line or on battery, and low when the gauge says that it is critical. A gauge that cannot
 /// say whether its pack discharges has none.
-fn status(gauge: &Gauge) -> Option<String> {
-    let words = match gauge.text("status")? {
+fn status(texts: &[Option<&str>]) -> Option<String> {
+    let words = match texts[0]? {
         "Discharging" => "OB DISCHRG",
         "Charging" => "OL CHRG",
         "Full" | "Not charging" => "OL",
         _ => return None,
     };
-    let is_low = gauge.text("capacity_level") == Some("Critical");
+    let is_low = texts[1] == Some("Critical");
     Some(format!("{words}{}", if is_low { " LB" } else { "" }))
 }
 
-impl Gauge {
-    fn named(&self, file: &str) -> Option<String> {
-        self.text(file).filter(|text| !text.is_empty()).map(str::to_string)
+impl Origin {
+    fn files(&self) -> Vec<&'static str> {
+        match self {
+            Self::Fixed(_) => Vec::new(),
+            Self::Text(file) | Self::Number(file, _) => vec![file],
+            Self::Made(files, _) => files.to_vec(),
+        }
     }
 
-    /// A number in the unit that so many of the file's are.
-    fn scaled(&self, file: &str, divisor: f64) -> Option<String> {
-        self.number(file).map(|number| (number / divisor).to_string())
+    fn text(&self, gauge: &Gauge) -> Option<String> {
+        match self {
+            Self::Fixed(text) => Some(text.to_string()),
+            Self::Text(file) => gauge.text(file).filter(|text| !text.is_empty()).map(String::from),
+            Self::Number(file, divisor) => gauge.number(file).map(|number| (number / divisor).to_string()),
+            Self::Made(files, text) => text(&gauge.texts_of(files)),
+        }
     }
+}
+
+/// The file that says whether there is anything to show.
+const PRESENT: &str = "present";
+
+/// The files that the variables come from.
+pub(super) fn files() -> Vec<String> {
+    ordered(VARIABLES.iter().flat_map(|(_, origin)| origin.files()).chain([PRESENT]))
 }
 
 /// The file for a gauge, or for one that is gone.
 pub(super) fn render(gauge: Option<&Gauge>) -> String {
     let mut file = String::new();
-    let present = gauge.filter(|gauge| gauge.flag("present") == Some(1.0));
-    for (name, value) in VARIABLES {
-        let text = present.and_then(value).unwrap_or_default();
+    let present = gauge.filter(|gauge| gauge.flag(PRESENT) == Some(1.0));
+    for (name, origin) in VARIABLES {
+        let text = present.and_then(|gauge| origin.text(gauge)).unwrap_or_default();
         // Writing to a String does not fail. Without a word of its own, a line gets that of the line before it.
         let _ = writeln!(file, "{name}: {}", quoted(&text));
     }
@@ -148,6 +195,19 @@ mod tests {
         ] {
             assert_eq!(value(&file, name), wanted, "{name}");
         }
+    }
+
+    #[test]
+    fn the_files_are_those_of_the_variables() {
+        let files = files();
+        assert!(
+            ["present", "capacity_level", "manufacture_day"]
+                .iter()
+                .all(|file| files.contains(&file.to_string()))
+        );
+        // The others are attributes, which are one file.
+        let others: Vec<_> = files.iter().filter(|file| file.contains('/')).collect();
+        assert_eq!(others, ["gauge/firmware_version"]);
     }
 
     #[test]

@@ -54,159 +54,232 @@ struct Metric {
     /// The end of the name, if it is one of OpenMetrics' units.
     unit: &'static str,
     help: &'static str,
-    /// Labels and value of each series.
-    series: fn(&Gauge) -> Vec<(Labels, f64)>,
+    origin: Origin,
 }
+
+/// What the series of a metric are made of. A file is read because a row names it here.
+enum Origin {
+    /// One series: the number of a file, in the metric's unit.
+    Number(&'static str, fn(f64) -> f64),
+    /// One series, if the file holds 0 or 1.
+    Flag(&'static str),
+    /// One series of 1: labels, and the file of each.
+    Labels(&'static [(&'static str, &'static str)]),
+    /// What a function makes of the texts of these files, in their order.
+    Made(&'static [&'static str], fn(&[Option<&str>]) -> Vec<Series>),
+}
+
+/// Labels and value.
+type Series = (Labels, f64);
 
 type Labels = Vec<(&'static str, String)>;
 
-const fn gauge(
-    name: &'static str,
-    unit: &'static str,
-    help: &'static str,
-    series: fn(&Gauge) -> Vec<(Labels, f64)>,
-) -> Metric {
-    Metric { name, kind: Kind::Gauge, unit, help, series }
+const fn gauge(name: &'static str, unit: &'static str, help: &'static str, origin: Origin) -> Metric {
+    Metric { name, kind: Kind::Gauge, unit, help, origin }
 }
 
-const fn counter(name: &'static str, help: &'static str, series: fn(&Gauge) -> Vec<(Labels, f64)>) -> Metric {
-    Metric { name, kind: Kind::Counter, unit: "", help, series }
+const fn counter(name: &'static str, help: &'static str, file: &'static str) -> Metric {
+    Metric { name, kind: Kind::Counter, unit: "", help, origin: Number(file, same) }
 }
+
+const fn info(name: &'static str, help: &'static str, origin: Origin) -> Metric {
+    Metric { name, kind: Kind::Info, unit: "", help, origin }
+}
+
+use Origin::{Flag, Made, Number};
 
 static METRICS: &[Metric] = &[
-    Metric {
-        name: "gaugefs_chip",
-        kind: Kind::Info,
-        unit: "",
-        help: "Part, firmware, chemical ID and serial number.",
-        series: info,
-    },
-    gauge("gaugefs_present", "", "Whether the gauge answers and has a battery.", |gauge| {
-        one(gauge.flag("present"))
-    }),
-    gauge("gaugefs_poll_age_seconds", "seconds", "Age of the values.", |gauge| {
-        one(gauge.number("gauge/age_ms").map(|ms| ms / 1000.0))
-    }),
-    gauge("gaugefs_poll_interval_seconds", "seconds", "Time between two polls.", |gauge| {
-        one(gauge.number("gauge/poll_interval"))
-    }),
-    counter("gaugefs_polls", "Polls that succeeded since the mount.", |gauge| one(gauge.statistic("polls"))),
-    counter("gaugefs_failed_polls", "Polls that failed since the mount.", |gauge| {
-        one(gauge.statistic("failed_polls"))
-    }),
-    counter("gaugefs_bus_transfers", "I2C transfers since the mount.", |gauge| {
-        one(gauge.statistic("transfers"))
-    }),
-    counter("gaugefs_bus_retries", "I2C transfers that were repeated since the mount.", |gauge| {
-        one(gauge.statistic("retries"))
-    }),
-    counter("gaugefs_flash_writes", "Blocks of data flash programmed since the mount.", |gauge| {
-        one(gauge.statistic("flash_writes"))
-    }),
-    counter("gaugefs_resets", "Resets sent to the gauge since the mount.", |gauge| {
-        one(gauge.statistic("resets"))
-    }),
-    gauge("gaugefs_state_of_health_ratio", "ratio", "StateOfHealth(), 1 for a new pack.", |gauge| {
-        one(gauge.number("state_of_health").map(|percent| percent / 100.0))
-    }),
-    gauge("gaugefs_capacity_error_ratio", "ratio", "MaxError(), the error margin of capacity.", |gauge| {
-        one(gauge.number("capacity_error_margin").map(|percent| percent / 100.0))
-    }),
+    info(
+        "gaugefs_chip",
+        "Part, firmware, chemical ID and serial number.",
+        Origin::Labels(&[
+            ("model", "model_name"),
+            ("serial_number", "serial_number"),
+            ("firmware", "gauge/firmware_version"),
+            ("chem_id", "gauge/chem_id"),
+        ]),
+    ),
+    gauge("gaugefs_present", "", "Whether the gauge answers and has a battery.", Flag("present")),
+    gauge(
+        "gaugefs_poll_age_seconds",
+        "seconds",
+        "Age of the values.",
+        Number("gauge/age_ms", |ms| ms / 1000.0),
+    ),
+    gauge(
+        "gaugefs_poll_interval_seconds",
+        "seconds",
+        "Time between two polls.",
+        Number("gauge/poll_interval", same),
+    ),
+    counter("gaugefs_polls", "Polls that succeeded since the mount.", "gauge/statistics/polls"),
+    counter("gaugefs_failed_polls", "Polls that failed since the mount.", "gauge/statistics/failed_polls"),
+    counter("gaugefs_bus_transfers", "I2C transfers since the mount.", "gauge/statistics/transfers"),
+    counter(
+        "gaugefs_bus_retries",
+        "I2C transfers that were repeated since the mount.",
+        "gauge/statistics/retries",
+    ),
+    counter(
+        "gaugefs_flash_writes",
+        "Blocks of data flash programmed since the mount.",
+        "gauge/statistics/flash_writes",
+    ),
+    counter("gaugefs_resets", "Resets sent to the gauge since the mount.", "gauge/statistics/resets"),
+    gauge(
+        "gaugefs_state_of_health_ratio",
+        "ratio",
+        "StateOfHealth(), 1 for a new pack.",
+        Number("state_of_health", of_percent),
+    ),
+    gauge(
+        "gaugefs_capacity_error_ratio",
+        "ratio",
+        "MaxError(), the error margin of capacity.",
+        Number("capacity_error_margin", of_percent),
+    ),
     gauge(
         "gaugefs_control_status",
         "",
         "Bits of CONTROL_STATUS that concern learning: 1 while the bit is set.",
-        control_status,
+        Made(&["model_name", "gauge/control_status"], control_status),
     ),
-    gauge("gaugefs_update_status", "", "Update Status, as LearnedStatus() shows it.", |gauge| {
-        let bits = gauge.text("gauge/learned_status");
-        one(bits.map(|bits| f64::from(Bits::named(bits.split_whitespace()).update_status())))
-    }),
-    gauge("gaugefs_seal_state", "", "1 for the state in which the gauge is.", seal),
-    gauge("gaugefs_owed", "", "1 while a write or a seal is neither done nor undone.", |gauge| {
-        one(gauge.flag("gauge/owed"))
-    }),
+    gauge(
+        "gaugefs_update_status",
+        "",
+        "Update Status, as LearnedStatus() shows it.",
+        Made(&["gauge/learned_status"], |texts| {
+            one(texts[0].map(|bits| f64::from(Bits::named(bits.split_whitespace()).update_status())))
+        }),
+    ),
+    gauge(
+        "gaugefs_seal_state",
+        "",
+        "1 for the state in which the gauge is.",
+        Made(&["gauge/seal", "model_name", "gauge/control_status"], seal),
+    ),
+    gauge("gaugefs_owed", "", "1 while a write or a seal is neither done nor undone.", Flag("gauge/owed")),
     gauge(
         "gaugefs_memory_lost",
         "",
         "1 while the gauge reports that its RAM has lost the configuration.",
-        |gauge| one(gauge.flag("gauge/itpor")),
+        Flag("gauge/itpor"),
     ),
     gauge(
         "gaugefs_last_error_timestamp_seconds",
         "seconds",
         "Time of the last failure, as in gauge/last_error.",
-        |gauge| {
-            let time = gauge.text("gauge/last_error").and_then(|text| text.split_once(": ")?.0.parse().ok());
+        Made(&["gauge/last_error"], |texts| {
+            let time = texts[0].and_then(|text| text.split_once(": ")?.0.parse().ok());
             one(time.map(|time: Timestamp| time.as_second() as f64))
-        },
+        }),
     ),
 ];
 
 /// What node_exporter reads as well.
 static ATTRIBUTES: &[Metric] = &[
-    Metric {
-        name: "gaugefs_technology",
-        kind: Kind::Info,
-        unit: "",
-        help: "The chemistry.",
+    info(
+        "gaugefs_technology",
+        "The chemistry.",
         // It may become known only when data flash is read: no other series has it as a label.
-        series: |gauge| {
-            let name = gauge.text("technology").filter(|name| *name != "Unknown");
+        Made(&["technology"], |texts| {
+            let name = texts[0].filter(|name| *name != "Unknown");
             name.map(|name| (vec![("technology", name.to_string())], 1.0)).into_iter().collect()
-        },
-    },
-    gauge("gaugefs_capacity_ratio", "ratio", "State of charge, 1 for a full pack.", |gauge| {
-        one(gauge.number("capacity").map(|percent| percent / 100.0))
-    }),
-    gauge("gaugefs_voltage_volts", "volts", "Voltage of the pack.", |gauge| {
-        one(gauge.number("voltage_now").map(|uv| uv / 1e6))
-    }),
-    gauge("gaugefs_current_amperes", "amperes", "Current, negative while discharging.", |gauge| {
-        one(gauge.number("current_now").map(|ua| ua / 1e6))
-    }),
-    gauge("gaugefs_temperature_celsius", "celsius", "Temperature of the pack.", |gauge| {
-        one(gauge.number("temp").map(|tenths| tenths / 10.0))
-    }),
-    gauge("gaugefs_cycles", "", "Cycles that the gauge has counted.", |gauge| {
-        one(gauge.number("cycle_count"))
-    }),
+        }),
+    ),
+    gauge(
+        "gaugefs_capacity_ratio",
+        "ratio",
+        "State of charge, 1 for a full pack.",
+        Number("capacity", of_percent),
+    ),
+    gauge("gaugefs_voltage_volts", "volts", "Voltage of the pack.", Number("voltage_now", of_millionths)),
+    gauge(
+        "gaugefs_current_amperes",
+        "amperes",
+        "Current, negative while discharging.",
+        Number("current_now", of_millionths),
+    ),
+    gauge(
+        "gaugefs_temperature_celsius",
+        "celsius",
+        "Temperature of the pack.",
+        Number("temp", |tenths| tenths / 10.0),
+    ),
+    gauge("gaugefs_cycles", "", "Cycles that the gauge has counted.", Number("cycle_count", same)),
 ];
+
+fn same(number: f64) -> f64 {
+    number
+}
+
+fn of_percent(number: f64) -> f64 {
+    number / 100.0
+}
+
+fn of_millionths(number: f64) -> f64 {
+    number / 1e6
+}
 
 /// Bits of CONTROL_STATUS that concern learning.
 const LEARNING: [&str; 5] = ["QEN", "VOK", "RUP_DIS", "QMAX_UP", "RES_UP"];
 
-/// The files that the metrics come from, except for the attributes.
-pub(super) fn names() -> [String; 16] {
-    [
-        "age_ms",
-        "poll_interval",
-        "control_status",
-        "learned_status",
-        "seal",
-        "owed",
-        "itpor",
-        "last_error",
-        "firmware_version",
-        "chem_id",
-        "statistics/polls",
-        "statistics/failed_polls",
-        "statistics/transfers",
-        "statistics/retries",
-        "statistics/flash_writes",
-        "statistics/resets",
-    ]
-    .map(|name| format!("gauge/{name}"))
+/// The rows of a page; with `all`, also what node_exporter reads.
+fn metrics(all: bool) -> impl Iterator<Item = &'static Metric> {
+    METRICS.iter().chain(if all { ATTRIBUTES } else { &[] })
+}
+
+/// The files that a page comes from.
+pub(super) fn files(all: bool) -> Vec<String> {
+    ordered(metrics(all).flat_map(|metric| metric.origin.files()))
+}
+
+/// Each of these files once, those of one folder one after the other, as [`gaugefs_client::follow::all`] reads them best.
+pub(super) fn ordered(files: impl Iterator<Item = &'static str>) -> Vec<String> {
+    let mut files: Vec<_> = files.map(|file| file.rsplit_once('/').unwrap_or(("", file))).collect();
+    files.sort_unstable();
+    files.dedup();
+    let path = |(folder, name): (&str, &str)| {
+        if folder.is_empty() { String::from(name) } else { format!("{folder}/{name}") }
+    };
+    files.into_iter().map(path).collect()
 }
 
 /// The one series of a gauge.
-fn one(value: Option<f64>) -> Vec<(Labels, f64)> {
+fn one(value: Option<f64>) -> Vec<Series> {
     value.map(|value| (Labels::new(), value)).into_iter().collect()
+}
+
+impl Origin {
+    fn files(&self) -> Vec<&'static str> {
+        match self {
+            Self::Number(file, _) | Self::Flag(file) => vec![file],
+            Self::Labels(labels) => labels.iter().map(|(_, file)| *file).collect(),
+            Self::Made(files, _) => files.to_vec(),
+        }
+    }
+
+    fn series(&self, gauge: &Gauge) -> Vec<Series> {
+        match self {
+            Self::Number(file, unit) => one(gauge.number(file).map(unit)),
+            Self::Flag(file) => one(gauge.flag(file)),
+            Self::Labels(labels) => {
+                let labels = labels.iter().filter_map(|(name, file)| Some((*name, gauge.text(file)?.into())));
+                let labels: Labels = labels.collect();
+                if labels.is_empty() { Vec::new() } else { vec![(labels, 1.0)] }
+            }
+            Self::Made(files, series) => series(&gauge.texts_of(files)),
+        }
+    }
 }
 
 impl Gauge {
     pub(super) fn text(&self, name: &str) -> Option<&str> {
         self.texts.get(name).map(String::as_str)
+    }
+
+    pub(super) fn texts_of(&self, names: &[&str]) -> Vec<Option<&str>> {
+        names.iter().map(|name| self.text(name)).collect()
     }
 
     pub(super) fn number(&self, name: &str) -> Option<f64> {
@@ -217,50 +290,32 @@ impl Gauge {
     pub(super) fn flag(&self, name: &str) -> Option<f64> {
         self.number(name).filter(|flag| [0.0, 1.0].contains(flag))
     }
-
-    fn statistic(&self, name: &str) -> Option<f64> {
-        self.number(&format!("gauge/statistics/{name}"))
-    }
-
-    fn chip(&self) -> Option<&'static Chip> {
-        let model = self.text("model_name")?;
-        Chip::by_model(model)
-    }
-
-    /// Whether a bit of CONTROL_STATUS is set; `None` if the part does not have it.
-    fn bit(&self, name: &str) -> Option<bool> {
-        self.chip()?.control_status.iter().find(|bit| bit.name == name)?;
-        Some(self.text("gauge/control_status")?.split_whitespace().any(|set| set == name))
-    }
 }
 
-fn info(gauge: &Gauge) -> Vec<(Labels, f64)> {
-    let files = [
-        ("model", "model_name"),
-        ("serial_number", "serial_number"),
-        ("firmware", "gauge/firmware_version"),
-        ("chem_id", "gauge/chem_id"),
-    ];
-    let labels: Labels =
-        files.iter().filter_map(|(label, file)| Some((*label, gauge.text(file)?.to_string()))).collect();
-    if labels.is_empty() { Vec::new() } else { vec![(labels, 1.0)] }
+/// Whether a bit of CONTROL_STATUS is set, from the texts of `model_name` and `gauge/control_status`; `None` if the part
+/// does not have it.
+fn bit([model, set]: [Option<&str>; 2], name: &str) -> Option<bool> {
+    Chip::by_model(model?)?.control_status.iter().find(|bit| bit.name == name)?;
+    Some(set?.split_whitespace().any(|set| set == name))
 }
 
-fn control_status(gauge: &Gauge) -> Vec<(Labels, f64)> {
+fn control_status(texts: &[Option<&str>]) -> Vec<Series> {
+    let is_set = |name| bit([texts[0], texts[1]], name);
     let rows = LEARNING
         .iter()
-        .filter_map(|name| Some((vec![("bit", name.to_string())], f64::from(u8::from(gauge.bit(name)?)))));
+        .filter_map(|name| Some((vec![("bit", name.to_string())], f64::from(u8::from(is_set(name)?)))));
     rows.collect()
 }
 
 /// From `gauge/seal`, which not everybody may read, or else from CONTROL_STATUS of the parts that show it there.
-fn seal(gauge: &Gauge) -> Vec<(Labels, f64)> {
-    let by_bits = || match (gauge.bit("SS")?, gauge.bit("FAS")?) {
+fn seal(texts: &[Option<&str>]) -> Vec<Series> {
+    let is_set = |name| bit([texts[1], texts[2]], name);
+    let by_bits = || match (is_set("SS")?, is_set("FAS")?) {
         (true, _) => Some("sealed"),
         (false, true) => Some("unsealed"),
         (false, false) => Some("full-access"),
     };
-    let Some(state) = gauge.text("gauge/seal").or_else(by_bits) else { return Vec::new() };
+    let Some(state) = texts[0].or_else(by_bits) else { return Vec::new() };
     let states = ["sealed", "unsealed", "full-access"];
     states
         .map(|name| (vec![("state", name.to_string())], f64::from(u8::from(name == state))))
@@ -285,12 +340,11 @@ pub(super) fn render(mounts: &[Mount], took: Duration, format: Prometheus, all: 
         };
         page.sample("gaugefs_mount_up", Kind::Gauge, &[place(mount)], up);
     }
-    let attributes = if all { ATTRIBUTES } else { &[] };
-    for metric in METRICS.iter().chain(attributes) {
+    for metric in metrics(all) {
         let mut is_first = true;
         for mount in mounts {
             for gauge in &mount.gauges {
-                for (labels, value) in (metric.series)(gauge) {
+                for (labels, value) in metric.origin.series(gauge) {
                     if std::mem::take(&mut is_first) {
                         page.head(metric.name, metric.kind, metric.unit, metric.help);
                     }
@@ -409,16 +463,7 @@ mod tests {
     fn regression_a_line_end_in_a_file_or_a_name_begins_no_series() {
         let evil = "1\nevil_series 666\n# HELP evil \"\\".to_string();
         let tricky = "a,b=\"c\"}\u{1b}[2J\ré";
-        let names = [
-            "present",
-            "model_name",
-            "serial_number",
-            "technology",
-            "state_of_health",
-            "capacity_error_margin",
-        ];
-        let names = names.map(String::from).into_iter().chain(super::names());
-        let texts = names.map(|name| (name, evil.clone())).collect();
+        let texts = files(true).into_iter().map(|name| (name, evil.clone())).collect();
         let path = "/run/a\nevil_mount 1".into();
         let named = Gauge { name: tricky.into(), texts: mount().gauges.remove(0).texts };
         let all = [
@@ -443,6 +488,20 @@ mod tests {
             let rows = page.split('\n').filter(|line| line.contains(label));
             assert!(rows.filter(|line| line.ends_with("} 0.97")).count() == 1, "{page}");
         }
+    }
+
+    /// What no row names is not read: a series that needs it would never appear.
+    #[test]
+    fn the_files_of_a_page_are_those_of_its_rows() {
+        let files = files(false);
+        let shown = mount().gauges.remove(0).texts;
+        assert!(shown.keys().all(|file| files.contains(file)), "{files:?}");
+        assert!(files.contains(&"gauge/seal".into()) && !files.contains(&"technology".into()), "{files:?}");
+        assert!(super::files(true).contains(&"technology".into()));
+        // Each folder is opened once.
+        let folders: Vec<_> = files.iter().filter_map(|file| Some(file.rsplit_once('/')?.0)).collect();
+        let runs: Vec<_> = folders.chunk_by(|one, next| one == next).map(|run| run[0]).collect();
+        assert_eq!(runs, ["gauge", "gauge/statistics"]);
     }
 
     #[test]
