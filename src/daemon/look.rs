@@ -310,7 +310,7 @@ mod tests {
         let start = Instant::now();
         // It has to come to its wait first.
         while !pulse.is_stuck() {
-            assert!(start.elapsed() < PATIENCE / 2);
+            assert!(start.elapsed() < Duration::from_secs(300), "it does not come to it");
             thread::sleep(Duration::from_millis(1));
         }
         stop(&mut waits, true);

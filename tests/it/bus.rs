@@ -137,9 +137,7 @@ fn a_program_that_dies_or_hangs_disturbs_no_other() {
     assert_eq!(refused.raw_os_error(), Some(nix::errno::Errno::ENFILE as i32));
     assert_eq!(voltage(&mut device), 3855);
     drop(open);
-    within(Duration::from_secs(60), "a file is closed", || {
-        File::options().read(true).write(true).open(&server.path).is_ok()
-    });
+    within("a file is closed", || File::options().read(true).write(true).open(&server.path).is_ok());
     // It ends although the file is open.
     server.ends(Signal::SIGINT);
     assert!(device.smbus_read_word_data(0x08).is_err());
@@ -194,7 +192,7 @@ fn the_knobs_act_on_the_gauges_of_the_bus() {
     let mut device = server.device(0x55);
     let set = |name: &str, text: &str| fs::write(format!("{knobs}/{name}"), text);
     set("voltage_mv", "3210\n").expect("a knob");
-    within(Duration::from_secs(60), "the voltage follows", || {
+    within("the voltage follows", || {
         server.device(0x55).smbus_read_word_data(0x08).is_ok_and(|voltage| voltage == 3210)
     });
     assert_eq!(fs::read_to_string(format!("{knobs}/voltage_mv")).expect("a knob"), "3210\n");
@@ -283,7 +281,7 @@ fn a_recording_is_a_gauge_of_the_bus() {
     let (at, trace) = (folder.file("m"), folder.file("trace"));
     gaugefs(&["mount", "--sim", CHIP, "--poll", "0.5", "--trace", &trace, &at]).done();
     let read = |name: &str| fs::read_to_string(format!("{at}/BAT0/{name}")).expect("a value");
-    within(Duration::from_secs(60), "three polls", || read("gauge/statistics/polls").trim_end() >= "3");
+    within("three polls", || read("gauge/statistics/polls").trim_end() >= "3");
     let shown = read("voltage_now");
     gaugefs(&["umount", &at]).done();
     let mut server = Server::start(&folder, &["--replay", &trace, "--fast"]);
@@ -519,7 +517,7 @@ fn what_is_no_bus_is_refused() {
     let folder = Folder::new();
     let mut tree = command(&["mount", "-f", "--sim", CHIP, &folder.file("m")]).spawn().expect("gaugefs runs");
     let capacity = folder.file("m/BAT0/capacity");
-    within(Duration::from_secs(60), "mounted", || Path::new(&capacity).exists());
+    within("mounted", || Path::new(&capacity).exists());
     fs::write(folder.file("text"), "text").expect("a file");
     for path in [&capacity, &folder.file("text"), "/dev/null"] {
         gaugefs(&["mount", "--bus", path, &folder.file("n")]).failed(&["not an I2C bus"]);
@@ -574,9 +572,9 @@ fn regression_a_bus_file_that_hangs_was_shown_as_an_adapter_that_does_not_exist(
     gaugefs(&["mount", "--bus", &server.path, "--poll", "0.5", "--log", &log, &at]).done();
     kill(Pid::from_raw(server.child.id() as i32), Signal::SIGSTOP).expect("it runs");
     let said = || fs::read_to_string(&log).expect("a log");
-    within(Duration::from_secs(120), "the bus hangs", || said().contains("hangs"));
+    within("the bus hangs", || said().contains("hangs"));
     kill(Pid::from_raw(server.child.id() as i32), Signal::SIGCONT).expect("it runs");
-    within(Duration::from_secs(120), "it is back", || said().contains("is used again"));
+    within("it is back", || said().contains("is used again"));
     gaugefs(&["umount", &at]).done();
     assert!(said().contains(&format!("{} hangs: ", server.path)) && !said().contains("i2c-4"), "{}", said());
 }

@@ -843,7 +843,7 @@ fn a_seal_that_stays_owed_is_a_failure_of_umount_and_of_the_daemon() {
         let log = fs::File::create(folder.file("log")).expect("a log");
         let child =
             mount.arg("--foreground").stdout(Stdio::null()).stderr(log).spawn().expect("gaugefs runs");
-        within(Duration::from_secs(60), "mounted", || Path::new(&at).join("BAT0/present").exists());
+        within("mounted", || Path::new(&at).join("BAT0/present").exists());
         Some(child)
     };
     let file = |name: &str| Path::new(&at).join("BAT0").join(name);
@@ -896,9 +896,7 @@ fn a_seal_that_stays_owed_is_a_failure_of_umount_and_of_the_daemon() {
 
     // Paid by the next one, which then owes nothing.
     let mut daemon = mount("second", false).expect("a child");
-    within(Duration::from_secs(60), "paid", || {
-        fs::read_to_string(file("gauge/owed")).is_ok_and(|owed| owed == "0\n")
-    });
+    within("paid", || fs::read_to_string(file("gauge/owed")).is_ok_and(|owed| owed == "0\n"));
     gaugefs(&["umount", &at]).done();
     assert_eq!(daemon.wait().expect("a child").code(), Some(0));
     assert!(!is_journal("second"));
@@ -917,7 +915,7 @@ fn mount_makes_the_folder_and_returns_when_the_gauge_can_be_read() {
     gaugefs(&["mount", "--sim", CHIP, &at]).failed(&[&at, "a gaugefs is mounted there", "gaugefs umount"]);
     gaugefs(&["umount", &at]).done();
     gaugefs(&["umount", &at]).failed(&["no gaugefs is mounted there"]);
-    within(Duration::from_secs(30), "the folder is removed", || !Path::new(&at).exists());
+    within("the folder is removed", || !Path::new(&at).exists());
 }
 
 #[test]
@@ -1041,12 +1039,12 @@ fn a_mains_supply_follows_the_gauge() {
     };
     let text = |name: &str| fs::read_to_string(Path::new(&at).join("AC").join(name)).unwrap_or_default();
     let shows = |online: &str| {
-        within(Duration::from_secs(60), "AC/online", || text("online") == online);
+        within("AC/online", || text("online") == online);
         let line = if online.is_empty() { String::new() } else { format!("POWER_SUPPLY_ONLINE={online}") };
         let uevent = format!("POWER_SUPPLY_NAME=AC\nPOWER_SUPPLY_TYPE=Mains\n{line}");
-        within(Duration::from_secs(60), "AC/uevent", || text("uevent") == uevent);
+        within("AC/uevent", || text("uevent") == uevent);
         let all = ["online", "subsystem", "type", "uevent"];
-        within(Duration::from_secs(60), "the list of AC", || {
+        within("the list of AC", || {
             let listed = fs::read_dir(Path::new(&at).join("AC")).expect("a folder");
             let mut listed: Vec<_> = listed.map(|entry| entry.expect("an entry").file_name()).collect();
             listed.sort();
@@ -1132,7 +1130,7 @@ fn log_and_trace_are_written() {
     read(&at, "BAT0/df/48/11");
     gaugefs(&["umount", &at]).done();
     let text = || fs::read_to_string(&log).expect("the log");
-    within(Duration::from_secs(60), "the end is logged", || text().contains("unmounted"));
+    within("the end is logged", || text().contains("unmounted"));
     assert!(
         text().contains(&format!("Z bq34z100-G1 (simulated gauge) mounted at {at}/BAT0\n")),
         "{}",
@@ -1194,9 +1192,7 @@ fn a_genuine_pack_is_recognised_and_its_keys_appear_nowhere() {
 
     let last_error = read(&gauge, "gauge/last_error");
     gaugefs(&["umount", &at]).done();
-    within(Duration::from_secs(60), "the end is logged", || {
-        fs::read_to_string(&log).expect("the log").contains("unmounted")
-    });
+    within("the end is logged", || fs::read_to_string(&log).expect("the log").contains("unmounted"));
     for text in [last_error, fs::read_to_string(&log).expect("it"), fs::read_to_string(&trace).expect("it")] {
         let tight: String = text.to_lowercase().split_whitespace().collect();
         // As a person writes it, and as it is sent on the bus. Parts of a key that other data may contain by
@@ -1280,7 +1276,7 @@ fn a_recorded_gauge_can_be_mounted() {
         let first = read(&gauge, "current_now");
         let value = read(&gauge, parameter);
         fs::write(Path::new(&gauge).join("sim/load_ma"), "700").expect("a knob");
-        within(Duration::from_secs(60), "the load is seen", || {
+        within("the load is seen", || {
             let current = fs::read_to_string(Path::new(&gauge).join("current_now"));
             // Values that are late are not there.
             current.is_ok_and(|current| current.trim() != first)
@@ -1288,7 +1284,7 @@ fn a_recorded_gauge_can_be_mounted() {
         // From now on all polls are equal.
         fs::write(Path::new(&gauge).join("sim/speed"), "0").expect("a knob");
         let polls = number("gauge/statistics/polls") + 2;
-        within(Duration::from_secs(60), "two polls", || number("gauge/statistics/polls") >= polls);
+        within("two polls", || number("gauge/statistics/polls") >= polls);
         let recorded = shown(&gauge);
         gaugefs(&["umount", &at]).done();
 
@@ -1301,13 +1297,13 @@ fn a_recorded_gauge_can_be_mounted() {
             assert_eq!(error, Some(nix::libc::EROFS), "{chip}: {file}");
         }
         assert_eq!(read(&gauge, parameter), value, "{chip}");
-        within(Duration::from_secs(60), "all polls", || shown(&gauge) == recorded);
+        within("all polls", || shown(&gauge) == recorded);
         assert_eq!(read(&gauge, "gauge/last_error"), "", "{chip}");
         // A value that was not recorded cannot be read, and the failure changes nothing else.
         fs::read(Path::new(&gauge).join("df/index")).expect_err("most of data flash was not recorded");
         assert_eq!(read(&gauge, "gauge/seal"), "sealed", "{chip}");
         // The values were not polled while that took its time.
-        within(Duration::from_secs(60), "it stays as it ended", || shown(&gauge) == recorded);
+        within("it stays as it ended", || shown(&gauge) == recorded);
         gaugefs(&["umount", &at]).done();
     }
 }
@@ -1343,7 +1339,7 @@ fn a_write_of_a_killed_daemon_is_settled_by_the_next() {
         files.filter(|path| path.extension().is_some_and(|extension| extension == "journal"))
     };
     let planned = |path: PathBuf| fs::read_to_string(path).is_ok_and(|text| text.contains("\nend "));
-    within(Duration::from_secs(60), "planned", || files().any(planned));
+    within("planned", || files().any(planned));
     for path in files() {
         assert_eq!(fs::metadata(&path).expect("a file").permissions().mode() & 0o777, 0o600);
     }

@@ -11,7 +11,7 @@ use gaugefs_client::{Decision, Gauge, follow, within};
 use nix::errno::Errno;
 use nix::sys::signal::Signal;
 
-use crate::room::{CHIP, Folder, Foreground, can_mount, gaugefs, read};
+use crate::room::{CHIP, Folder, Foreground, LONG, can_mount, gaugefs, read};
 use crate::terminate_voltage;
 
 const NAME: &str = "Cell Terminate Voltage";
@@ -105,15 +105,15 @@ fn a_program_follows_changes_and_orders_a_poll() {
     gauge.send("sim/temperature", b"650\n").expect("a knob");
     let begun = Instant::now();
     loop {
-        let texts = follow.next(Some(Duration::from_secs(30))).expect("a poll").expect("a gauge");
+        let texts = follow.next(Some(LONG)).expect("a poll").expect("a gauge");
         if hot.holds(Some(&texts)) == Some(true) {
             break;
         }
-        assert!(begun.elapsed() < Duration::from_secs(60), "{}", hot.values(Some(&texts)));
+        assert!(begun.elapsed() < LONG, "{}", hot.values(Some(&texts)));
     }
 
     let watch = Watch::start(Some(gauge.folder()), None).expect("a thread");
-    let limit = Duration::from_secs(30);
+    let limit = LONG;
     let report = watch.next(limit).expect("a report");
     assert!(matches!(report.seen, Seen::Sample(_)) && report.gauge == gauge.folder());
     watch.order(report.root, Order::ReadLearned(report.gauge));

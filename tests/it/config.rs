@@ -21,8 +21,6 @@ use ti_gauge::chip::Chip;
 
 use super::room::{self, CHIP, Folder, can_mount, command, gaugefs, read, within};
 
-const LONG: Duration = Duration::from_secs(60);
-
 impl Folder {
     /// A configuration in the folder.
     fn config(&self, text: &str) -> String {
@@ -313,7 +311,7 @@ fn many_gauges_are_mounted_together() {
     assert_eq!(read(&at, "AC/online"), "1");
     fs::write(path("BAT0/sim/load_ma"), "500").expect("a knob");
     let online = Path::new(&at).join("AC/online");
-    within(LONG, "on battery", || fs::read_to_string(&online).is_ok_and(|text| text.trim() == "0"));
+    within("on battery", || fs::read_to_string(&online).is_ok_and(|text| text.trim() == "0"));
 
     // Each has its own data flash and its own keys.
     fs::write(path("BAT0/df/80/53"), "3100").expect("written");
@@ -323,7 +321,7 @@ fn many_gauges_are_mounted_together() {
 
     gaugefs(&["umount", &at]).done();
     let log = || fs::read_to_string(folder.file("log")).expect("the log");
-    within(LONG, "the log's last line", || log().contains("PACK unmounted"));
+    within("the log's last line", || log().contains("PACK unmounted"));
     for line in [
         "BAT1: not there yet",
         "BAT2: left out",
@@ -372,7 +370,7 @@ fn settings(interval: Duration) -> Settings {
 
 fn sim(clock: &Arc<dyn Clock>) -> Sim {
     let sim = Sim::new(CHIP, &Options::default(), clock.clone()).expect("a simulated gauge");
-    within(LONG, "the gauge is awake", || {
+    within("the gauge is awake", || {
         clock.sleep(Duration::from_millis(100));
         sim.bus().transfer(&[0], &mut [0; 2]).is_ok()
     });
@@ -454,7 +452,7 @@ fn a_stuck_gauge_blocks_no_other() {
     fs::write(path("B/gauge/refresh"), "1").expect("polled");
     assert_eq!(cat("B/df/index").lines().count(), cat("B/df/index").lines().count());
     // The change shows in a file that is held open.
-    within(LONG, "the file held open follows", || {
+    within("the file held open follows", || {
         let mut shown = [0; 16];
         let count = held.read_at(&mut shown, 0).expect("it reads");
         &shown[..count] == b"3107\n"
@@ -521,7 +519,7 @@ fn a_gauge_that_comes_later_is_verified_first() {
     let failed =
         || handle.statistics().iter().find(|(name, _)| *name == "failed_polls").map(|(_, count)| *count);
     let before = failed();
-    within(LONG, "two more polls that fail", || failed() >= before.map(|count| count + 2));
+    within("two more polls that fail", || failed() >= before.map(|count| count + 2));
     let errno = |error: std::io::Error| Errno::from_raw(error.raw_os_error().unwrap_or_default());
     assert_eq!(fs::write(path("df/80/53"), "3100").map_err(errno), Err(Errno::ENODEV));
     assert_eq!(fs::read(path("df/80/53")).map_err(errno), Err(Errno::ENODEV));
@@ -534,8 +532,8 @@ fn a_gauge_that_comes_later_is_verified_first() {
     assert_eq!(written.load(Ordering::SeqCst), 0);
 
     holds.store(GAUGE, Ordering::SeqCst);
-    within(LONG, "the gauge is there", || cat("present") == "1\n");
-    within(LONG, "it is identified", || path("gauge/device_type").exists());
+    within("the gauge is there", || cat("present") == "1\n");
+    within("it is identified", || path("gauge/device_type").exists());
     assert_eq!(cat("gauge/device_type"), "0x0100\n");
     assert_eq!(cat("df/80/53"), "3000\n");
 }
@@ -560,7 +558,7 @@ fn relative_paths_are_those_of_the_callers_folder() {
 
     run(&format!("mount --sim {CHIP} --poll 0.5 --trace recording m"));
     let polls = || read(&folder.file("m"), "BAT0/gauge/statistics/polls").parse::<u32>();
-    within(LONG, "polls of every register", || polls().is_ok_and(|polls| polls >= 3));
+    within("polls of every register", || polls().is_ok_and(|polls| polls >= 3));
     run("umount m");
     run("mount --replay recording m");
     assert_eq!(read(&folder.file("m"), "BAT0/model_name"), "bq34z100-G1");
@@ -614,7 +612,7 @@ fn keeps_its_files(folder: &Folder, files: &str, mount: impl Fn()) {
     fs::write(Path::new(&at).join("BAT0/df/80/53"), "3100").expect("written");
     gaugefs(&["umount", &at]).done();
     let file = |name: &str| fs::read_to_string(Path::new(files).join(name)).unwrap_or_default();
-    within(LONG, "the log ends with the unmount", || file("log").contains("unmounted"));
+    within("the log ends with the unmount", || file("log").contains("unmounted"));
     assert!(file("log").contains("Cell Terminate Voltage: 3000 -> 3100 mV, written"), "{}", file("log"));
     assert!(file("trace").contains("W: AA 3E 50"), "the trace has no write of that block");
     assert!(Path::new(files).join("journal").is_dir(), "no folder for the journal");

@@ -24,10 +24,8 @@ use nix::unistd::{Pid, geteuid};
 use super::room::{CHIP, command, gaugefs};
 use crate::rig::Random;
 use crate::room;
-use crate::room::Connections;
+use crate::room::{Connections, LONG};
 
-/// Limit for everything that must not hang. Long, because the machine may be busy.
-const PATIENCE: Duration = Duration::from_secs(60);
 /// How many daemons are ended at the same time.
 const ABREAST: u64 = 8;
 
@@ -116,7 +114,7 @@ impl Drop for Daemon {
 fn within(what: &str, mut holds: impl FnMut() -> bool) {
     let start = Instant::now();
     while !holds() {
-        assert!(start.elapsed() < PATIENCE, "{what} does not come");
+        assert!(start.elapsed() < LONG, "{what} does not come");
         thread::sleep(Duration::from_millis(5));
     }
 }
@@ -265,7 +263,7 @@ fn end(number: u64, random: &mut Random, connections: &Connections) {
 
     let start = Instant::now();
     while daemon.process.try_wait().expect("a child").is_none() {
-        if start.elapsed() > PATIENCE {
+        if start.elapsed() > LONG {
             daemon.hangs(&format!("{what}: the daemon does not end"));
         }
         thread::sleep(Duration::from_millis(5));
@@ -273,7 +271,7 @@ fn end(number: u64, random: &mut Random, connections: &Connections) {
     if signal != Signal::SIGKILL {
         assert!(!daemon.is_mounted(), "{what}: still mounted");
     }
-    let finished = |work: &Receiver<Written>| match work.recv_timeout(PATIENCE) {
+    let finished = |work: &Receiver<Written>| match work.recv_timeout(LONG) {
         Ok(written) => written,
         Err(RecvTimeoutError::Timeout) => daemon.hangs(&format!("{what}: a reader or writer hangs")),
         Err(RecvTimeoutError::Disconnected) => panic!("{what}: a reader or writer has panicked"),

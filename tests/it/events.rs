@@ -20,12 +20,10 @@ use nix::sys::time::{TimeVal, TimeValLike};
 use nix::unistd::{Pid, geteuid};
 
 use crate::room::{
-    Folder, Foreground, as_nobody, can_mount, command, drop_copied_mounts, gaugefs, run, stop, within,
+    Folder, Foreground, LONG, as_nobody, can_mount, command, drop_copied_mounts, gaugefs, run, stop, within,
 };
 
 const SUPPLIES: &str = "/sys/class/power_supply";
-/// Far longer than anything takes on an idle machine.
-const LONG: Duration = Duration::from_secs(60);
 
 /// Runs a test of this file in namespaces of its own, and returns whether this is that run.
 fn is_apart(test: &str) -> bool {
@@ -114,7 +112,7 @@ impl Events {
     }
 
     fn says(&self, words: &str) {
-        within(LONG, words, || fs::read_to_string(&self.err).expect("text").contains(words));
+        within(words, || fs::read_to_string(&self.err).expect("text").contains(words));
     }
 
     fn ends(mut self, signal: Signal) -> Option<i32> {
@@ -155,10 +153,22 @@ fn listeners_hear_of_changes_and_of_each_way_in_which_a_mount_ends() {
     let mut daemon = mounted();
     listener.hears(AC_ADDED);
     listener.hears(ADDED);
-    let start = Instant::now();
-    for soc in ["40", "60", "20"] {
+    // What was told is told again after 10 s. However busy the machine is, not every change waits for that.
+    let mut soonest = Duration::MAX;
+    let mut changes = ["40", "60", "20"].into_iter().cycle();
+    for number in 0.. {
+        if number >= 3 && soonest < Duration::from_secs(8) {
+            break;
+        }
+        assert!(
+            number < 40,
+            "each change is told only when all is told again, the soonest after {soonest:?}"
+        );
+        let (soc, start) = (changes.next().expect("it has no end"), Instant::now());
         set("soc", soc);
         listener.hears(CHANGED);
+        // Before the first one it is not known when that was.
+        soonest = soonest.min(if number == 0 { soonest } else { start.elapsed() });
         let shown = fs::read_to_string(Path::new(SUPPLIES).join("BAT0/capacity")).expect("it has one");
         assert_eq!(shown.trim(), soc);
     }
@@ -167,8 +177,6 @@ fn listeners_hear_of_changes_and_of_each_way_in_which_a_mount_ends() {
     listener.hears(CHANGED);
     set("power", "on");
     listener.hears(CHANGED);
-    // Far longer than five changes take, and shorter than five times 10 s, after which `change` is repeated anyway.
-    assert!(start.elapsed() < Duration::from_secs(30), "{:?}", start.elapsed());
     // Unmounted.
     gaugefs(&["umount", SUPPLIES]).done();
     listener.hears(AC_REMOVED);
@@ -227,7 +235,11 @@ fn a_supply_is_told_twice_a_second_at_most() {
     listener.hears(ADDED);
     let start = Instant::now();
     let mut heard = 0;
-    for round in 0..60 {
+    for round in 0.. {
+        if round >= 60 && heard > 0 {
+            break;
+        }
+        assert!(start.elapsed() < LONG, "nothing is told");
         set("soc", if round % 2 == 0 { "30" } else { "70" });
         let until = Instant::now() + Duration::from_millis(100);
         while let Some(left) = until.checked_duration_since(Instant::now()) {

@@ -5,7 +5,6 @@
 use std::fs::{self, Permissions};
 use std::os::unix::fs::PermissionsExt as _;
 use std::path::Path;
-use std::time::Duration;
 
 use crate::room::{Folder, Foreground, can_mount, gaugefs, read, stop, within};
 
@@ -24,12 +23,12 @@ fn a_profile_is_there_again_after_a_loss_of_power() {
         let found = fs::read_to_string(Path::new(&gauge).join("charge_full_design")).unwrap_or_default();
         found.trim_end() == text
     };
-    within(Duration::from_secs(20), "the profile", || shows("2100000"));
+    within("the profile", || shows("2100000"));
     for position in ["off", "on"] {
         fs::write(format!("{gauge}/sim/power"), position).expect("a knob");
     }
     // From now on it shows the profile's value, or nothing.
-    within(Duration::from_secs(20), "the profile again", || {
+    within("the profile again", || {
         assert!(!shows("1340000"));
         read(&at, "BAT0/gauge/itpor") == "0" && shows("2100000")
     });
@@ -43,9 +42,7 @@ fn a_profile_is_there_again_after_a_loss_of_power() {
         refused.err
     );
     // Versions as `gaugefs` saves them. The backup before a first write has the name of the gauge there.
-    within(Duration::from_secs(20), "a write", || {
-        gaugefs(&["set", &gauge, "qmax-cell-0=15003"]).code == Some(0)
-    });
+    within("a write", || gaugefs(&["set", &gauge, "qmax-cell-0=15003"]).code == Some(0));
     let names = fs::read_dir(&state).expect("a folder").map(|entry| entry.expect("a file").file_name());
     let mut names = names.map(|name| name.into_string().expect("text"));
     let backup = names.find(|name| name.ends_with(".backup.toml")).expect("a backup");
@@ -125,16 +122,14 @@ fn the_pack_decides_which_profile_a_gauge_gets() {
             fs::write(format!("{at}/PACK/sim/power"), position).expect("a knob");
         }
     };
-    within(Duration::from_secs(20), "the first maker", || shows("2100000"));
+    within("the first maker", || shows("2100000"));
     exchange("350\n", "");
-    within(Duration::from_secs(20), "the second maker", || shows("2250000"));
+    within("the second maker", || shows("2250000"));
     exchange("500\n", "");
-    within(Duration::from_secs(20), "what is wrong", || {
-        read(&at, "PACK/gauge/last_error").contains("shows nothing")
-    });
+    within("what is wrong", || read(&at, "PACK/gauge/last_error").contains("shows nothing"));
     assert!(fs::read_to_string(format!("{at}/PACK/capacity")).is_err(), "it is a guess");
     exchange("500\n", "SN-17\n");
-    within(Duration::from_secs(20), "the pack of its own", || shows("2300000"));
+    within("the pack of its own", || shows("2300000"));
     assert_eq!(read(&at, "PACK/gauge/last_error"), "");
     let shown = gaugefs(&["learned", &format!("{at}/PACK")]).done();
     assert!(shown.contains("own.toml of the pack SN-17"), "{shown}");
@@ -166,7 +161,7 @@ fn regression_what_a_choice_looks_at_took_its_gauge_along_when_it_hung() {
         let mounted = gaugefs(&["mount", "--config", &config]);
         assert!(!mounted.err.contains("no answer"), "{}", mounted.err);
         mounted.done();
-        within(Duration::from_secs(60), "the reason", || {
+        within("the reason", || {
             ["does not answer", "has not ended in time"]
                 .iter()
                 .any(|why| read(&at, "BAT0/gauge/last_error").contains(why))
@@ -194,9 +189,7 @@ fn regression_a_gauge_that_was_flat_said_so_nowhere_a_person_looks() {
     for position in ["off", "on"] {
         fs::write(format!("{gauge}/sim/power"), position).expect("a knob");
     }
-    within(Duration::from_secs(60), "the loss", || {
-        read(&gauge, "gauge/last_error").contains("has lost its configuration")
-    });
+    within("the loss", || read(&gauge, "gauge/last_error").contains("has lost its configuration"));
     for command in ["list", "doctor"] {
         let shown = gaugefs(&[command]);
         let shown = shown.out + &shown.err;

@@ -15,10 +15,7 @@ use nix::unistd::Pid;
 
 #[cfg(feature = "screen")]
 use crate::room::Foreground;
-use crate::room::{CHIP, Folder, can_mount};
-
-/// Far longer than anything takes on an idle machine.
-const LONG: Duration = Duration::from_secs(120);
+use crate::room::{CHIP, Folder, LONG, can_mount};
 
 /// A program that runs until it is ended.
 struct Program {

@@ -9,7 +9,6 @@ use std::io::{Read, Write};
 use std::os::unix::fs::{FileExt, MetadataExt, PermissionsExt};
 use std::path::Path;
 use std::process::{Command, Stdio};
-use std::time::Duration;
 
 use nix::errno::Errno;
 
@@ -498,9 +497,7 @@ fn keys_appear_nowhere() {
         assert_eq!(sought.found(&content), None, "{file}");
     }
     gaugefs(&["umount", &at]).done();
-    within(Duration::from_secs(60), "the end is logged", || {
-        fs::read_to_string(&log).expect("the log").contains("unmounted")
-    });
+    within("the end is logged", || fs::read_to_string(&log).expect("the log").contains("unmounted"));
     let mut left = 0;
     read_all(&folder.0, &mut |path, content| {
         left += 1;
@@ -557,7 +554,7 @@ fn regression_the_way_back_from_a_power_cut_in_a_key_change_is_refused() {
         let process = daemon(&at).expect("the daemon runs");
         nix::sys::signal::kill(nix::unistd::Pid::from_raw(process as i32), nix::sys::signal::Signal::SIGKILL)
             .expect("it is killed");
-        within(Duration::from_secs(10), "it has ended", || daemon(&at).is_none());
+        within("it has ended", || daemon(&at).is_none());
         mount();
         let shown = gaugefs(&["settle", &gauge]);
         assert_eq!(shown.code, Some(1), "{}{}", shown.out, shown.err);

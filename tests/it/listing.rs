@@ -3,7 +3,6 @@
 //! `gaugefs list`, and `gaugefs probe` without a bus.
 
 use std::fs;
-use std::time::{Duration, Instant};
 
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
@@ -36,9 +35,7 @@ fn every_mounted_gauge_is_listed_even_beside_a_stopped_daemon() {
     gaugefs(&["mount", "--config", &config, &at]).done();
     let foreground = ["mount", "--foreground", "--sim", CHIP, "--name", "STOPPED", &other];
     let mut daemon = command(&foreground).stderr(std::process::Stdio::null()).spawn().expect("gaugefs runs");
-    within(Duration::from_secs(60), "mounted", || {
-        std::path::Path::new(&other).join("STOPPED/present").exists()
-    });
+    within("mounted", || std::path::Path::new(&other).join("STOPPED/present").exists());
     let all = listed(&folder);
     let paths: Vec<_> = all.iter().map(|line| line["gauge"].as_str().expect("a path")).collect();
     assert_eq!(paths, [format!("{at}/BAT0"), format!("{at}/RAM"), format!("{other}/STOPPED")]);
@@ -58,9 +55,7 @@ fn every_mounted_gauge_is_listed_even_beside_a_stopped_daemon() {
 
     let pid = Pid::from_raw(daemon.id() as i32);
     crate::room::stop(daemon.id(), &other);
-    let start = Instant::now();
     let stopped = gaugefs(&["list"]);
-    assert!(start.elapsed() < Duration::from_secs(60), "it hangs");
     assert_eq!(stopped.code, Some(1));
     assert!(stopped.err.contains(&format!("{other}: its daemon does not answer")), "{}", stopped.err);
     assert!(stopped.out.contains("/m/BAT0") && stopped.out.contains("/m/RAM"), "{}", stopped.out);
@@ -101,7 +96,7 @@ fn a_gauge_and_a_value_have_one_shape_in_the_json_of_every_command() {
             .unwrap_or_else(|_| panic!("{arguments:?}: {out}"))
     };
     let passed = std::path::Path::new(&gauge).join("gauge/registers/passed_charge");
-    within(Duration::from_secs(60), "all registers", || passed.exists());
+    within("all registers", || passed.exists());
     let voltage = "it-cfg/cell-terminate-voltage";
     let set = format!("{voltage}=3100");
     let commands = [

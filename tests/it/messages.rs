@@ -8,7 +8,6 @@ use std::fs::{self, Permissions};
 use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 use std::process::{Child, Stdio};
-use std::time::Duration;
 
 use nix::errno::Errno;
 
@@ -156,7 +155,7 @@ fn mounted_in_foreground(folder: &Folder, name: &str) -> Child {
     let at = folder.file(name);
     let mut daemon = command(&["mount", "-f", "--sim", CHIP, &at]);
     let daemon = daemon.stderr(Stdio::null()).spawn().expect("gaugefs runs");
-    within(Duration::from_secs(60), "mounted", || Path::new(&at).join("BAT0").exists());
+    within("mounted", || Path::new(&at).join("BAT0").exists());
     daemon
 }
 
@@ -266,7 +265,7 @@ fn regression_a_look_at_a_mount_was_named_as_its_user() {
     let mut look = command(&["look", "--", &at]);
     let mut look = look.current_dir(inside()).stdout(said).spawn().expect("a look");
     let name = format!("/proc/{}/comm", look.id());
-    within(Duration::from_secs(10), "the name of a look", || {
+    within("the name of a look", || {
         fs::read_to_string(&name).is_ok_and(|name| name.trim() == "gaugefs-look")
     });
     let mut umount = command(&["umount", &at]);

@@ -10,11 +10,7 @@ use std::time::{Duration, Instant};
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::{Pid, geteuid};
 
-use super::room::{CHIP, Ran, command, gaugefs, users_can_mount};
-
-/// Time within which every command ends, whatever other daemons do: the limit for a look at a mount is 5 s, and
-/// the machine may be busy.
-const LIMIT: Duration = Duration::from_secs(60);
+use super::room::{CHIP, LONG, Ran, command, gaugefs, users_can_mount};
 
 /// A folder that is removed with what is mounted in it.
 struct Folder(PathBuf);
@@ -60,7 +56,7 @@ impl Daemon {
         let start = Instant::now();
         // It serves the mount, too.
         while !daemon.is_mounted() || !Path::new(&daemon.at).join("BAT0/present").exists() {
-            assert!(start.elapsed() < Duration::from_secs(60), "not mounted");
+            assert!(start.elapsed() < LONG, "not mounted");
             std::thread::sleep(Duration::from_millis(20));
         }
         Some(daemon)
@@ -80,7 +76,7 @@ impl Daemon {
         loop {
             match self.child.try_wait().expect("a child") {
                 Some(status) => return status.success(),
-                None if start.elapsed() > Duration::from_secs(60) => return false,
+                None if start.elapsed() > LONG => return false,
                 None => std::thread::sleep(Duration::from_millis(20)),
             }
         }
@@ -98,12 +94,12 @@ impl Drop for Daemon {
 
 /// Runs a command that has to end within a time limit; kills it otherwise.
 #[track_caller]
-fn within(limit: Duration, mut command: Command) -> Ran {
+fn ended(mut command: Command) -> Ran {
     let what = format!("{command:?}");
     let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("it runs");
     let start = Instant::now();
     while child.try_wait().expect("a child").is_none() {
-        if start.elapsed() > limit {
+        if start.elapsed() > LONG {
             child.kill().expect("it runs");
             panic!("{what} hangs");
         }
@@ -118,13 +114,13 @@ fn a_stopped_daemon_holds_up_no_other_and_is_removed_by_force() {
     let Some(mut stopped) = Daemon::start(folder.file("stopped")) else { return };
     let (at, other) = (stopped.at.clone(), folder.file("other"));
     crate::room::stop(stopped.child.id(), &stopped.at);
-    within(LIMIT, command(&["mount", "--sim", CHIP, &other])).done();
-    within(LIMIT, command(&["umount", &other])).done();
-    within(LIMIT, command(&["mount", "--sim", CHIP, &at])).failed(&["does not answer", "gaugefs umount"]);
+    ended(command(&["mount", "--sim", CHIP, &other])).done();
+    ended(command(&["umount", &other])).done();
+    ended(command(&["mount", "--sim", CHIP, &at])).failed(&["does not answer", "gaugefs umount"]);
     let inside = format!("{at}/BAT0/gauge/other");
-    within(LIMIT, command(&["mount", "--sim", CHIP, &inside])).failed(&["does not answer"]);
-    within(LIMIT, command(&["umount", &inside])).failed(&["does not answer"]);
-    let doctor = within(LIMIT, command(&["doctor"])).out;
+    ended(command(&["mount", "--sim", CHIP, &inside])).failed(&["does not answer"]);
+    ended(command(&["umount", &inside])).failed(&["does not answer"]);
+    let doctor = ended(command(&["doctor"])).out;
     assert!(doctor.contains(&format!("{at}: a gaugefs whose process does not answer\n")), "{doctor}");
     assert!(doctor.contains(&format!("gaugefs umount {at}\n")), "{doctor}");
     assert!(stopped.is_mounted());
@@ -133,11 +129,11 @@ fn a_stopped_daemon_holds_up_no_other_and_is_removed_by_force() {
     let mut reader = reader.expect("cat runs");
     std::thread::sleep(Duration::from_millis(200));
     assert!(reader.try_wait().expect("a child").is_none(), "it does not wait for the daemon");
-    within(LIMIT, command(&["umount", &at])).done();
+    ended(command(&["umount", &at])).done();
     assert!(!stopped.is_mounted());
     assert!(!reader.wait().expect("a child").success());
     // The daemon notices once it runs again, and the place is free before that.
-    within(LIMIT, command(&["mount", "--sim", CHIP, &at])).done();
+    ended(command(&["mount", "--sim", CHIP, &at])).done();
     stopped.send(Signal::SIGCONT);
     assert!(stopped.ends());
     assert!(stopped.is_mounted(), "it has removed the mount of another daemon");
@@ -166,7 +162,7 @@ fn detach_removes_dead_mounts_beside_a_stopped_one() {
         "\"$0\" detach && cat /proc/self/mountinfo",
     ]);
     detach.arg(env!("CARGO_BIN_EXE_gaugefs"));
-    let ran = within(LIMIT, detach);
+    let ran = ended(detach);
     let left = ran.out;
     assert_eq!(ran.code, Some(0), "{}", ran.err);
     assert!(left.contains(&stopped.at), "{left}");
@@ -194,7 +190,7 @@ fn another_user_is_refused_with_the_name_of_roots_daemon() {
     other.args(["mount", "--sim", CHIP, "--sim-state", &state, &folder.file("n")]).current_dir("/");
     other.env("XDG_RUNTIME_DIR", folder.file("run")).uid(65534).gid(65534).stdin(Stdio::null());
     let who = format!("in use by process {} (gaugefs of root)", daemon.child.id());
-    within(LIMIT, other).failed(&[&state, &who]);
+    ended(other).failed(&[&state, &who]);
     let lock = format!("/run/gaugefs/{}.lock", gauge_owner::lock::key_of_state(Path::new(&state)));
     assert!(Path::new(&lock).exists());
     gaugefs(&["umount", &at]).done();
@@ -265,16 +261,16 @@ fn what_gaugefs_writes_is_never_a_link_or_a_fifo() {
     for option in ["--log", "--trace"] {
         for (path, why) in [(&link, "a symbolic link"), (&fifo, "not a regular file")] {
             let arguments = ["mount", "--foreground", "--sim", CHIP, option, path, &at];
-            within(LIMIT, command(&arguments)).failed(&[path, why]);
+            ended(command(&arguments)).failed(&[path, why]);
         }
     }
     let arguments = ["mount", "--foreground", "--sim", CHIP, "--sim-state", &fifo, &at];
-    within(LIMIT, command(&arguments)).failed(&[&fifo, "not a regular file"]);
+    ended(command(&arguments)).failed(&[&fifo, "not a regular file"]);
     let journal = folder.file(&format!("{}.journal", gauge_owner::lock::key_of_state(Path::new(&state))));
     mkfifo(&journal);
     let arguments =
         ["mount", "--sim", CHIP, "--sim-state", &state, "--state-dir", folder.0.to_str().expect("UTF-8")];
-    let mount = within(LIMIT, command(&[&arguments[..], &[&at]].concat()));
+    let mount = ended(command(&[&arguments[..], &[&at]].concat()));
     if mount.code == Some(0) {
         // The gauge can be read, and is not written while its journal cannot be.
         fs::write(format!("{at}/BAT0/df/80/53"), "3100\n").expect_err("no journal can be written");
@@ -304,7 +300,7 @@ while grep -L '^State:.T' /proc/$daemon/task/*/status | grep -q .; do sleep 0.01
 (user "$1" cat "$1/m/BAT0/gauge/seal") & reader=$!
 sleep 0.5
 kill -0 $reader
-(user "$1" timeout -s KILL 20 "$1/gaugefs" umount "$1/m")
+(user "$1" timeout -s KILL 200 "$1/gaugefs" umount "$1/m")
 ! grep " $1/m " /proc/self/mountinfo
 ! wait $reader
 kill -CONT $daemon
@@ -333,7 +329,7 @@ fn a_user_removes_a_stopped_mount_too() {
     fs::copy(env!("CARGO_BIN_EXE_gaugefs"), folder.file("gaugefs")).expect("a copy");
     let mut script = in_namespaces();
     script.args(["bash", "-euc", AS_A_USER, "bash"]).arg(&folder.0);
-    let ran = within(Duration::from_secs(60), script);
+    let ran = ended(script);
     assert_eq!(ran.code, Some(0), "{}{}", ran.out, ran.err);
     assert!(ran.out.ends_with("done\n"), "{}{}", ran.out, ran.err);
 }

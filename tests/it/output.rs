@@ -271,12 +271,10 @@ fn regression_inputs_have_a_limit_and_are_regular_files() {
             &["mount", "--sim", CHIP, "--key-file", path, &at],
             &station,
         ] {
-            let start = Instant::now();
             let ran = gaugefs(words);
             assert!([Some(1), Some(2)].contains(&ran.code), "{words:?}: {}", ran.err);
             let is_key = words.contains(&"--key-file");
             assert!(ran.err.contains(why) || is_key, "{words:?}: {}", ran.err);
-            assert!(start.elapsed() < Duration::from_secs(20), "{words:?}");
         }
     }
     // Standard input is no file, and has a limit all the same.
@@ -468,7 +466,7 @@ mod screen {
     use nix::pty::{grantpt, posix_openpt, ptsname_r, unlockpt};
 
     use super::*;
-    use crate::room::{Foreground, stop};
+    use crate::room::{Foreground, LONG, stop};
 
     fn ends(mut child: Child, what: &str) -> Option<i32> {
         let start = Instant::now();
@@ -476,7 +474,7 @@ mod screen {
             if let Some(status) = child.try_wait().expect("a child") {
                 return status.code();
             }
-            if start.elapsed() > Duration::from_secs(30) {
+            if start.elapsed() > LONG {
                 let _ = child.kill();
                 let _ = child.wait();
                 panic!("{what}: it does not end");

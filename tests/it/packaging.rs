@@ -6,7 +6,6 @@ use std::fs::{self, Permissions};
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
-use std::time::Duration;
 
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
@@ -116,7 +115,7 @@ fn the_script_for_runit_runs_until_it_is_told_to_end() {
     let (folder, script) = prepared("runit");
     let gauge = folder.0.join("m/BAT0/capacity");
     let mut service = run(&folder, &script).stdout(Stdio::null()).spawn().expect("a shell");
-    within(Duration::from_secs(60), "mounted", || gauge.exists());
+    within("mounted", || gauge.exists());
     kill(Pid::from_raw(service.id() as i32), Signal::SIGTERM).expect("it runs");
     assert_eq!(service.wait().expect("its end").code(), Some(0));
     assert!(!gauge.exists());

@@ -9,7 +9,6 @@ use std::os::fd::OwnedFd;
 use std::os::unix::fs::{FileExt, MetadataExt};
 use std::path::Path;
 use std::sync::{Arc, Mutex};
-use std::time::Duration;
 
 use gauge_bus::{Bus, BusError};
 use gauge_sim::SimBus;
@@ -159,7 +158,7 @@ fn regression_the_errno_of_a_first_read_arrives() {
             fails(&mount.root, name, None, expected);
             faulty.set(Fault::None);
             // Then the value comes, through the same open file and in every other way.
-            within(Duration::from_secs(60), "the value", || pread(&held).is_ok());
+            within("the value", || pread(&held).is_ok());
             let value = pread(&held).expect("a value");
             assert!(value.ends_with(b"\n") || name.ends_with("raw"), "{name}");
             for (way, answer) in [
@@ -167,14 +166,10 @@ fn regression_the_errno_of_a_first_read_arrives() {
                 ("sendfile", send),
                 ("fstat, sendfile", look_and_send),
             ] {
-                within(Duration::from_secs(60), "a refresh", || {
-                    fs::write(mount.root.join("gauge/refresh"), "1").is_ok()
-                });
+                within("a refresh", || fs::write(mount.root.join("gauge/refresh"), "1").is_ok());
                 assert!(answer(&open()).expect("a value") == value, "{name}: {way}");
             }
-            within(Duration::from_secs(60), "a refresh", || {
-                fs::write(mount.root.join("gauge/refresh"), "1").is_ok()
-            });
+            within("a refresh", || fs::write(mount.root.join("gauge/refresh"), "1").is_ok());
         }
     }
 }
@@ -206,7 +201,7 @@ fn regression_a_value_that_has_gone_is_enodev_to_whoever_holds_it_open() {
         let _ = mount.echo("1", "gauge/refresh");
     }
     for (name, file) in names.iter().zip(&held) {
-        within(Duration::from_secs(60), "the end of its value", || pread(file).is_err());
+        within("the end of its value", || pread(file).is_err());
         for (way, answer) in WAYS {
             assert_eq!(answer(file).map(|bytes| bytes.len()), Err(Errno::ENODEV), "{name}: {way}");
         }

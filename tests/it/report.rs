@@ -6,7 +6,6 @@ use std::fs::{self, Permissions};
 use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 use std::process::Command;
-use std::time::Duration;
 
 use crate::room::{CHIP, Folder, as_nobody, can_mount, command, gaugefs, read, run, shown, within};
 
@@ -39,7 +38,7 @@ fn a_report_of_a_mounted_gauge_replays_with_the_same_attributes() {
         let seal: &[&str] = if chip == "bq27541" { &[] } else { &["--sim-seal", "sealed"] };
         gaugefs(&[&["mount", "--sim", chip, "--poll", "0.5", &at], seal].concat()).done();
         fs::write(Path::new(&gauge).join("sim/load_ma"), "700").expect("a knob");
-        within(Duration::from_secs(60), "the load is seen", || {
+        within("the load is seen", || {
             fs::read_to_string(Path::new(&gauge).join("current_now")).is_ok_and(|now| now.trim() != "0")
                 || chip == "bq35100"
         });
@@ -52,7 +51,7 @@ fn a_report_of_a_mounted_gauge_replays_with_the_same_attributes() {
         assert_eq!(seal(), found, "{chip}");
         let polls = || read(&gauge, "gauge/statistics/polls").parse::<u64>().expect("a number");
         let enough = polls() + 12;
-        within(Duration::from_secs(60), "all tiers", || polls() >= enough);
+        within("all tiers", || polls() >= enough);
         // A serial number is masked.
         let shown = || {
             let mut shown = shown(&gauge);
@@ -67,7 +66,7 @@ fn a_report_of_a_mounted_gauge_replays_with_the_same_attributes() {
         gaugefs(&["umount", &at]).done();
 
         gaugefs(&["mount", "--replay", &file, "--poll", "0.5", &at]).done();
-        within(Duration::from_secs(60), "all polls", || shown() == recorded);
+        within("all polls", || shown() == recorded);
         if let (Some(name), Some(value)) = (parameter, value) {
             assert_eq!(read(&gauge, name), value, "{chip}");
         }

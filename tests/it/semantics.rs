@@ -14,7 +14,7 @@ use nix::errno::Errno;
 use ti_gauge::chip::{CHIPS, Chip, snake_case};
 
 use crate::rig::Rig;
-use crate::room::{Folder, TEXT, can_mount, gaugefs, table, within};
+use crate::room::{Folder, LONG, TEXT, can_mount, gaugefs, table, within};
 
 const ATTRIBUTES: &str = include_str!("../../docs/ATTRIBUTES.md");
 
@@ -59,7 +59,7 @@ impl Mount {
 
     #[track_caller]
     fn until(&self, what: &str, holds: impl Fn(&Self) -> bool) {
-        within(Duration::from_secs(60), what, || holds(self));
+        within(what, || holds(self));
     }
 
     /// Names and modes of the files in a folder of the gauge. A poll may have removed some since they were listed.
@@ -253,8 +253,8 @@ fn semantics_of_the_errnos() {
     let mut gone =
         || held.rewind().and_then(|()| held.read_to_string(&mut String::new())).map(drop).map_err(errno);
     mount.until("what is held open follows", |_| fs::metadata(mount.path("voltage_now")).is_err());
-    let end = Instant::now() + Duration::from_secs(60);
-    while gone().is_ok() && Instant::now() < end {
+    let start = Instant::now();
+    while gone().is_ok() && start.elapsed() < LONG {
         std::thread::sleep(Duration::from_millis(20));
     }
     occurs("gone", gone());

@@ -17,8 +17,7 @@ use nix::unistd::{Pid, geteuid};
 
 use super::room::{CHIP, Folder, as_nobody, command, gaugefs, open_fuse, root, users_can_mount};
 use crate::room;
-
-const PATIENCE: Duration = Duration::from_secs(30);
+use crate::room::LONG;
 
 /// A daemon as systemd starts it, which has reported that it is ready.
 struct Service {
@@ -35,7 +34,7 @@ impl Service {
         }
         let folder = room::folder_named(&format!("-{name}"));
         let systemd = UnixDatagram::bind(folder.join("notify")).expect("a socket");
-        systemd.set_read_timeout(Some(PATIENCE)).expect("a limit");
+        systemd.set_read_timeout(Some(LONG)).expect("a limit");
         let place = folder.join("tree");
         let arguments = ["mount", "--foreground", "--service", "--sim", CHIP, path(&place)];
         let mut daemon = command(&arguments);
@@ -120,11 +119,11 @@ fn a_stopped_service_finishes_its_write_and_begins_no_other() {
     let writer = thread::spawn(move || fs::write(first, "3100\n"));
     let start = Instant::now();
     while fs::read_to_string(gauge.join("sim/seal")).is_ok_and(|seal| seal == "sealed\n") {
-        assert!(start.elapsed() < PATIENCE && !writer.is_finished(), "the write has not begun");
+        assert!(start.elapsed() < LONG && !writer.is_finished(), "the write has not begun");
     }
     service.signal(Signal::SIGTERM);
     while !service.messages().contains("SIGTERM: ending") {
-        assert!(start.elapsed() < PATIENCE, "it does not end");
+        assert!(start.elapsed() < LONG, "it does not end");
         thread::sleep(Duration::from_millis(10));
     }
     // It refuses other writes right after this message.
@@ -272,7 +271,7 @@ fn the_system_call_filter_allows_what_a_service_needs_and_no_other_set() {
     fs::copy(&image, &profile).expect("a profile");
     let systemd = UnixDatagram::bind(folder.file("notify")).expect("a socket");
     fs::set_permissions(folder.file("notify"), fs::Permissions::from_mode(0o666)).expect("its mode");
-    systemd.set_read_timeout(Some(PATIENCE)).expect("a limit");
+    systemd.set_read_timeout(Some(LONG)).expect("a limit");
 
     let daemon = as_nobody(&folder, &[]);
     fs::set_permissions(folder.file(""), fs::Permissions::from_mode(0o1777)).expect("its mode");

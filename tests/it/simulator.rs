@@ -7,7 +7,6 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::Path;
 use std::sync::Arc;
-use std::time::Duration;
 
 use gauge_bus::clock::SimClock;
 use gauge_sim::{FAULTS, Knob, Options, Sim};
@@ -231,7 +230,7 @@ fn the_scenario_power_cut_ends_with_the_old_value() {
     assert_eq!((&*read(&gauge, "df/80/53"), &*read(&gauge, "serial_number")), ("3000", "0007"));
     assert_eq!(write(&gauge, "df/80/53", "3100"), Err(Errno::ENOTRECOVERABLE));
     assert!(read(&gauge, "gauge/last_error").contains("data flash contents unknown"));
-    within(Duration::from_secs(60), "settled", || {
+    within("settled", || {
         read(&gauge, "gauge/last_error")
             .contains("interrupted half way; the old values were restored and verified")
     });
@@ -250,14 +249,14 @@ fn the_scenario_swapped_pack_changes_neither_pack() {
     assert_eq!(write(&gauge, "df/80/53", "3100"), Err(Errno::ENOTRECOVERABLE));
     let why = read(&gauge, "gauge/last_error");
     assert!(why.contains("another pack answers, and nothing was written to it"), "{why}");
-    within(Duration::from_secs(60), "the second pack", || shows(&gauge, "serial_number", "0007"));
+    within("the second pack", || shows(&gauge, "serial_number", "0007"));
     assert_eq!(read(&gauge, "df/80/53"), "3000");
     assert_eq!(read(&gauge, "sim/programmed"), "0");
     // Nothing is written to it either as long as nobody has decided.
     assert!(write(&gauge, "df/80/53", "3200").is_err());
     assert_eq!(read(&gauge, "sim/programmed"), "0");
     assert_eq!(write(&gauge, "sim/speed", "60"), Ok(()));
-    within(Duration::from_secs(60), "the first pack", || {
+    within("the first pack", || {
         shows(&gauge, "serial_number", "0001")
             && read(&gauge, "gauge/last_error").contains("was interrupted; data flash holds the old values")
     });
@@ -276,11 +275,11 @@ fn the_scenario_failing_bus_ends_with_right_values() {
     let number = |name: &str| read(&gauge, name).parse::<f64>().expect("a number");
     let begun = number("sim/clock");
     assert_eq!(write(&gauge, "sim/speed", "360"), Ok(()));
-    within(Duration::from_secs(60), "an hour", || number("sim/clock") > begun + 3600.0);
+    within("an hour", || number("sim/clock") > begun + 3600.0);
     assert_eq!(write(&gauge, "sim/speed", "0"), Ok(()));
     assert!(number("sim/nacks") > 0.0);
     let polls = number("gauge/statistics/polls");
-    within(Duration::from_secs(60), "two polls", || number("gauge/statistics/polls") > polls + 1.0);
+    within("two polls", || number("gauge/statistics/polls") > polls + 1.0);
     for (name, text) in
         [("present", "1"), ("status", "Discharging"), ("current_now", "-100000"), ("temp", "250")]
     {

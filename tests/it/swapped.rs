@@ -18,7 +18,7 @@ use ti_gauge::value::Value;
 
 use crate::rig::Rig;
 use crate::room::Mount;
-use crate::room::{Folder, gaugefs};
+use crate::room::{Folder, gaugefs, within};
 
 const WRITTEN: Result<Outcome> = Ok(Outcome::Written { reset: true, old: Vec::new() });
 
@@ -77,11 +77,7 @@ fn a_swapped_pack_is_detected() {
     clock.sleep(interval);
     // Any request makes the owner thread poll now.
     handle.wait_for(&op::POLL_INTERVAL, interval).expect("it is set");
-    let tries = (0..1000).find(|_| {
-        std::thread::sleep(Duration::from_millis(10));
-        serial() == 1
-    });
-    assert!(tries.is_some(), "the poll did not notice");
+    within("the poll notices", || serial() == 1);
 }
 
 /// Two packs with the factory's serial number are exchanged between two polls.

@@ -15,21 +15,18 @@ use nix::sys::signal::{Signal, kill};
 use nix::unistd::{Pid, geteuid};
 
 use crate::room::{
-    CHIP, Folder, Foreground, as_nobody, can_mount, command, gaugefs, read, run, stop, within,
+    CHIP, Folder, Foreground, LONG, as_nobody, can_mount, command, gaugefs, read, run, stop, within,
 };
-
-/// Far longer than anything takes on an idle machine.
-const LONG: Duration = Duration::from_secs(60);
 
 /// A simulated gauge that is polled often, with this state of charge.
 fn mounted(folder: &Folder, soc: &str) -> String {
     let at = folder.file("m");
     gaugefs(&["mount", "--sim", CHIP, "--poll", "0.5", &at]).done();
     set(&at, "soc", soc);
-    within(LONG, "a poll", || read(&at, "BAT0/capacity") == soc);
+    within("a poll", || read(&at, "BAT0/capacity") == soc);
     // Not all registers are read by the first one.
     let second = Path::new(&at).join("BAT0/gauge/learned_status");
-    within(LONG, "the second poll", || second.exists());
+    within("the second poll", || second.exists());
     at
 }
 
@@ -105,11 +102,9 @@ fn wait_ends_when_its_condition_is_true_or_its_time_is_up() {
     set(&at, "soc", "19");
     assert_eq!((waiting.ends(), waiting.err().as_str()), (Some(0), ""));
     // A misspelt name is an error at once.
-    let begun = Instant::now();
     let wrong = gaugefs(&["wait", &gauge, "capcity<20"]);
     assert_eq!(wrong.code, Some(2));
     assert!(wrong.err.contains("did you mean capacity?"), "{}", wrong.err);
-    assert!(begun.elapsed() < Duration::from_secs(30));
     gaugefs(&["wait", &folder.file("none"), "capacity<20"]).failed(&["none: not mounted"]);
 }
 
@@ -161,7 +156,7 @@ fn waiting_and_metrics_cause_no_bus_traffic() {
     let at = folder.file("m");
     gaugefs(&["mount", "--sim", CHIP, "--poll", "3600", &at]).done();
     let counts = || ["polls", "transfers"].map(|name| read(&at, &format!("BAT0/gauge/statistics/{name}")));
-    within(LONG, "two polls", || counts()[0] == "2");
+    within("two polls", || counts()[0] == "2");
     let before = counts();
     let late = gaugefs(&["wait", "--timeout", "1.5", &at, "capacity<20 && gauge/control_status has VOK"]);
     assert_eq!(late.code, Some(3), "{}", late.err);
@@ -184,8 +179,8 @@ fn watch_runs_a_program_once_an_alert_with_facts_in_its_environment() {
     let cleared = ["--exec-clear", "sh", "-c", script, &events, "/dev/null"];
     let watch = Running::new(&folder, &[&arguments[..], &raised, &cleared].concat());
     set(&at, "soc", "19");
-    within(LONG, "raised", || lines(&events) == ["raised 19"]);
-    within(LONG, "its facts", || {
+    within("raised", || lines(&events) == ["raised 19"]);
+    within("its facts", || {
         let facts = lines(&facts);
         [
             "GAUGEFS_ALERT=low",
@@ -199,14 +194,14 @@ fn watch_runs_a_program_once_an_alert_with_facts_in_its_environment() {
     // Between the two thresholds nothing happens.
     for soc in ["22", "19", "25"] {
         set(&at, "soc", soc);
-        within(LONG, "a poll", || read(&at, "BAT0/capacity") == soc);
+        within("a poll", || read(&at, "BAT0/capacity") == soc);
         std::thread::sleep(Duration::from_millis(1200));
     }
     assert_eq!(lines(&events), ["raised 19"]);
     set(&at, "soc", "26");
-    within(LONG, "cleared", || lines(&events) == ["raised 19", "cleared 26"]);
+    within("cleared", || lines(&events) == ["raised 19", "cleared 26"]);
     set(&at, "soc", "10");
-    within(LONG, "raised again", || lines(&events).len() == 3);
+    within("raised again", || lines(&events).len() == 3);
     let out = watch.out();
     let told: Vec<_> =
         out.lines().filter_map(|line| line.split_once("Z BAT0: ")).map(|(_, told)| told).collect();
@@ -240,16 +235,16 @@ fn a_program_that_fails_or_is_slow_stops_no_alert_and_runs_once_at_a_time() {
     for soc in ["10", "60", "11"] {
         let count = watch.out().lines().count();
         set(&at, "soc", soc);
-        within(LONG, "an event", || watch.out().lines().count() >= count + 3);
+        within("an event", || watch.out().lines().count() >= count + 3);
         let _ = fs::remove_file(&gone);
     }
     assert_eq!(lines(&runs), ["begin"], "the first one still runs");
     let failure = "alert broken: its program has failed: exit status: 1";
-    within(LONG, "both failures", || watch.err().matches(failure).count() == 2);
+    within("both failures", || watch.err().matches(failure).count() == 2);
     let missing = format!("alert none: {gone}: cannot be started: No such file or directory");
     assert!(watch.err().contains(&missing), "{}", watch.err());
     fs::write(&go, "").expect("a file");
-    within(LONG, "its end", || lines(&runs) == ["begin", "end"]);
+    within("its end", || lines(&runs) == ["begin", "end"]);
 }
 
 #[test]
@@ -311,17 +306,17 @@ fn a_flat_pack_on_its_charger_raises_no_alert_that_ends_the_machine() {
     let folder = Folder::new();
     let at = mounted(&folder, "60");
     set(&at, "load_ma", "-500");
-    within(LONG, "it charges", || read(&at, "BAT0/status") == "Charging");
+    within("it charges", || read(&at, "BAT0/status") == "Charging");
     set(&at, "soc", "3");
-    within(LONG, "it is flat", || read(&at, "BAT0/capacity") == "3");
+    within("it is flat", || read(&at, "BAT0/capacity") == "3");
     let ends = "capacity<=5 && status==Discharging";
     let watch = Running::new(&folder, &["watch", &at, ends]);
     let polls = || read(&at, "BAT0/gauge/statistics/polls").parse::<u64>().expect("a number");
     let before = polls();
-    within(LONG, "some polls", || polls() > before + 4);
+    within("some polls", || polls() > before + 4);
     assert_eq!(watch.out(), "");
     set(&at, "load_ma", "500");
-    within(LONG, "it is raised", || watch.out().contains(&format!("raised {ends}")));
+    within("it is raised", || watch.out().contains(&format!("raised {ends}")));
 }
 
 #[test]
@@ -447,7 +442,7 @@ fn metrics_are_printed_written_to_a_file_and_answered() {
     gaugefs(&["metrics", &at, "-o", &nowhere]).failed(&[&nowhere, "cannot write it"]);
 
     let server = Running::new(&folder, &["metrics", "--listen", "127.0.0.1:0", &at]);
-    within(LONG, "it listens", || server.err().contains("/metrics\n"));
+    within("it listens", || server.err().contains("/metrics\n"));
     let address = server.err().trim().trim_start_matches("gaugefs: http://").replace("/metrics", "");
     let tcp = |request: &str| ask(TcpStream::connect(&address).expect("a connection"), request);
     let (head, body) =
@@ -476,7 +471,7 @@ fn metrics_are_printed_written_to_a_file_and_answered() {
     let many: Vec<_> = (0..8).map(|_| TcpStream::connect(&address).expect("a connection")).collect();
     let mut last = many.last().expect("a connection");
     assert!(matches!(last.read(&mut [0; 1]), Ok(0) | Err(_)), "it is turned away");
-    within(LONG, "the others are left", || {
+    within("the others are left", || {
         let mut client = TcpStream::connect(&address).expect("a connection");
         let mut answer = String::new();
         let asked = client.write_all(b"GET /metrics HTTP/1.1\r\n\r\n");
@@ -494,7 +489,7 @@ fn metrics_are_printed_written_to_a_file_and_answered() {
     let listen = format!("unix:{socket}");
     for _ in 0..2 {
         let mut server = Running::new(&folder, &["metrics", "--listen", &listen, &at]);
-        within(LONG, "it listens", || UnixStream::connect(&socket).is_ok());
+        within("it listens", || UnixStream::connect(&socket).is_ok());
         let (_, body) =
             ask(UnixStream::connect(&socket).expect("a connection"), "GET /metrics HTTP/1.1\r\n\r\n");
         assert!(body.contains("gaugefs_mount_up"), "{body}");
@@ -509,14 +504,14 @@ fn regression_a_server_of_metrics_that_ended_left_its_socket() {
     let socket = folder.file("socket");
     let mut server =
         Running::new(&folder, &["metrics", "--listen", &format!("unix:{socket}"), "/no/such/mount"]);
-    within(LONG, "it listens", || UnixStream::connect(&socket).is_ok());
+    within("it listens", || UnixStream::connect(&socket).is_ok());
     kill(Pid::from_raw(server.child.id() as i32), Signal::SIGTERM).expect("it runs");
     assert_eq!(server.ends(), Some(0));
     assert!(!Path::new(&socket).exists());
     // One that another server has put there stays.
     let mut server =
         Running::new(&folder, &["metrics", "--listen", &format!("unix:{socket}"), "/no/such/mount"]);
-    within(LONG, "it listens", || UnixStream::connect(&socket).is_ok());
+    within("it listens", || UnixStream::connect(&socket).is_ok());
     fs::remove_file(&socket).expect("it is there");
     fs::write(&socket, "").expect("a file");
     kill(Pid::from_raw(server.child.id() as i32), Signal::SIGTERM).expect("it runs");
@@ -528,7 +523,7 @@ fn regression_a_server_of_metrics_that_ended_left_its_socket() {
 fn metrics_listen_on_all_interfaces_if_no_host_is_named_and_say_so() {
     let folder = Folder::new();
     let server = Running::new(&folder, &["metrics", "--listen", ":0", "/no/such/mount"]);
-    within(LONG, "it listens", || server.err().contains("/metrics"));
+    within("it listens", || server.err().contains("/metrics"));
     let told = server.err();
     assert!(told.contains("all interfaces of this machine, without a password; 127.0.0.1:PORT"), "{told}");
     let port =
@@ -536,7 +531,7 @@ fn metrics_listen_on_all_interfaces_if_no_host_is_named_and_say_so() {
     let client = TcpStream::connect(format!("127.0.0.1:{port}")).expect("a connection");
     assert!(ask(client, "GET /metrics HTTP/1.1\r\n\r\n").1.contains("gaugefs_mount_up"));
     let server = Running::new(&folder, &["metrics", "--listen", "127.0.0.1:0", "/no/such/mount"]);
-    within(LONG, "it listens", || server.err().contains("/metrics"));
+    within("it listens", || server.err().contains("/metrics"));
     assert!(!server.err().contains("all interfaces"), "{}", server.err());
 }
 
@@ -588,16 +583,16 @@ fn a_gauge_is_written_for_nut_and_has_no_status_when_it_is_gone() {
     let printed = gaugefs(&["metrics", "--format", "nut", &gauge]).done();
     assert!(printed.contains("\nups.model: bq34z100-G1\n"), "{printed}");
     set(&at, "load_ma", "500");
-    within(LONG, "it discharges", || {
+    within("it discharges", || {
         write(&gauge).done();
         has("ups.status: OB DISCHRG") && has("battery.current: -0.5")
     });
     let mut server =
         Running::new(&folder, &["metrics", "--format", "nut", "--interval", "0.5", "-o", &file, &gauge]);
     set(&at, "soc", "5");
-    within(LONG, "it is low", || has("ups.status: OB DISCHRG LB"));
+    within("it is low", || has("ups.status: OB DISCHRG LB"));
     set(&at, "power", "off");
-    within(LONG, "it is gone", || has("ups.status: \"\""));
+    within("it is gone", || has("ups.status: \"\""));
     assert!(has("battery.charge: \"\"") && !has("battery.charge: 5"));
     server.child.kill().expect("it still runs");
     server.ends();

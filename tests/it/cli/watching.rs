@@ -16,10 +16,7 @@ use nix::unistd::Pid;
 use serde_json::{Value, json};
 
 use super::golden;
-use crate::room::{CHIP, Folder, Foreground, can_mount, command, gaugefs, read, stop, within};
-
-/// Far longer than anything takes on an idle machine.
-const LONG: Duration = Duration::from_secs(60);
+use crate::room::{CHIP, Folder, Foreground, LONG, can_mount, command, gaugefs, read, stop, within};
 
 /// `gaugefs top` on a terminal of its own.
 struct Screen {
@@ -93,7 +90,7 @@ impl Screen {
     /// Everything is as the shell left it: main screen, cursor, echo and all other settings.
     #[track_caller]
     fn is_restored(&self) {
-        within(LONG, "the terminal is restored", || {
+        within("the terminal is restored", || {
             let shown = self.shown.lock().expect("a screen");
             !shown.screen().alternate_screen() && !shown.screen().hide_cursor()
         });
@@ -159,10 +156,10 @@ fn top_can_be_used_and_quit() {
         stat.rsplit(')').next().and_then(|rest| rest.split_whitespace().next()).map(str::to_string)
     };
     screen.send(Signal::SIGTSTP);
-    within(LONG, "it stops", || state().as_deref() == Some("T"));
+    within("it stops", || state().as_deref() == Some("T"));
     screen.is_restored();
     screen.send(Signal::SIGCONT);
-    within(LONG, "it is back", || screen.shown.lock().expect("a screen").screen().alternate_screen());
+    within("it is back", || screen.shown.lock().expect("a screen").screen().alternate_screen());
     screen.shows("GAUGE");
     screen.send(Signal::SIGTERM);
     screen.ends();
@@ -207,7 +204,7 @@ fn top_leaves_a_sealed_gauge_alone() {
     gaugefs(&["mount", "--sim", CHIP, "--poll", "3600", &at]).done();
     let statistic =
         |name: &str| read(&at, &format!("BAT0/gauge/statistics/{name}")).parse::<u64>().expect("a number");
-    within(LONG, "two polls", || statistic("polls") == 2);
+    within("two polls", || statistic("polls") == 2);
     let transfers = statistic("transfers");
 
     let out = gaugefs(&["top", "--json", "--interval", "0.1", "--count", "5", &at]).done();
@@ -218,7 +215,7 @@ fn top_leaves_a_sealed_gauge_alone() {
     screen.shows("sealed: not read");
     screen.shows("grid number");
     let asked = Instant::now();
-    within(LONG, "some time", || asked.elapsed() > Duration::from_secs(2));
+    within("some time", || asked.elapsed() > Duration::from_secs(2));
     assert_eq!((statistic("transfers"), statistic("polls")), (transfers, 2));
     assert_eq!(read(&at, "BAT0/gauge/seal"), "sealed");
 
@@ -229,7 +226,7 @@ fn top_leaves_a_sealed_gauge_alone() {
     let once = statistic("transfers");
     assert!(once > transfers);
     let asked = Instant::now();
-    within(LONG, "some time", || asked.elapsed() > Duration::from_secs(2));
+    within("some time", || asked.elapsed() > Duration::from_secs(2));
     assert_eq!(statistic("transfers"), once, "it was read once");
     screen.press("q");
     screen.ends();
@@ -241,7 +238,7 @@ fn top_leaves_a_sealed_gauge_alone() {
     screen.press("l");
     screen.shows("Update Status");
     screen.press("r");
-    within(LONG, "a poll", || statistic("polls") == 3);
+    within("a poll", || statistic("polls") == 3);
     assert_eq!(read(&at, "BAT0/gauge/seal"), "unsealed");
     screen.press("q");
     screen.ends();
@@ -272,7 +269,7 @@ fn top_prints_json_until_its_reader_closes_the_pipe() {
     let at = folder.file("m");
     gaugefs(&["mount", "--sim", CHIP, &at]).done();
     let passed = Path::new(&at).join("BAT0/gauge/registers/passed_charge");
-    within(LONG, "the second poll", || passed.exists());
+    within("the second poll", || passed.exists());
     let out = gaugefs(&["top", "--json", "--interval", "0.1", "--count", "2", &at]).done();
     for line in out.lines() {
         let sample: Value = serde_json::from_str(line).expect("JSON");
@@ -317,7 +314,7 @@ fn learn_says_what_a_cycle_waits_for() {
     let file = |name: &str| format!("{gauge}/{name}");
     let transfers = || read(&at, "BAT0/gauge/statistics/transfers");
     // The second poll follows the first after half a second, whatever the interval.
-    within(Duration::from_secs(60), "the second poll", || read(&at, "BAT0/gauge/statistics/polls") != "1");
+    within("the second poll", || read(&at, "BAT0/gauge/statistics/polls") != "1");
     let before = transfers();
     let ran = gaugefs(&["learn", "--once", &gauge]);
     assert_eq!((ran.code, ran.err.as_str()), (Some(4), ""), "{}", ran.out);
@@ -331,7 +328,7 @@ fn learn_says_what_a_cycle_waits_for() {
     fs::write(file("gauge/poll_interval"), "0.5").expect("an interval");
     fs::write(file("gauge/seal"), "unsealed").expect("the default key fits");
     fs::write(file("gauge/control"), "IT_ENABLE").expect("a subcommand");
-    within(LONG, "a poll", || read(&at, "BAT0/gauge/control_status").contains("QEN"));
+    within("a poll", || read(&at, "BAT0/gauge/control_status").contains("QEN"));
     let ran = gaugefs(&["learn", "--once", "--json", &gauge]);
     assert_eq!(ran.code, Some(3), "{}", ran.out);
     let state: Value = serde_json::from_str(&ran.out).expect("JSON");
@@ -354,7 +351,7 @@ fn learn_says_what_a_cycle_waits_for() {
     fs::write(file("df/82/4"), "0x06").expect("Update Status may be written");
     // After the reset that ends the write, nothing is shown at first.
     let status = || fs::read_to_string(file("gauge/learned_status")).unwrap_or_default();
-    within(LONG, "a poll", || status().contains("CF1"));
+    within("a poll", || status().contains("CF1"));
     let out = gaugefs(&["learn", &gauge]).done();
     assert!(out.contains("update status 06; learned"), "{out}");
     gaugefs(&["learn", &folder.file("none")]).failed(&["none: not mounted"]);
@@ -439,20 +436,20 @@ fn log_continues_after_an_absence() {
     let mut log = Foreground(child);
     let there = |row: &[String]| !row[3].is_empty();
     let count = |what: fn(&[String]) -> bool| rows(&file).iter().skip(1).filter(|row| what(row)).count();
-    within(LONG, "two rows", || count(there) >= 2);
+    within("two rows", || count(there) >= 2);
     // The gauge goes and comes back.
     knob("power", "off");
-    within(LONG, "a row with empty fields", || count(|row| row[3].is_empty()) == 1);
+    within("a row with empty fields", || count(|row| row[3].is_empty()) == 1);
     let before = count(there);
     knob("power", "on");
-    within(LONG, "rows again", || count(there) >= before + 2);
+    within("rows again", || count(there) >= before + 2);
     // The mount goes and comes back.
     let gaps = count(|row| row[3].is_empty());
     gaugefs(&["umount", &at]).done();
-    within(LONG, "another one", || count(|row| row[3].is_empty()) == gaps + 1);
+    within("another one", || count(|row| row[3].is_empty()) == gaps + 1);
     let before = count(there);
     gaugefs(&["mount", "--sim", CHIP, "--poll", "0.5", &at]).done();
-    within(LONG, "rows again", || count(there) >= before + 2);
+    within("rows again", || count(there) >= before + 2);
     log.0.kill().expect("it still runs");
     log.ends();
     gaugefs(&["umount", &at]).done();
@@ -495,19 +492,19 @@ fn log_writes_chosen_columns_and_events() {
     let (at, file) = (folder.file("m"), folder.file("history.csv"));
     gaugefs(&["mount", "--sim", CHIP, "--poll", "0.5", &at]).done();
     let knob = |name: &str, text: &str| fs::write(format!("{at}/BAT0/sim/{name}"), text).expect("a knob");
-    within(LONG, "the slow registers", || Path::new(&at).join("BAT0/gauge/registers/true_fcc").exists());
+    within("the slow registers", || Path::new(&at).join("BAT0/gauge/registers/true_fcc").exists());
     let names = "voltage,true_fcc,flags,learning,events";
     let arguments = ["log", &at, "--columns", names, "--interval", "4", "-o", &file];
     let child = command(&arguments).stderr(Stdio::null()).spawn().expect("gaugefs runs");
     let mut log = Foreground(child);
-    within(LONG, "a row", || rows(&file).len() >= 2);
+    within("a row", || rows(&file).len() >= 2);
     knob("load_ma", "500");
     // On a busy machine the log may miss a discharge that is over before it looks again.
-    within(LONG, "a discharge in the log", || {
+    within("a discharge in the log", || {
         fs::read_to_string(&file).expect("the log").contains("Not charging -> Discharging")
     });
     knob("load_ma", "0");
-    within(LONG, "the rows with both", || {
+    within("the rows with both", || {
         let text = fs::read_to_string(&file).expect("the log");
         text.contains("Discharging -> Not charging") && rows(&file).len() >= 4
     });
@@ -553,7 +550,7 @@ fn log_has_the_battery_time_of_a_simulated_gauge() {
     knob("speed", "200");
     let polls = || read(&at, "BAT0/gauge/statistics/polls").parse::<u64>().expect("a number");
     let before = polls();
-    within(LONG, "polls at that speed", || polls() >= before + 2);
+    within("polls at that speed", || polls() >= before + 2);
     gaugefs(&["log", &at, "-o", &file, "--count", "6"]).done();
     let text = fs::read_to_string(&file).expect("the log");
     let (integral, change) = charges(&text, "BAT0");

@@ -16,7 +16,7 @@ use nix::sys::stat::minor;
 use nix::unistd::gettid;
 use ti_gauge::chip::Chip;
 
-use super::commands::{CHIP, can_mount};
+use super::commands::{CHIP, LONG, can_mount};
 use super::mounted::{Swift, mapped};
 use super::scratch::{Connections, Folder, sweep};
 
@@ -95,14 +95,14 @@ fn a_killed_test_that_waits_for_its_own_mount_ends() {
         killed.args(["--ignored", "--exact", "room::abort::killed_in_a_page_fault"]);
         let mut killed = killed.stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("it runs");
         let start = Instant::now();
-        while killed.try_wait().expect("its state").is_none() && start.elapsed() < Duration::from_secs(60) {
+        while killed.try_wait().expect("its state").is_none() && start.elapsed() < LONG {
             std::thread::sleep(Duration::from_millis(50));
         }
         let took = start.elapsed();
         // Ends it, if it has not ended by itself.
         sweep(&std::env::temp_dir());
         let signal = killed.wait().expect("its end").signal();
-        assert!(took < Duration::from_secs(60), "the test that was killed has not ended");
+        assert!(took < LONG, "the test that was killed has not ended");
         assert_eq!(signal, Some(Signal::SIGKILL as i32));
     }
 }

@@ -120,7 +120,7 @@ impl Mount {
         let tree = Arc::new(Fs::new(vec![entry], access));
         let mounted = fuse::mount(tree, &folder, options, signal).expect("a mount");
         // The second poll, half a second later, reads the registers that no attribute needs.
-        within(Duration::from_secs(60), "the second poll", || statistic(&handle, "polls") >= 2);
+        within("the second poll", || statistic(&handle, "polls") >= 2);
         Some(Self { folder, sim, handle, defect, _mounted: mounted })
     }
 

@@ -9,13 +9,13 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::sync::Once;
 use std::sync::atomic::{AtomicU32, Ordering};
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use nix::mount::{MntFlags, MsFlags, mount, umount2};
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 
-use super::commands::{CHIP, can_mount, command, gaugefs, stop, within};
+use super::commands::{CHIP, LONG, can_mount, command, gaugefs, stop, within};
 
 /// Names of all folders begin so.
 const PREFIX: &str = "gaugefs-test-";
@@ -106,9 +106,7 @@ impl Drop for Folder {
         for name in ["m", "n"].map(|name| self.file(name)) {
             // Whoever looks at all mounts, as `gaugefs doctor` of another test does, uses this one for a moment.
             let (is_there, start) = (|| gaugefs_client::mounts::is_gaugefs(Path::new(&name)), Instant::now());
-            while gaugefs(&["umount", &name]).code == Some(0)
-                || is_there() && start.elapsed() < Duration::from_secs(30)
-            {}
+            while gaugefs(&["umount", &name]).code == Some(0) || is_there() && start.elapsed() < LONG {}
             left.extend(is_there().then_some(name));
         }
         remove(&self.0);
@@ -152,7 +150,7 @@ fn what_a_killed_test_has_left_is_removed() {
     assert_eq!(command(&["mount", "--sim", CHIP, &at("m")]).status().expect("gaugefs runs").code(), Some(0));
     let mut daemon =
         command(&["mount", "-f", "--sim", CHIP, &at("n")]).stderr(Stdio::null()).spawn().expect("it");
-    within(Duration::from_secs(60), "mounted", || left.join("n/BAT0").exists());
+    within("mounted", || left.join("n/BAT0").exists());
     stop(daemon.id(), &at("n"));
     assert_eq!(mounts(&left).len(), 2);
     sweep(&parent);

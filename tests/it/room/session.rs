@@ -29,10 +29,7 @@ use std::time::{Duration, Instant};
 use nix::unistd::geteuid;
 
 use super::documents::root;
-use super::{CHIP, Folder, within};
-
-/// How long a value of a poll, or a program in the background, may take to show.
-const LONG: Duration = Duration::from_secs(30);
+use super::{CHIP, Folder, LONG, within};
 
 /// A step of a document.
 #[derive(Debug, PartialEq)]
@@ -289,7 +286,7 @@ impl Session {
             text.trim().parse().expect("a number")
         };
         let before = polls();
-        within(Duration::from_secs(60), "two polls", || polls() >= before + 2);
+        within("two polls", || polls() >= before + 2);
     }
 
     /// Does a step, and holds the document to it.

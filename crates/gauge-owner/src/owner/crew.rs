@@ -333,7 +333,8 @@ mod tests {
     use gauge_sim::{Options, Sim, SimBus};
     use ti_gauge::chip::Chip;
 
-    const PATIENCE: Duration = Duration::from_secs(20);
+    /// A guard against what hangs, and no measurement.
+    const PATIENCE: Duration = Duration::from_secs(300);
 
     /// A bus that waits in each transfer while somebody holds its gate, and says when it is dropped.
     struct Gated {
