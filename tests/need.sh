@@ -39,6 +39,13 @@ once() {
 # The release of this machine's Debian.
 release() { (. /etc/os-release && echo "${VERSION_CODENAME:-stable}"); }
 
+# packaged VERSION FILE: builds the Debian package of that version, and copies it. The steps that need it may run at once, and
+# udev/package keeps one version at a time.
+packaged() (
+    flock 9
+    path=$(udev/package "$1" 9>&- | tail -n 1) && cp "$path" "$2"
+) 9>"$target/packaged.lock"
+
 # debian FOLDER PACKAGE,...: a small Debian of that release with these packages. It is kept.
 debian() { once "$1" make_debian "$2"; }
 make_debian() {
