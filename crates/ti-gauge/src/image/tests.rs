@@ -337,7 +337,8 @@ fn a_file_that_was_cut_short_is_refused() {
         for format in FORMATS {
             let text = written(&defaults(chip), format);
             let last = text.len() - 100..text.len();
-            for length in (0..text.len()).step_by(211).chain(last) {
+            // Each place takes a reading of all before it.
+            for length in (0..text.len()).step_by(997).chain(last.step_by(3)) {
                 let cut = String::from_utf8_lossy(&text.as_bytes()[..length]);
                 let outcome = Image::parse(&cut, Some(chip));
                 assert!(outcome.is_err(), "{} {format:?}: {length} bytes are an image", chip.name);

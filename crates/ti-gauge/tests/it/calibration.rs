@@ -12,7 +12,7 @@ use ti_gauge::gauge::{Gauge, Seal};
 
 use crate::rig::{Rig, cause};
 use crate::room::programs;
-use crate::room::{Folder, host, restart};
+use crate::room::{Folder, host, one_in, restart};
 
 /// What a job reaches, in words.
 fn run(
@@ -325,7 +325,8 @@ fn a_fault_at_any_transfer_of_a_calibration_causes_no_false_success() {
         let (new, transfers) = (plain.sim.flash(), plain.cost().0 - before);
         assert!(old != new, "{:?}", case.job);
         let calibrated: Vec<bool> = old.iter().zip(&new).map(|(old, new)| old != new).collect();
-        for fault in (1..=transfers).flat_map(faults).skip(number % every).step_by(every) {
+        let faults = (1..=transfers).flat_map(faults).skip(number % every).step_by(every);
+        for fault in one_in(2, faults) {
             let at = format!("{} {:?} found {:?}, fault `{fault}`", case.chip, case.job, case.found);
             let mut rig = case.rig();
             rig.dataflash = DataFlash::new(Limits::default(), Some(folder.journal()));

@@ -21,7 +21,7 @@ use ti_gauge::gauge::{Gauge, Seal};
 use ti_gauge::keys::{Keys, Name};
 
 use crate::rig::{Random, Rig, cause};
-use crate::room::{CASES, Case, Folder, drawn, programs};
+use crate::room::{CASES, Case, Folder, drawn, one_in, programs};
 
 /// Runs in the everyday test.
 const RUNS: u64 = 1500;
@@ -550,7 +550,7 @@ fn regression_an_exchange_at_any_transfer_of_an_offset_leaves_the_other_pack_as_
             folder: format!("exchange-offset-{}-{silent}", board.0),
         };
         let (transfers, own) = boards.undisturbed().expect("no exchange");
-        for number in 1..=transfers {
+        for number in one_in(3, 1..=transfers) {
             boards.exchanged(number, &own).unwrap_or_else(|why| panic!("{why}"));
         }
     }

@@ -15,7 +15,7 @@ use ti_gauge::gauge::{Gauge, Seal};
 use ti_gauge::keys::Keys;
 
 use crate::rig::{Rig, cause};
-use crate::room::{CASES, Case, Folder, host, restart};
+use crate::room::{CASES, Case, Folder, host, one_in, restart};
 
 /// Checks that flash is old or new, sealed if found sealed, and nothing is left to settle. Returns whether it is new.
 fn check(case: &Case, rig: &mut Rig, folder: &Folder, (old, new): &(Vec<u8>, Vec<u8>), at: &str) -> bool {
@@ -43,7 +43,8 @@ fn host_power_loss_at_any_transfer_leaves_old_or_new_values() {
         let (said, transfers) = write(&case.rig(), None);
         said.expect("no cut").expect("no fault");
         assert_eq!(folder.files(), Vec::<String>::new());
-        for (number, after) in (1..=transfers).flat_map(|number| [(number, false), (number, true)]) {
+        for (number, after) in one_in(3, (1..=transfers).flat_map(|number| [(number, false), (number, true)]))
+        {
             let at = format!("{}, cut at {number} of {transfers}, after it: {after}", case.name());
             let mut rig = case.rig();
             let (said, _) = write(&rig, Some((number, after)));
@@ -100,7 +101,8 @@ fn regression_a_commit_at_work_was_taken_for_the_old_values() {
         };
         let (_, said, transfers) = write(None);
         said.expect("no cut").expect("no fault");
-        for (number, after) in (1..=transfers).flat_map(|number| [(number, false), (number, true)]) {
+        for (number, after) in one_in(3, (1..=transfers).flat_map(|number| [(number, false), (number, true)]))
+        {
             let at = format!("{}, cut at {number} of {transfers}, after it: {after}", case.name());
             let (mut rig, _, _) = write(Some((number, after)));
             restart(&rig, &folder, None);

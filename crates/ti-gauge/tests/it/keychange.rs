@@ -19,7 +19,7 @@ use ti_gauge::keys::{KeyChange, Keys, Name, WIPED, WIPED_OF_WORDS};
 use ti_gauge::value::Value;
 
 use crate::rig::{Rig, cause};
-use crate::room::Folder;
+use crate::room::{Folder, one_in};
 
 const STATES: [Seal; 3] = [Seal::Sealed, Seal::Unsealed, Seal::FullAccess];
 
@@ -358,7 +358,8 @@ fn a_fault_at_any_transfer_of_a_key_change_causes_no_false_success() {
         let transfers = plain.sim.log().into_iter().map(|record| record.write.len() + record.read.len());
         let torn = (0..=12).map(|words| format!("torn-commit {words}"));
         let commits = ["drop-commit".into(), "corrupt-commit".into()].into_iter().chain(torn);
-        for fault in (1..).zip(transfers).flat_map(|transfer| faults(case.found, transfer)).chain(commits) {
+        let faults = (1..).zip(transfers).flat_map(|transfer| faults(case.found, transfer));
+        for fault in one_in(3, faults).chain(commits) {
             let at = format!("{}, fault `{fault}`", case.name());
             let mut rig = case.rig();
             rig.sim.set("fault", &fault).expect("a fault");

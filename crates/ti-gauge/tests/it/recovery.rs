@@ -21,7 +21,7 @@ use ti_gauge::gauge::{Gauge, Seal};
 use ti_gauge::keys::{KeyChange, Keys, Name};
 
 use crate::rig::{Rig, another, cause};
-use crate::room::{CASES, Case, Folder, RESET, half_way, host, programs, restart};
+use crate::room::{CASES, Case, Folder, RESET, half_way, host, one_in, programs, restart};
 
 /// Where two images differ, with both bytes.
 fn differences(one: &[u8], other: &[u8]) -> Vec<(usize, u8, u8)> {
@@ -644,7 +644,9 @@ fn a_gauge_that_a_host_left_open_is_sealed_at_the_next_start() {
             let (said, transfers) = host(&Rig::calibrated(chip, Seal::Sealed), &folder, None, access);
             said.expect("no cut").expect("no fault");
             assert_eq!(folder.files(), Vec::<String>::new(), "{chip} {name}");
-            for (number, after) in (1..=transfers).flat_map(|number| [(number, false), (number, true)]) {
+            for (number, after) in
+                one_in(3, (1..=transfers).flat_map(|number| [(number, false), (number, true)]))
+            {
                 let at = format!("{chip}, {name}, cut at {number}, after it: {after}");
                 let mut rig = Rig::calibrated(chip, Seal::Sealed);
                 assert!(host(&rig, &folder, Some((number, after)), access).0.is_none(), "{at}");
@@ -896,7 +898,8 @@ fn a_host_that_pauses_at_any_transfer_leaves_nothing_half_way() {
             let changes = case.changes(&rig);
             host(&rig, &folder, None, |dataflash, gauge| dataflash.write(gauge, &changes, Duration::ZERO)).1
         };
-        for (number, after) in (1..=transfers).flat_map(|number| [(number, false), (number, true)]) {
+        for (number, after) in one_in(3, (1..=transfers).flat_map(|number| [(number, false), (number, true)]))
+        {
             let at = format!("{}, pause at {number} of {transfers}, after it: {after}", case.name());
             let mut rig = case.rig();
             let changes = case.changes(&rig);
@@ -973,7 +976,7 @@ fn a_second_power_cut_while_settling_leaves_old_or_new_values() {
                     |dataflash: &mut DataFlash, gauge: &mut Gauge| dataflash.settle(gauge, Duration::ZERO);
                 let rig = first();
                 let (_, transfers) = host(&rig, &folder, None, settle);
-                for (number, after) in (1..=transfers).map(|number| (number, number % 2 == 0)) {
+                for (number, after) in one_in(3, (1..=transfers).map(|number| (number, number % 2 == 0))) {
                     let _ = fs::remove_file(folder.journal().path());
                     let at = format!("{}, {tear} {words}, cut at {number}, after it: {after}", case.name());
                     let mut rig = first();

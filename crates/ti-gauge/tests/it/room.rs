@@ -9,6 +9,6 @@ mod power;
 mod settling;
 
 pub(crate) use disk::{State, on_disk};
-pub(crate) use drawn::drawn;
+pub(crate) use drawn::{drawn, one_in};
 pub(crate) use power::{CASES, Case, Folder, PowerCut, host, restart, until_cut};
 pub(crate) use settling::{RESET, Transferred, cut, half_way, programs, two_blocks};

@@ -1,12 +1,26 @@
 // SPDX-License-Identifier: MIT
 
-//! Runs that are drawn by seed.
+//! Runs that are drawn by seed, and those of a long list that are made in every test run.
 //!
-//! `GAUGEFS_SEEDS` sets their number and `GAUGEFS_SEED` the first one; the latter alone repeats that run.
+//! `GAUGEFS_SEEDS` sets the number of the drawn ones and `GAUGEFS_SEED` the first one; the latter alone repeats that run.
+//! With `GAUGEFS_ALL`, which `tests/run --all` sets, no run of either kind is left out.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+/// Whether no run is left out.
+pub(crate) fn is_all() -> bool {
+    std::env::var_os("GAUGEFS_ALL").is_some()
+}
+
+/// One run of each so many. A test that makes several such lists begins each of them one further.
+pub(crate) fn one_in<T>(many: usize, all: impl IntoIterator<Item = T>) -> impl Iterator<Item = T> {
+    static LISTS: AtomicUsize = AtomicUsize::new(0);
+    let (first, step) = if is_all() { (0, 1) } else { (LISTS.fetch_add(1, Ordering::Relaxed) % many, many) };
+    all.into_iter().skip(first).step_by(step)
+}
 
 /// The seeds of a test that has so many by default.
 fn seeds(usual: u64) -> Range<u64> {
@@ -16,7 +30,7 @@ fn seeds(usual: u64) -> Range<u64> {
     };
     match (number("GAUGEFS_SEED"), number("GAUGEFS_SEEDS")) {
         (Some(first), count) => first..first + count.unwrap_or(1),
-        (None, count) => 0..count.unwrap_or(usual),
+        (None, count) => 0..count.unwrap_or(if is_all() { usual } else { usual / 3 }),
     }
 }
 
