@@ -1,38 +1,33 @@
 // SPDX-License-Identifier: MIT
 
-//! The errors of the board and the specimen: offsets and gains, which a calibration finds, and noise, which it does
-//! not. Unless a knob sets one, there are no errors: the calibration in flash fits the board.
+//! Errors of the board and the specimen: offsets and gains, which a calibration finds, and noise, which it does not. At
+//! first there are none, so that the calibration in flash fits the board.
 
 use super::random::Random;
 
-/// Counts of Board Offset in a milliampere, as in the offset that the gauge measures itself.
+/// Counts of Board Offset per milliampere, as in the offset that the gauge measures itself.
 pub(super) const BOARD_COUNTS: f64 = 4.0;
-/// Counts of CC Offset in a milliampere. TI's tools show a count as 0.00048.
+/// Counts of CC Offset per milliampere. TI's tools show a count as 0.00048.
 pub(super) const CC_COUNTS: f64 = 1.0 / 0.00048;
 
-/// The errors of one board.
 #[derive(Clone, Debug)]
 pub(super) struct Analog {
-    /// CC Gain at which a shunt without an error is measured right.
+    /// CC Gain that measures correctly with an exact shunt.
     pub(super) gain: f64,
-    /// By how much the shunt is larger than that, in thousandths.
+    /// Excess of the shunt's resistance, in thousandths.
     pub(super) shunt_error: f64,
-    /// Offsets in mA that are there before Board Offset and CC Offset are subtracted; `None` while what is stored
-    /// fits.
+    /// Offsets in mA before Board Offset and CC Offset are subtracted; `None` while the stored offsets fit.
     pub(super) board_offset_ma: Option<f64>,
     pub(super) cc_offset_ma: Option<f64>,
-    /// Error of both temperature sensors, in 0.1 K.
     pub(super) temperature: f64,
-    /// Largest noise of a measurement.
     pub(super) noise_mv: f64,
     pub(super) noise_ma: f64,
-    /// The noise of the present measurement, from -1 to 1.
+    /// From -1 to 1.
     noise: [f64; 2],
     random: Random,
 }
 
 impl Analog {
-    /// A board that the stored CC Gain fits.
     pub(super) fn fitting(gain: f64) -> Self {
         Self {
             gain,
@@ -47,12 +42,11 @@ impl Analog {
         }
     }
 
-    /// Measures anew.
     pub(super) fn measure(&mut self) {
         self.noise = [(); 2].map(|()| self.random.roll(2001) as f64 / 1000.0 - 1.0);
     }
 
-    /// A current as it is measured with the calibration in flash: CC Gain, Board Offset and CC Offset.
+    /// The current that the gauge measures with the calibration in flash.
     pub(super) fn current_ma(&self, true_ma: f64, gain: f64, board: f64, cc: f64) -> f64 {
         let board = self.board_offset_ma.map_or(0.0, |offset| offset - board / BOARD_COUNTS);
         let cc = self.cc_offset_ma.map_or(0.0, |offset| offset - cc / CC_COUNTS);
@@ -60,7 +54,6 @@ impl Analog {
         (true_ma * shunt + board + cc) * gain / self.gain + self.noise[0] * self.noise_ma
     }
 
-    /// A voltage in mV with its noise.
     pub(super) fn voltage_mv(&self, voltage_mv: f64) -> f64 {
         voltage_mv + self.noise[1] * self.noise_mv
     }

@@ -31,40 +31,36 @@ const PRIMARY_CURVE: &[(f64, f64)] = &[
     (100.0, 3660.0),
 ];
 
-/// Resistance of a cell at 25 degrees, in ohms.
 const RESISTANCE: f64 = 0.042;
 const PRIMARY_RESISTANCE: f64 = 2.0;
-/// The part of the resistance that shows only after a while and goes as slowly, in ohms, and its time constant in
-/// seconds. A rested cell takes most of an hour to come to rest, and one that is nearly empty longer.
+/// Slow part of the resistance in ohms, and its time constant in seconds. A rested cell needs most of an hour to come
+/// to rest, a nearly empty one longer.
 const DIFFUSION: f64 = 0.03;
 const DIFFUSION_TIME: f64 = 1800.0;
-/// Voltage to which the charger charges a cell, in mV.
 const CHARGER_MV: f64 = 4200.0;
-/// Warming by the cell's own losses: kelvins per watt, and the time constant in seconds.
+/// Self-heating: kelvins per watt, and its time constant in seconds.
 const WARMING: f64 = 12.0;
 const WARMING_TIME: f64 = 600.0;
 /// This close to full or empty the protector opens, and charge or discharge ends.
 const SHUT: f64 = 1e-9;
 
-/// A pack of equal cells in series, connected to a load or a charger.
 #[derive(Clone, Debug)]
 pub(super) struct Battery {
     pub(super) cells: f64,
-    /// Cells that there really are, if that is not what data flash says.
+    /// The real number of cells, where data flash has another one.
     pub(super) series: Option<f64>,
     pub(super) capacity_mah: f64,
-    /// The capacity is the pack's own, and not what data flash says.
+    /// The capacity does not follow data flash.
     pub(super) is_own: bool,
     pub(super) charge_mah: f64,
-    /// The load; negative for a charger.
+    /// Negative for a charger.
     pub(super) load_ma: f64,
-    /// Ambient temperature in degrees.
     pub(super) ambient: f64,
-    /// Temperature of the pack above ambient, in kelvins.
+    /// Of the pack above ambient, in kelvins.
     rise: f64,
-    /// How far the voltage of a cell is still above its open-circuit voltage without a current, in mV.
+    /// Voltage of a cell above its open-circuit voltage without a current, in mV.
     offset_mv: f64,
-    /// A voltage that the gauge measures instead of the pack's.
+    /// Voltage measured instead of the pack's.
     pub(super) forced_mv: Option<u16>,
     curve: &'static [(f64, f64)],
     ohms: f64,
@@ -72,7 +68,6 @@ pub(super) struct Battery {
 }
 
 impl Battery {
-    /// A pack at rest, at 25 degrees.
     pub(super) fn new(cells: f64, capacity_mah: f64, soc: f64) -> Self {
         let charge_mah = capacity_mah * soc / 100.0;
         Self {
@@ -92,13 +87,12 @@ impl Battery {
         }
     }
 
-    /// A battery of primary cells.
     pub(super) fn primary(cells: f64, capacity_mah: f64, soc: f64) -> Self {
         let (curve, ohms) = (PRIMARY_CURVE, PRIMARY_RESISTANCE);
         Self { curve, ohms, diffusion: 0.0, ..Self::new(cells, capacity_mah, soc) }
     }
 
-    /// Changes the size to what data flash says, and keeps the state of charge.
+    /// Takes the size of data flash and keeps the state of charge.
     pub(super) fn resize(&mut self, cells: f64, capacity_mah: f64) {
         if !self.is_own {
             self.set_capacity(capacity_mah);
@@ -106,7 +100,6 @@ impl Battery {
         self.cells = self.series.unwrap_or(cells);
     }
 
-    /// Changes the capacity and keeps the state of charge.
     pub(super) fn set_capacity(&mut self, capacity_mah: f64) {
         self.charge_mah *= capacity_mah / self.capacity_mah;
         self.capacity_mah = capacity_mah;
@@ -120,20 +113,18 @@ impl Battery {
         self.charge_mah = self.capacity_mah * percent / 100.0;
     }
 
-    /// Temperature of the cells, in degrees Celsius.
     pub(super) fn temperature(&self) -> f64 {
         self.ambient + self.rise
     }
 
-    /// Resistance of one cell, in ohms.
     pub(super) fn resistance(&self) -> f64 {
         let cold = ((25.0 - self.temperature()) * 0.02).clamp(-0.5, 1.5);
         let empty = (10.0 - self.percent()).max(0.0) * 0.1;
         self.ohms * (1.0 + cold + empty)
     }
 
-    /// Current into the pack, in mA. A load draws its current while there is charge. A charger delivers its
-    /// current until the cells have its voltage, and then the current that this voltage still drives.
+    /// Current into the pack, in mA. A load draws it while there is charge. A charger delivers it until the cells have
+    /// its voltage, and then the current that this voltage still drives.
     pub(super) fn current_ma(&self) -> f64 {
         if self.load_ma > 0.0 {
             return if self.charge_mah > SHUT { -self.load_ma } else { 0.0 };
@@ -145,13 +136,12 @@ impl Battery {
         (-self.load_ma).min(driven.max(0.0))
     }
 
-    /// A cell's voltage under the present current, in mV.
     pub(super) fn cell_mv(&self) -> f64 {
         let rested = self.open_circuit(self.percent()) + self.offset_mv;
         (rested + self.current_ma() * self.resistance()).max(0.0)
     }
 
-    /// Lets time pass during which the current changes little.
+    /// Lets a time pass that is short enough for a constant current.
     pub(super) fn step(&mut self, seconds: f64) {
         let current = self.current_ma();
         let moved = current * seconds / 3600.0;
@@ -166,7 +156,6 @@ impl Battery {
         self.diffusion * (1.0 + (20.0 - self.percent()).max(0.0) * 0.1)
     }
 
-    /// The pack has rested for a long time.
     pub(super) fn rest(&mut self) {
         self.offset_mv = 0.0;
     }
@@ -176,7 +165,6 @@ impl Battery {
         (self.current_ma() * self.diffusion() - self.offset_mv) / DIFFUSION_TIME
     }
 
-    /// Energy from a charge down to empty, in mWh, without losses.
     pub(super) fn energy_mwh(&self, charge_mah: f64) -> f64 {
         let percent = (100.0 * charge_mah / self.capacity_mah).clamp(0.0, 100.0);
         let mut area = 0.0;
@@ -190,7 +178,7 @@ impl Battery {
         area / 100.0 * self.capacity_mah / 1000.0 * self.cells
     }
 
-    /// The state of charge in percent at which a cell has this open-circuit voltage.
+    /// State of charge in percent for an open-circuit voltage.
     pub(super) fn percent_at(&self, mv: f64) -> f64 {
         for pair in self.curve.windows(2) {
             let ((from, low), (to, high)) = (pair[0], pair[1]);

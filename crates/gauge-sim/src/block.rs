@@ -1,12 +1,11 @@
 // SPDX-License-Identifier: MIT
 
-//! Block access: a gauge whose data flash is reached unsealed through class, block, window and checksum
-//! (SLUSBZ5D 7.3.3). It covers everything that a host can do over the bus to the parts with flash, and to
-//! those with RAM (SLUUAC9A), which differ in when the checksum counts. Differences between parts are in
-//! their descriptions, [`BlockPart`].
+//! Block access: data flash is reached unsealed through class, block, window and checksum (SLUSBZ5D 7.3.3). It covers
+//! all that a host can do over the bus to the parts with flash, and to those with RAM (SLUUAC9A), which differ in when
+//! the checksum counts. [`BlockPart`] describes the differences between parts.
 //!
-//! A gauge with flash is SEALED after every reset. One with RAM is UNSEALED unless its data memory says otherwise.
-//! Both ignore refused commands silently.
+//! A gauge with flash is SEALED after every reset. One with RAM is UNSEALED unless its data memory says otherwise. Both
+//! ignore refused commands silently.
 
 use std::mem;
 use std::time::Duration;
@@ -31,71 +30,57 @@ use super::update::{Exit, Mode};
 use super::window::{Before, Source, Window, checksum};
 use gauge_bus::GAUGE_ADDRESS;
 
-/// The class of the keys.
 const CODES: u16 = 112;
-/// While a gauge that has sealed itself refuses keys, any subcommand above this one starts that time again
-/// (SLUUAC9A 6.4.5.1.1).
+/// While a self-sealed gauge refuses keys, a subcommand above this one restarts that time (SLUUAC9A 6.4.5.1.1).
 const LOCKING: u16 = 0x001A;
-/// Update Status: Impedance Track is enabled.
+/// Bit of Update Status.
 const IT_ENABLE: u8 = 0x04;
-/// Flags() of the parts with RAM: data memory is ROM's, and CONFIG UPDATE.
+/// Bits of Flags() of the parts with RAM.
 const ITPOR: u16 = 0x0020;
 const CFGUPMODE: u16 = 0x0010;
-/// Flags() `[BAT_DET]`.
 const BAT_DET: u16 = 0x0008;
 
-/// A gauge with block access.
 pub(super) struct Block {
     part: &'static BlockPart,
     gauging: Gauging,
     ram: Ram,
-    /// The scale that fits the board.
     board: Option<Scale>,
-    /// Offsets of this specimen.
     board_offset: i8,
     cc_offset: i16,
-    /// A sealed gauge acknowledges registers that it withholds.
+    /// A sealed gauge acknowledges registers whose values it withholds.
     ignores_sealed: bool,
-    /// The pin detects no battery.
     is_away: bool,
-    /// Challenge and digest are sent most significant byte first, instead of least significant.
+    /// Challenge and digest go most significant byte first.
     as_sent: bool,
-    /// The registers before the last reset.
     before: Registers,
 }
 
-/// Everything that a reset clears.
 #[derive(Default)]
 struct Ram {
     seal: Seal,
     window: Window,
     /// The low byte of a word, until the high byte is written.
     low: u8,
-    /// The value that Control() reads.
     answer: u16,
     previous: u16,
-    /// Bits of CONTROL_STATUS that subcommands have set.
     marks: Vec<Status>,
-    /// ROM mode, and the boot loader.
     rom: Option<Boot>,
     full_sleep: bool,
-    /// CAL_ENABLE.
+    /// CAL_ENABLE was sent.
     calibration: bool,
     board_until: Option<Duration>,
     offset_until: Option<Duration>,
     update: Mode,
-    /// Keys are refused until then.
     locked_until: Duration,
-    /// The last subcommand about the battery was BAT_INSERT.
+    /// BAT_INSERT was sent after the last BAT_REMOVE.
     inserted: bool,
     initialized_from: Duration,
     chemistry: Option<u16>,
-    /// The registers as they were measured for this message.
     registers: Option<Registers>,
 }
 
 impl Ram {
-    /// Keys are accepted from `ready` on, and predictions are made from `initialized` on.
+    /// The gauge accepts keys from `ready` on, and predicts from `initialized` on.
     fn new(part: &BlockPart, flash: &Flash, ready: Duration, initialized: Duration) -> Self {
         Self {
             seal: Seal::new(part.level(flash)),
@@ -110,7 +95,7 @@ impl Ram {
 }
 
 impl BlockPart {
-    /// The level of a gauge that begins to work with its data memory: one with RAM reads it there.
+    /// The level after a start. A gauge with RAM reads it from data memory.
     fn level(&self, flash: &Flash) -> Level {
         match self.data_memory.as_ref().map(|memory| memory.seals) {
             Some((id, offset, bit)) if flash.u8(id, offset) & bit == 0 => Level::Unsealed,
@@ -127,7 +112,7 @@ impl BlockPart {
         Some(Scale { divider: flash.u16(id, offset), external: is_set(flash, Some(external)) })
     }
 
-    /// Makes the sign of CC Gain what this specimen's ROM has.
+    /// Gives CC Gain the sign that this specimen's ROM has.
     fn set_gain_sign(&self, flash: &mut Flash) {
         if let Some((id, offset)) = self.gain_sign() {
             let byte = flash.u8(id, offset) & 0x7F | u8::from(flash.inverted) << 7;
@@ -135,7 +120,7 @@ impl BlockPart {
         }
     }
 
-    /// Marks a gauge with RAM as one that was sealed, or not.
+    /// Stores whether a gauge with RAM was sealed.
     fn remember_seal(&self, flash: &mut Flash, sealed: bool) {
         if let Some((id, offset, bit)) = self.data_memory.as_ref().map(|memory| memory.seals) {
             let byte = flash.u8(id, offset) & !bit;
@@ -143,7 +128,7 @@ impl BlockPart {
         }
     }
 
-    /// Whether a pin detects the battery. BAT_INSERT has no effect then.
+    /// Whether a pin detects the battery; BAT_INSERT then has no effect.
     fn has_pin(&self, flash: &Flash) -> bool {
         self.battery_insert.is_some_and(|(id, offset, bit)| flash.u8(id, offset) & bit != 0)
     }
@@ -176,7 +161,7 @@ impl Block {
             gauging: Gauging::new(&scheme.map, &device.flash, 60.0),
             ram: Ram::new(scheme, &device.flash, now, now),
             board: scheme.scale(&device.flash),
-            // Offsets differ from part to part, by little.
+            // Offsets differ slightly between specimens.
             board_offset: (options.seed % 17) as i8 - 8,
             cc_offset: -1200 + (options.seed % 101) as i16 - 50,
             ignores_sealed: false,
@@ -187,7 +172,7 @@ impl Block {
         Ok(Gauge::new(device, block, options.envelope))
     }
 
-    /// Whether its firmware is one that never answers.
+    /// Whether broken firmware keeps the gauge silent for good.
     fn is_dead(&self, flash: &Flash) -> bool {
         match (&self.ram.rom, &flash.firmware) {
             (Some(boot), _) => boot.ruined,
@@ -200,13 +185,12 @@ impl Block {
         self.ram.seal.level == Level::Sealed
     }
 
-    /// To SEALED, with nothing left open.
+    /// Seals, and closes what was open.
     fn close(&mut self, now: Duration) {
         self.ram.seal.change(Level::Sealed, now);
         self.ram.window = Window::new(self.part.authentication.is_some());
     }
 
-    /// CONFIG UPDATE is over.
     fn end_update(&mut self, device: &mut Device, exit: Exit) {
         match exit {
             Exit::Anew => self.gauging.load(&device.flash),
@@ -223,7 +207,7 @@ impl Block {
         device.save();
     }
 
-    /// The bits of Flags() that are not about gauging.
+    /// The bits of Flags() that do not concern gauging.
     fn own_flags(&self, flash: &Flash) -> u16 {
         let (ram, detects) = (self.part.data_memory.is_some(), self.part.battery_insert.is_some());
         bits(&[
@@ -233,26 +217,24 @@ impl Block {
         ])
     }
 
-    /// Whether the gauge knows of a battery: a pin detects it, or the host has said so.
+    /// Whether a pin, or the host, has told the gauge of a battery.
     fn present(&self, flash: &Flash) -> bool {
         self.ram.inserted || self.part.battery_insert.is_none() || self.part.has_pin(flash) && !self.is_away
     }
 
-    /// Voltage() as the host reads it.
     fn voltage(&self, flash: &Flash) -> u16 {
         let voltage_mv = self.gauging.voltage_mv();
         let scales = self.part.scale(flash).zip(self.board);
         scales.map_or(voltage_mv, |(scale, board)| scale.shows(board, voltage_mv))
     }
 
-    /// Stores something that the gauge itself keeps.
+    /// Stores a value of the gauge's own.
     fn store(&mut self, device: &mut Device, place: Option<Place>, bytes: &[u8]) {
         if let Some((id, offset)) = place {
             device.keep(self, vec![Kept::new(id, offset, bytes)]);
         }
     }
 
-    /// The checksum was written.
     fn commit(&mut self, device: &mut Device, sum: u8) {
         let window = &mut self.ram.window;
         let Source::Flash(id, block) = window.source else { return };
@@ -262,8 +244,8 @@ impl Block {
         window.sum = sum;
         let mut content = window.bytes().to_vec();
         if id == CODES && self.ram.seal.level != Level::FullAccess {
-            // The keys change in FULL ACCESS only (SLUSBZ5D 7.3.3.4), the authentication key here too. A part
-            // without that level has its keys in ROM (SLUUAC9A 6.4.5.1.1).
+            // Keys change in FULL ACCESS only (SLUSBZ5D 7.3.3.4), here the authentication key too. A part without that
+            // level has its keys in ROM (SLUUAC9A 6.4.5.1.1).
             for &at in self.part.keys {
                 content[at..at + 4].copy_from_slice(&device.flash.get::<4>(id, at));
             }
@@ -273,7 +255,6 @@ impl Block {
         device.commit(self, Kept::new(id, usize::from(block) * BLOCK, &content), allowed);
     }
 
-    /// DataFlashBlock() was written.
     fn select(&mut self, device: &Device, block: u8) {
         let special = self.sealed() || self.ram.window.control == 0x01;
         let window = &mut self.ram.window;
@@ -301,9 +282,8 @@ impl Block {
         window.load(source, bytes, early, device.now + wait + late);
     }
 
-    /// Answers a challenge with SHA-1 of the key and SHA-1 of the key and the challenge (SLUSBZ5D 7.3.15).
-    /// The first byte on the wire is the least significant one, unless set otherwise: no document settles
-    /// it.
+    /// Answers a challenge with SHA-1 of the key and SHA-1 of key and challenge (SLUSBZ5D 7.3.15). Least significant
+    /// byte first, unless set otherwise: no document settles the order.
     fn authenticate(&mut self, device: &Device, sum: u8) {
         let mut message = self.ram.window.data[..20].to_vec();
         if sum != checksum(&message) {
@@ -323,12 +303,11 @@ impl Block {
         self.ram.window.load(Source::Authentication, &digest, Before::Same, ready);
     }
 
-    /// The level that CONTROL_STATUS shows.
     fn shown_level(&self, device: &Device) -> Level {
         self.ram.seal.shown(device.envelope.status, device.now)
     }
 
-    /// Whether predictions are right. A part that shows when they are is believed.
+    /// Whether predictions are right, as far as the part shows it.
     fn predicts(&self, device: &Device) -> bool {
         let shown = self.part.status.iter().any(|(status, _)| *status == Status::Initialized);
         let initialized = !shown || device.modelled >= self.ram.initialized_from;
@@ -370,13 +349,12 @@ impl Block {
         }
     }
 
-    /// CONTROL_STATUS.
     fn control_status(&self, device: &Device) -> u16 {
         let set = self.part.status.iter().filter(|(status, _)| self.is(device, *status));
         set.fold(0, |word, (_, bit)| word | bit)
     }
 
-    /// A word was written to Control(). One that is unknown, or not for a sealed gauge, does nothing.
+    /// Acts on a word in Control(). An unknown word, or one that a sealed gauge refuses, does nothing.
     fn subcommand(&mut self, device: &mut Device, word: u16) {
         let now = device.now;
         let keys = self.part.keys.iter().map(|&at| seal::words(device.flash.get(CODES, at)));
@@ -395,7 +373,7 @@ impl Block {
             return;
         }
         let known = self.part.subcommands.iter().find(|(code, _, _)| *code == word);
-        // The second word was another one, or a word was no command at all.
+        // A wrong second word, or no known command.
         let open = self.ram.seal.level == Level::FullAccess || keys.len() == 1 && !self.sealed();
         if !open && !self.ram.seal.is_half() && (before.is_half() || known.is_none() && word > LOCKING) {
             self.refuse(device);
@@ -413,7 +391,7 @@ impl Block {
         }
     }
 
-    /// A key was wrong, incomplete or not taken.
+    /// Refuses a key.
     fn refuse(&mut self, device: &Device) {
         self.ram.seal = self.ram.seal.after_refusal();
         if self.part.data_memory.is_some() && device.envelope.key_lock {
@@ -432,7 +410,7 @@ impl Block {
             Action::ResetData => self.ram.answer = device.resets,
             Action::Previous => self.ram.answer = self.ram.previous,
             Action::BoardOffset => {
-                // A current that flows meanwhile is taken for an offset.
+                // A current that flows meanwhile counts as offset.
                 let current = self.gauging.battery().current_ma() as i64;
                 self.board_offset = (current * 4 + i64::from(self.board_offset)).clamp(-128, 127) as i8;
                 self.ram.board_until = Some(now + device.timing.calibrating);
@@ -503,9 +481,8 @@ impl Block {
         }
     }
 
-    /// A byte for the boot loader.
     fn write_rom(&mut self, device: &mut Device, register: u8, byte: u8) {
-        // Data flash counts when a command is started.
+        // The boot loader takes data flash as it is when a command starts.
         let data = if register == 0x65 { device.part.rom_data(&device.flash) } else { Vec::new() };
         let effect = match (&mut self.ram.rom, &mut device.flash.firmware) {
             (Some(boot), Some(firmware)) => boot.write(firmware, &data, register, byte, device.now),
@@ -517,7 +494,7 @@ impl Block {
         }
     }
 
-    /// Applies an effect of the boot loader to the rest of the gauge.
+    /// Applies an effect of the boot loader to the gauge.
     fn affect(&mut self, device: &mut Device, effect: Option<Effect>) {
         match effect {
             Some(Effect::Data(parts)) => {
@@ -532,7 +509,7 @@ impl Block {
         }
     }
 
-    /// A byte of a word that the host may write. The second one completes it.
+    /// Takes a byte of a word that the host may write. The second byte completes it.
     fn write_host(&mut self, register: u8, byte: u8) {
         if register & 1 == 0 {
             self.ram.low = byte;
@@ -545,7 +522,7 @@ impl Block {
         self.ram.registers = None;
     }
 
-    /// Whether a register can be written, but not while the gauge is sealed.
+    /// Whether a sealed gauge refuses writes to a register that is otherwise writable.
     fn withheld(&self, register: u8) -> bool {
         let ram = self.part.data_memory.is_some();
         self.sealed()
@@ -581,7 +558,7 @@ impl Wire for Block {
     }
 
     fn extends(&self, register: u8) -> bool {
-        // Elsewhere a second byte of one message is refused (SLUSBZ5D figure 7-5).
+        // Other registers refuse a second byte in one message (SLUSBZ5D figure 7-5).
         self.ram.rom.is_some()
             || matches!(register, 0x01 | 0x3F | 0x41..=0x5F)
             || register & 1 == 1 && self.part.host_register(register).is_some()
@@ -657,7 +634,6 @@ impl Wire for Block {
         })
     }
 
-    /// In CONFIG UPDATE the gauge does not gauge.
     fn gauges(&self) -> bool {
         !self.ram.update.shows() && self.ram.rom.is_none()
     }
@@ -738,9 +714,9 @@ impl Wire for Block {
         self.board = self.part.scale(flash);
     }
 
-    /// Flash Update OK Cell Volt against Voltage() (SLUSBZ5D 7.3.16.3) and, on the bq34z100-G1, against Voltage() scaled
-    /// back to a cell's, as the limit for seven cells requires (8.2.2.1.3), unless calibration is enabled. All parameters
-    /// count at once.
+    /// Flash Update OK Cell Volt against Voltage() (SLUSBZ5D 7.3.16.3). The bq34z100-G1 also compares Voltage() scaled
+    /// back to one cell, as its limit for seven cells requires (8.2.2.1.3), unless calibration is enabled. Parameters
+    /// take effect at once.
     fn gate(&self, flash: &Flash) -> bool {
         let Some(gate) = &self.part.gate else { return true };
         let limit = i64::from(flash.i16(gate.limit.0, gate.limit.1));

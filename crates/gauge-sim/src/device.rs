@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: MIT
 
-//! The shell of a simulated gauge, which is the same for every part: power, flash and its state file,
-//! timing, the battery's clock, and the knobs that all gauges have. Everything else is the part's scheme.
+//! The shell of a simulated gauge, the same for every part: power, flash and its state file, timing, the battery's
+//! clock, and the knobs of all gauges. The part's scheme adds the rest.
 //!
-//! Where the documents leave a choice, the gauge does what is worst for a driver: it does not answer while
-//! it starts, and it acknowledges also what it does not store.
+//! Where the documents leave a choice, the gauge does what is worst for a driver: it is silent while it starts, and it
+//! acknowledges what it does not store.
 
 use std::borrow::Cow;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
@@ -26,66 +26,59 @@ use super::watchdog::Watchdog;
 
 enum Power {
     On,
-    /// Off, until then if it comes back by itself.
+    /// Off, until that time if power returns by itself.
     Off(Option<Duration>),
 }
 
-/// A commit that is being programmed.
 struct Pending {
     old: Kept,
     started: Duration,
 }
 
-/// The shell.
 pub(super) struct Device {
     pub(super) part: &'static Part,
     pub(super) flash: Flash,
     pub(super) store: Store,
     pub(super) timing: Timing,
     pub(super) envelope: Envelope,
-    /// The faults that are still to come.
     plan: Plan,
-    /// The time up to which everything has happened.
+    /// Everything has happened up to this time.
     pub(super) now: Duration,
-    /// Seconds of battery time to a second.
+    /// Battery seconds per second.
     speed: f64,
-    /// The battery's time, since 1970: the host's when the gauge was made, and what has passed since.
+    /// Battery time since 1970: the host's when the gauge was made, and what has passed since.
     clock: Duration,
-    /// The time up to which the battery and its model have been run.
+    /// The battery and its model have been run up to this time.
     pub(super) modelled: Duration,
     power: Power,
-    /// When the gauge has started and answers.
     pub(super) ready_at: Duration,
-    /// When it resets, if it still answers as before.
+    /// Due time of a reset, while the gauge still answers as before.
     resets_at: Option<Duration>,
-    /// It starts because power has come, and not after a reset.
+    /// Power has come; a reset would not set this.
     cold: bool,
-    /// When Voltage() is measured for the first time since power came.
+    /// First measurement of Voltage() since power came.
     pub(super) measured_from: Duration,
     /// Full resets since power came.
     pub(super) resets: u16,
-    /// The last reset was the watchdog's.
     pub(super) watchdog_expired: bool,
     watchdog: Watchdog,
-    /// Flash is programmed until then.
     busy_until: Duration,
-    /// Commits that are being programmed, the latest last.
+    /// Oldest first.
     pending: Vec<Pending>,
-    /// Commits of the host, and those of them that were acknowledged and not stored.
+    /// The host's commits, and how many of them were acknowledged and not stored.
     commits: u64,
     dropped: u64,
     last_transfer: Duration,
-    /// Transfers to the gauge.
     transfers: u64,
-    /// How often the gauge has rewritten one of its own values, and when it last did.
+    /// The gauge's rewrites of its own values, and the last one's time.
     rewrites: usize,
     rewritten_at: Duration,
-    /// Silence on the bus before the present message.
+    /// Silence on the bus before the current message.
     pub(super) quiet: Duration,
 }
 
 impl Device {
-    /// A device that has long had power. `prepare` makes a new part's flash what the options ask for.
+    /// A device that has long had power. `prepare` adapts a new part's flash to the options.
     pub(super) fn new(
         part: &'static Part,
         options: &Options,
@@ -134,7 +127,7 @@ impl Device {
         matches!(self.power, Power::On)
     }
 
-    /// Whether there was enough silence for the first word of a key to be taken.
+    /// Whether the silence before a key's first word was long enough.
     pub(super) fn hears_keys(&self, seal: &Seal) -> bool {
         let timing = &self.timing;
         let full_access =
@@ -143,30 +136,29 @@ impl Device {
         self.quiet >= timing.key_quiet.max(full_access).max(refused)
     }
 
-    /// Whether the gauge loses or ignores a command.
     pub(super) fn loses(&mut self, lost: Lost) -> bool {
         self.plan.loses(lost) || self.envelope.loses(lost)
     }
 
-    /// Whether nothing has been measured yet since the gauge started, and registers are not right.
+    /// Whether nothing has been measured since the start, so that registers are wrong.
     pub(super) fn unmeasured(&self) -> bool {
         !self.envelope.first.is_zero() && self.now < self.measured_from
     }
 
-    /// Flash as a block that is selected now is loaded from it.
+    /// Flash as a block sees it that is selected now.
     pub(super) fn loadable(&self) -> Cow<'_, Flash> {
         if self.envelope.commit_busy != Busy::Old || self.pending.is_empty() {
             return Cow::Borrowed(&self.flash);
         }
         let mut flash = self.flash.clone();
-        // The latest first, so that what was there before all of them stays.
+        // Newest first, so that the content before all of them remains.
         for Pending { old, .. } in self.pending.iter().rev() {
             flash.set(old.area, old.offset, &old.bytes);
         }
         Cow::Owned(flash)
     }
 
-    /// The knob of that name which is a time or of the envelope.
+    /// The knob of a time or of the envelope with that name.
     fn dial(&mut self, name: &str) -> Option<&mut dyn Dial> {
         if name == "reset_busy" {
             return Some(&mut self.timing.reset_busy);
@@ -177,7 +169,7 @@ impl Device {
         }
     }
 
-    /// Saves flash. The `state` knob reports a file that cannot be written.
+    /// Saves flash. The `state` knob reports a failure.
     pub(super) fn save(&mut self) {
         let _ = self.store.save(&self.flash);
     }
@@ -201,7 +193,7 @@ impl Device {
         wire.run(self, settle);
     }
 
-    /// Changes one of the gauge's own values, if that is due, and programs the row as the gauge has it.
+    /// Rewrites one of the gauge's own values, if due.
     fn rewrite_own(&mut self, wire: &mut dyn Wire) {
         let Envelope { rewrite, rewrite_every, .. } = self.envelope;
         self.transfers += 1;
@@ -211,7 +203,7 @@ impl Device {
         if !(counted || timed) || rows.is_empty() || self.now < self.ready_at || !wire.gauges() {
             return;
         }
-        // At its own time, not when it is asked: its pauses come to whoever tries again.
+        // At the scheduled time, so that a retrying host meets the pauses too.
         let now = self.now;
         if timed {
             let due = (now - self.rewritten_at).as_nanos() / rewrite.as_nanos() * rewrite.as_nanos();
@@ -231,8 +223,7 @@ impl Device {
         }
     }
 
-    /// Lets the battery's time pass. Measurements are made once a second of the gauge's time; `settle` makes
-    /// one at once.
+    /// Lets battery time pass. The gauge measures once a second of its time; `settle` makes it measure at once.
     pub(super) fn pass(&mut self, wire: &mut dyn Wire, settle: bool) {
         let seconds = self.now.saturating_sub(self.modelled).as_secs_f64() * self.speed;
         if seconds < 1.0 && !settle && self.speed > 0.0 {
@@ -242,7 +233,7 @@ impl Device {
         self.clock += Duration::from_secs_f64(seconds);
         let mut left = seconds;
         while left > 0.0 {
-            // A pack at rest changes in ways that are exact over any time; a long run is coarser.
+            // A pack at rest is exact over any time; other long runs are coarser.
             let longest = if wire.model().at_rest() {
                 60.0_f64.max(left / 100.0)
             } else {
@@ -257,7 +248,7 @@ impl Device {
         self.keep(wire, learned);
     }
 
-    /// Stores what the gauge itself keeps, if it has power and its voltage allows it.
+    /// Stores the gauge's own values, if power and voltage allow it.
     pub(super) fn keep(&mut self, wire: &mut dyn Wire, kept: Vec<Kept>) {
         for kept in kept {
             if self.is_on() && wire.gate(&self.flash) {
@@ -266,7 +257,7 @@ impl Device {
         }
     }
 
-    /// Stores what the host has committed, unless the gauge does not allow it or a fault is due.
+    /// Stores the host's commit, unless the gauge or a fault prevents it.
     pub(super) fn commit(&mut self, wire: &mut dyn Wire, mut kept: Kept, allowed: bool) {
         self.commits += 1;
         let fault = self.plan.commit();
@@ -289,7 +280,7 @@ impl Device {
         }
     }
 
-    /// Programs flash. A state file that cannot be written is as bad as flash that cannot be programmed.
+    /// Programs flash. An unwritable state file acts as flash that cannot be programmed.
     fn program(&mut self, wire: &mut dyn Wire, kept: Kept) {
         let Kept { area, offset, bytes } = match self.part.scheme {
             Scheme::Block(_) => self.whole_block(kept),
@@ -312,7 +303,7 @@ impl Device {
         wire.model().configure(&self.flash);
     }
 
-    /// The block in which the bytes are, with the bytes in it.
+    /// The whole block around the bytes.
     fn whole_block(&self, kept: Kept) -> Kept {
         let (block, at) = (kept.offset / BLOCK, kept.offset % BLOCK);
         let mut bytes = self.flash.block(kept.area, block as u8).to_vec();
@@ -320,13 +311,12 @@ impl Device {
         Kept { area: kept.area, offset: block * BLOCK, bytes }
     }
 
-    /// Applies a loss of power to a commit. Nothing else decides what is left of it.
+    /// Applies a loss of power to a commit; nothing else decides what is left of it.
     fn tear(&mut self, old: &Kept, words: usize) {
         self.envelope.tear(&mut self.flash, old, words);
         self.save();
     }
 
-    /// Takes power away, for that time or until it is switched on.
     pub(super) fn power_down(&mut self, wire: &mut dyn Wire, back: Option<Duration>) {
         self.run(wire, self.now, true);
         self.resets_at = None;
@@ -351,7 +341,6 @@ impl Device {
         self.restart(wire, self.now + self.timing.power_up);
     }
 
-    /// The watchdog expires.
     fn expire(&mut self, wire: &mut dyn Wire) {
         self.cold = false;
         self.watchdog = Watchdog::new();
@@ -360,7 +349,6 @@ impl Device {
         self.restart(wire, self.now + self.timing.reset);
     }
 
-    /// RESET.
     pub(super) fn reset(&mut self, wire: &mut dyn Wire) {
         self.cold = false;
         self.watchdog_expired = false;
@@ -373,7 +361,7 @@ impl Device {
         }
     }
 
-    /// Begins anew, and answers from `ready_at` on.
+    /// Starts again, and answers from `ready_at` on.
     fn restart(&mut self, wire: &mut dyn Wire, ready_at: Duration) {
         self.ready_at = ready_at;
         if !self.envelope.first.is_zero() {
@@ -385,12 +373,12 @@ impl Device {
     }
 }
 
-/// The scheme by which a part is accessed: its registers, its buffer and its subcommands. Power, flash,
-/// timing and time itself are the [`Device`]'s, which is passed to every method that needs it.
+/// How a part is accessed: its registers, buffer and subcommands. The [`Device`] has power, flash, timing and time, and
+/// every method that needs it gets it.
 pub(super) trait Wire: Send {
-    /// The address that is answered now, if any.
+    /// The address that answers now, if any.
     fn address(&self, flash: &Flash) -> Option<u8>;
-    /// How much longer the clock is held at an address, because the gauge has to wake up.
+    /// How long a gauge that wakes up holds the clock.
     fn wake(&mut self, _device: &Device) -> Duration {
         Duration::ZERO
     }
@@ -400,49 +388,46 @@ pub(super) trait Wire: Send {
     fn extends(&self, register: u8) -> bool;
     /// Takes a data byte. Returns whether it is acknowledged.
     fn write(&mut self, device: &mut Device, register: u8, byte: u8) -> bool;
-    /// The byte at `register`.
     fn read(&mut self, device: &Device, register: u8) -> u8;
-    /// STOP.
     fn stop(&mut self) {}
-    /// The printed firmware and hardware versions.
+    /// Firmware and hardware version as the documents print them.
     fn versions(&mut self, flash: &Flash) -> [Option<u16>; 2];
-    /// Whether the gauge gauges, so that it may rewrite its own values.
+    /// Whether the gauge is gauging, and so may rewrite its own values.
     fn gauges(&self) -> bool;
 
-    /// Builds all RAM anew, after a reset or when power has come.
+    /// Rebuilds RAM after a reset or a start.
     fn reset(&mut self, device: &mut Device);
     /// Lets time pass. `settle` asks for a measurement at once.
     fn run(&mut self, device: &mut Device, settle: bool);
-    /// Measures again, because a knob was turned.
+    /// Measures again after a knob was turned.
     fn refresh(&mut self);
     fn model(&mut self) -> &mut dyn Model;
     fn level(&self) -> Level;
-    /// Goes to a level as a host's commands do.
+    /// Goes to a level as after a host's commands.
     fn set_level(&mut self, device: &mut Device, level: Level) -> Result<()>;
-    /// Makes the board fit the calibration: Voltage() shows the pack's voltage as long as that does not change.
+    /// Makes the board fit the calibration, so that Voltage() shows the pack's voltage until the calibration changes.
     fn fit_board(&mut self, flash: &Flash);
-    /// Whether the voltage allows flash to be programmed.
     fn gate(&self, flash: &Flash) -> bool;
 
     /// The text of the `mode` knob while the gauge is on and not starting.
     fn mode(&self, flash: &Flash) -> &'static str;
-    /// The text of a knob of this scheme; `None` if it has no such knob.
+    /// The text of a knob of this scheme, if it has that knob.
     fn knob(&self, device: &Device, name: &str) -> Option<String>;
     fn set_knob(&mut self, device: &mut Device, name: &str, text: &str) -> Result<()>;
 }
 
-/// A simulated gauge: a device, and the scheme by which it is accessed.
+/// A simulated gauge: a device and its access scheme.
 pub(super) struct Gauge {
     device: Device,
     wire: Box<dyn Wire>,
-    /// The register that is read or written next.
+    /// The next register to read or write.
     pointer: u8,
-    /// The seed by which it was drawn from the envelope.
+    /// The envelope's seed.
     drawn: Option<u64>,
 }
 
 impl Gauge {
-    /// A gauge, drawn from the envelope if a seed for that is given.
+    /// A gauge, drawn from the envelope if a seed is given.
     pub(super) fn new(mut device: Device, mut wire: impl Wire + 'static, envelope: Option<u64>) -> Self {
         if let Some(seed) = envelope {
             let printed = wire.versions(&device.flash);
@@ -455,7 +440,6 @@ impl Gauge {
         self.wire.set_level(&mut self.device, level)
     }
 
-    /// The drawn knobs and their values.
     pub(super) fn envelope(&mut self) -> String {
         let device = &mut self.device;
         let drawn = |name: &&str| Some(format!("{name} {}", device.dial(name)?.show()));
@@ -472,7 +456,6 @@ impl Gauge {
         &self.device.flash
     }
 
-    /// Instruction flash, and data flash as the boot loader has it.
     pub(super) fn firmware(&self) -> Option<(Vec<[u8; 96]>, Vec<u8>)> {
         let flash = &self.device.flash;
         Some((flash.firmware.as_ref()?.rows().to_vec(), self.device.part.rom_data(flash)))
@@ -485,7 +468,7 @@ impl Gauge {
         self.wire.model().configure(&self.device.flash);
     }
 
-    /// Puts bytes into flash as [`set_flash`](Self::set_flash) does, and has the gauge begin with them: `AREA OFFSET HEX`.
+    /// Puts bytes into flash and restarts the gauge with them: `AREA OFFSET HEX`.
     pub(super) fn put_flash(&mut self, text: &str, now: Duration) -> Result<()> {
         let bad = |why: &'static str| Error::new(FLASH, Kind::Invalid, why);
         let words: Vec<&str> = text.split_whitespace().collect();
@@ -519,8 +502,8 @@ impl Gauge {
         Ok(())
     }
 
-    /// Comes in the place of another gauge, on its board: the load, the temperature, the time and what the bus has still
-    /// to come go on. It has had no power, and has rested, since it was taken away.
+    /// Takes the place of another gauge on its board: load, temperature, time and pending faults go on. It has had no
+    /// power, and has rested, since it was taken away.
     pub(super) fn follow(&mut self, other: &mut Self, now: Duration) {
         self.device.modelled = now;
         self.power_off(now, None);
@@ -536,12 +519,10 @@ impl Gauge {
         device.power_up(wire);
     }
 
-    /// Seconds of battery time to a second.
     pub(super) fn speed(&self) -> f64 {
         self.device.speed
     }
 
-    /// Commits of the host so far.
     pub(super) fn commits(&self) -> u64 {
         self.device.commits
     }
@@ -550,7 +531,7 @@ impl Gauge {
         &mut self.device.plan
     }
 
-    /// START and address: `None` if it is not acknowledged, else how long the clock is held.
+    /// START and address. Returns how long the clock is held, or `None` without an acknowledgement.
     pub(super) fn start(&mut self, address: u8, now: Duration) -> Option<Duration> {
         let (device, wire) = (&mut self.device, &mut *self.wire);
         device.run(wire, now, false);
@@ -575,8 +556,8 @@ impl Gauge {
         Some(busy.max(starting).max(wire.wake(device)))
     }
 
-    /// The bytes of a message that ends at `now`. An error is how many were sent, up to and with the one that
-    /// is not acknowledged.
+    /// The bytes of a message that ends at `now`. An error is the number of bytes sent, including the one that is not
+    /// acknowledged.
     pub(super) fn message(&mut self, write: &[u8], read: &mut [u8], now: Duration) -> Result<(), usize> {
         self.device.now = now;
         if let Some((&register, data)) = write.split_first() {
@@ -612,19 +593,16 @@ impl Gauge {
         self.pointer = (self.pointer + 1) & 0x7F;
     }
 
-    /// STOP.
     pub(super) fn stop(&mut self, now: Duration) {
         self.device.last_transfer = now;
         self.wire.stop();
     }
 
-    /// Takes power away, for that time or until it is switched on.
     pub(super) fn power_off(&mut self, now: Duration, back: Option<Duration>) {
         self.device.now = now;
         self.device.power_down(&mut *self.wire, back);
     }
 
-    /// Whether the part has a knob.
     pub(super) fn has_knob(&self, knob: &Knob) -> bool {
         match (knob.of, self.device.part.scheme) {
             (Of::Bus, _)
@@ -637,7 +615,6 @@ impl Gauge {
         }
     }
 
-    /// The text that a knob shows; `None` if there is no knob of that name.
     pub(super) fn knob(&mut self, name: &str, now: Duration) -> Option<String> {
         let (device, wire) = (&mut self.device, &mut *self.wire);
         device.run(wire, now, true);
@@ -669,7 +646,6 @@ impl Gauge {
         })
     }
 
-    /// Turns a knob.
     pub(super) fn set_knob(&mut self, name: &str, text: &str, now: Duration) -> Result<()> {
         let (device, wire) = (&mut self.device, &mut *self.wire);
         device.run(wire, now, true);

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT
 
-//! Unfriendly behaviour that a real gauge may have. Each behaviour is a knob, off at first; a seed draws one
-//! gauge from the whole envelope, within the ranges that manuals, drivers and owners report.
+//! Unfriendly behaviour of real gauges. Each behaviour is a knob, off at first; a seed draws one gauge from the whole
+//! envelope, within the ranges that manuals, drivers and owners report.
 
 use std::time::Duration;
 
@@ -13,36 +13,34 @@ use super::random::Random;
 use super::timing::{Busy, Timing};
 use gauge_bus::BusError;
 
-/// The content that a block shows before it is loaded, in either case with the checksum that belongs to it.
+/// What a block shows before it is loaded, with the checksum of that content.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Early {
     Previous,
     Blank,
 }
 
-/// The state of a row if power is lost while it is programmed.
+/// A row after a loss of power while it was programmed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Tear {
-    /// A new beginning, the rest as before.
+    /// The start is new, the rest old.
     RestOld,
-    /// A new beginning, the rest erased.
+    /// The start is new, the rest erased.
     RestErased,
-    /// The row as before.
     Old,
-    /// The row erased.
     Erased,
-    /// The row new, and some bytes of a neighbour in the same area wrong. An area of one row is erased.
+    /// The row is new, and some bytes of a neighbour in the same area are wrong. A row without a neighbour is erased.
     Neighbour,
 }
 
-/// The predictions before the first measurement.
+/// Predictions before the first measurement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum First {
     Old,
     Nonsense,
 }
 
-/// The error that an adapter reports for a NACK. For ENXIO and EREMOTEIO it is the same.
+/// The error that an adapter reports for a NACK. ENXIO and EREMOTEIO mean the same.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum NackAs {
     Enxio,
@@ -89,36 +87,34 @@ impl Choice for NackAs {
     ];
 }
 
-/// A command that the gauge loses or ignores.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Lost {
     Reset,
     Seal,
-    /// A right key.
     Key,
 }
 
-/// One gauge of the envelope. The times that every gauge has are in its [`Timing`].
+/// One gauge of the envelope. [`Timing`] has the times that every gauge has.
 #[derive(Clone, Debug)]
 pub(super) struct Envelope {
-    /// The seed of everything that differs from place to place.
+    /// Seed of what differs between blocks.
     seed: u64,
-    /// The longest time by which a block can be read later than others.
+    /// Largest extra load time of a block.
     block: Duration,
     pub(super) early: Early,
     pub(super) commit_busy: Busy,
     pub(super) tear: Tear,
-    /// After the first answer, for how long Voltage() is 0 and predictions are wrong.
+    /// Time after the first answer in which Voltage() is 0 and predictions are wrong.
     pub(super) first: Duration,
     pub(super) first_values: First,
-    /// By how much CONTROL_STATUS shows a change of the seal state late.
+    /// Delay with which CONTROL_STATUS shows a change of the seal state.
     pub(super) status: Duration,
-    /// A wrong or interrupted key starts the time in which keys are refused.
+    /// A wrong or incomplete key starts the time in which keys are refused.
     pub(super) key_lock: bool,
     drop_resets: u32,
     drop_seals: u32,
     drop_keys: u32,
-    /// The interval, in time and in transfers, at which the gauge rewrites one of its own values; 0 for never.
+    /// Interval between rewrites of the gauge's own values, in time and in transfers; 0 for never.
     pub(super) rewrite: Duration,
     pub(super) rewrite_every: u32,
     pub(super) nack_as: NackAs,
@@ -126,13 +122,13 @@ pub(super) struct Envelope {
     pub(super) hardware: Option<u16>,
     pub(super) watchdog: bool,
     pub(super) single_byte: bool,
-    /// Microseconds after STOP within which START is not acknowledged.
+    /// START sooner after STOP than this is not acknowledged, in microseconds.
     pub(super) bus_free_us: u32,
-    /// How often a block can be programmed without error; 0 for any number.
+    /// How often a block can be programmed without error; 0 for no limit.
     endurance: u32,
 }
 
-/// The knobs whose values are drawn, in the order in which they are shown.
+/// The drawn knobs, in the order in which they are shown.
 pub(super) const DRAWN: &[&str] = &[
     "block_ms",
     "early",
@@ -161,7 +157,6 @@ pub(super) const DRAWN: &[&str] = &[
 ];
 
 impl Envelope {
-    /// The friendly gauge.
     pub(super) fn friendly(seed: u64) -> Self {
         Self {
             seed,
@@ -188,8 +183,8 @@ impl Envelope {
         }
     }
 
-    /// Draws a gauge, and changes the times of the part to its own. `printed` are the firmware and hardware versions of
-    /// the part's documents.
+    /// Draws a gauge, and gives the part's times its own values. `printed` are the part's documented firmware and
+    /// hardware versions.
     pub(super) fn draw(seed: u64, part: &Part, printed: [Option<u16>; 2], timing: &mut Timing) -> Self {
         let mut random = Random::new(seed);
         let ms = |random: &mut Random, range| Duration::from_millis(random.within(range));
@@ -207,13 +202,13 @@ impl Envelope {
         // Owners measured 150 to 175 ms, the kernel waits 300 ms.
         timing.reset = ms(&mut random, 0..=500);
         timing.reset_busy = random.pick(&[Busy::Stretch, Busy::Nack, Busy::Old]);
-        // SLUUAC9A 2.4.6: nothing is valid before [INITCOMP].
+        // Nothing is valid before [INITCOMP] (SLUUAC9A 2.4.6).
         new.first = ms(&mut random, 1000..=2000);
         new.first_values = random.pick(&[First::Old, First::Nonsense]);
         // Drivers wait 40 ms and repeat (bq35100), or 100 ms after keys.
         let status = ms(&mut random, 1..=200);
         new.status = random.pick(&[Duration::ZERO, status]);
-        // SLUUAC9A 6.4.5.1.1 and SLUUCD5: 4 s, by the gauge's own oscillator and with room for what is not printed.
+        // 4 s (SLUUAC9A 6.4.5.1.1, SLUUCD5), by the gauge's own oscillator and with room for what is not printed.
         let (lock, quiet) = (ms(&mut random, 4000..=5000), ms(&mut random, 4000..=5000));
         match part.scheme {
             Scheme::Block(_) if !part.has_flash() => {
@@ -229,13 +224,13 @@ impl Envelope {
                 }
             }
         }
-        // The bus has no checksum, so that any one command may be lost.
+        // The bus has no checksum, so any single command may be lost.
         let lost = random.roll(8);
         (new.drop_resets, new.drop_seals) = (u32::from(lost == 0), u32::from(lost == 1));
         new.drop_keys = u32::from(lost == 2);
         // The gauge rewrites learned values, lifetime data and offsets at any moment (SLUSBZ5D 7.3).
         match random.roll(4) {
-            // A gauge that did nothing else would be none, so it answers for at least as long as it programs.
+            // It answers for at least as long as it programs, or it would do nothing else.
             0 => new.rewrite = ms(&mut random, 300..=5000).max(2 * (timing.commit + 16 * timing.word)),
             1 => new.rewrite_every = random.within(50..=500) as u32,
             _ => {}
@@ -252,7 +247,6 @@ impl Envelope {
         new
     }
 
-    /// The knob of that name.
     pub(super) fn dial(&mut self, name: &str) -> Option<&mut dyn Dial> {
         Some(match name {
             "block_ms" => &mut self.block,
@@ -279,13 +273,12 @@ impl Envelope {
         })
     }
 
-    /// By how much a block can be read later than others.
+    /// The extra load time of a block.
     pub(super) fn delay(&self, area: u16, block: usize) -> Duration {
         let longest = self.block.as_millis() as u64;
         Duration::from_millis(Random::of(self.seed, area, block).within(0..=longest))
     }
 
-    /// Whether the next command of that kind is lost.
     pub(super) fn loses(&mut self, lost: Lost) -> bool {
         let left = match lost {
             Lost::Reset => &mut self.drop_resets,
@@ -297,7 +290,7 @@ impl Envelope {
         any
     }
 
-    /// The answer to FW_VERSION or HW_VERSION, if it differs from the printed one.
+    /// The answer to FW_VERSION or HW_VERSION, where it differs from the documented one.
     pub(super) fn version(&self, subcommand: u16) -> Option<u16> {
         match subcommand {
             0x0002 => self.firmware,
@@ -306,13 +299,11 @@ impl Envelope {
         }
     }
 
-    /// The value of a register that has not been measured yet.
     pub(super) fn nonsense(&self, register: u8) -> u8 {
         Random::of(self.seed, u16::MAX, register.into()).roll(256) as u8
     }
 
-    /// Leaves `flash` as a loss of power does after `words` words of a commit are programmed. `old` is the content
-    /// before.
+    /// Leaves `flash` as a loss of power does after `words` words of a commit. `old` is the content before.
     pub(super) fn tear(&self, flash: &mut Flash, old: &Kept, words: usize) {
         let (count, end) = (old.bytes.len().min(2 * words), old.offset + old.bytes.len());
         let rows = old.offset / BLOCK * BLOCK..end.next_multiple_of(BLOCK);

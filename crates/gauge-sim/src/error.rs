@@ -1,13 +1,13 @@
 // SPDX-License-Identifier: MIT
 
-//! The errors of the simulator: requests that it refuses, and failures of its files on the host.
+//! Errors of the simulator: refused requests, and failures of files on the host.
 
 use std::{fmt, io};
 
 /// A `Result` whose error is [`Error`].
 pub(super) type Result<T, E = Error> = std::result::Result<T, E>;
 
-/// The kind of a failure, by which a caller decides.
+/// What went wrong, for callers to decide by.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
     /// The text is not understood, or names something that does not exist.
@@ -23,7 +23,7 @@ pub enum Kind {
 /// One failure.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Error {
-    /// The knob, file or part that it is about.
+    /// The knob, file or part concerned.
     pub subject: String,
     /// The kind of failure.
     pub kind: Kind,

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! Faults: what goes wrong with the nth transfer from now, or with the next commit inside the gauge.
+//! Faults: what goes wrong with the nth transfer from now, or with the gauge's next commit.
 
 use std::fmt;
 use std::time::Duration;
@@ -10,82 +10,72 @@ use super::error::{Error, Kind, Result};
 use super::random::Random;
 use gauge_bus::{Bus, BusError};
 
-/// A fault of a transfer on the bus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Transfer {
-    /// The address, or the given byte after the register, is not acknowledged. The bytes before it have
-    /// reached the target.
+    /// The address, or the given byte after the register, is not acknowledged. The bytes before it have arrived.
     Nack(Option<usize>, NackAs),
-    /// One bit of one byte is wrong. Bytes written are counted first, then bytes read.
+    /// One bit of one byte is wrong. Bytes written come first, then bytes read.
     Flip(usize, u8),
-    /// From a byte on, that many bytes read have this value.
+    /// From a byte on, so many bytes read have this value.
     Burst(usize, usize, u8),
-    /// The adapter moves only a part: all but the last byte written, or no byte read.
+    /// The adapter drops the last byte written, or all bytes read.
     Short,
-    /// The transfer takes effect and its acknowledgement is lost.
+    /// The transfer takes effect, but its acknowledgement is lost.
     Lost,
-    /// A line is held low after that many bytes written, until the adapter gives up.
+    /// A line stays low after so many bytes written, until the adapter gives up.
     Stuck(usize),
-    /// Another controller wins the bus.
     Arbitration,
-    /// The clock is stretched for that many milliseconds.
+    /// The clock is held for so many milliseconds.
     Stretch(u64),
 }
 
-/// A fault of a commit to flash.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Commit {
-    /// It is acknowledged and not stored.
+    /// Acknowledged but not stored.
     Drop,
-    /// It is stored with one wrong bit.
+    /// Stored with one wrong bit.
     Corrupt,
-    /// Power is lost when that many 16-bit words are programmed.
+    /// Power is lost after so many 16-bit words.
     Torn(usize),
 }
 
-/// A fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Fault {
-    /// On the bus.
     Transfer(Transfer),
-    /// Power is lost before the transfer, for that many milliseconds or until it is switched on.
+    /// Power is lost before the transfer, for so many milliseconds or until it is switched on.
     PowerCut(Option<u64>),
     /// Power is lost right after the transfer.
     PowerCutAfter(Option<u64>),
-    /// From the transfer on, nothing is acknowledged for that many milliseconds.
+    /// From the transfer on, nothing is acknowledged for so many milliseconds.
     Silence(u64),
     /// In the gauge's next commit.
     Commit(Commit),
-    /// The gauge ignores the next command of that kind.
     Lost(Lost),
 }
 
-/// A fault with the words that armed it.
 #[derive(Clone, Debug)]
 struct Armed {
     name: String,
-    /// The first one counts the transfers until it acts, this one included, unless it waits for a commit.
+    /// The first one counts down the transfers, this one included, unless the fault waits for a commit.
     numbers: Vec<u64>,
     fault: Fault,
 }
 
-/// The faults that are still to come.
 #[derive(Clone, Debug)]
 pub(super) struct Plan {
     armed: Vec<Armed>,
-    /// Chance of a random fault for each transfer, in thousandths.
+    /// Chance of a random fault per transfer, in thousandths.
     permille: u32,
     random: Random,
     /// Random faults are of all kinds.
     all: bool,
 }
 
-/// A word of a plan: the knob `fault` takes several, with `;` between.
+/// A word of a plan: the knob `fault` takes several, separated by `;`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FaultWord {
     /// The word.
     pub name: &'static str,
-    /// The numbers that follow it.
     pub numbers: &'static str,
     /// Describes the fault.
     pub help: &'static str,
@@ -145,13 +135,11 @@ impl fmt::Display for FaultWord {
 }
 
 impl Plan {
-    /// No faults. `seed` is for the random ones, which are of `all` kinds or only those that every adapter reports in
-    /// the same way.
+    /// No faults. `seed` draws the random ones, from `all` kinds or from those that every adapter reports alike.
     pub(super) fn new(seed: u64, all: bool) -> Self {
         Self { armed: Vec::new(), permille: 0, random: Random::new(seed), all }
     }
 
-    /// Draws random faults by this seed from now on.
     pub(super) fn seed(&mut self, seed: u64) {
         self.random = Random::new(seed);
     }
@@ -220,7 +208,7 @@ impl Plan {
         Some(())
     }
 
-    /// Counts a transfer of `bytes` bytes. Returns the fault that is due with it, if any.
+    /// Counts a transfer of `bytes` bytes. Returns the fault that is due with it.
     pub(super) fn next(&mut self, bytes: usize) -> Option<Fault> {
         for armed in self.armed.iter_mut().filter(|armed| !armed.waits()) {
             armed.numbers[0] = armed.numbers[0].saturating_sub(1);
@@ -253,7 +241,6 @@ impl Plan {
         None
     }
 
-    /// Takes the fault that waits for a commit.
     pub(super) fn commit(&mut self) -> Option<Commit> {
         let commits =
             |armed: &Armed| if let Fault::Commit(commit) = armed.fault { Some(commit) } else { None };
@@ -263,7 +250,6 @@ impl Plan {
         Some(commit)
     }
 
-    /// Takes the fault that waits for a command of that kind.
     pub(super) fn loses(&mut self, lost: Lost) -> bool {
         let at = self.armed.iter().position(|armed| armed.fault == Fault::Lost(lost));
         at.map(|at| self.armed.remove(at)).is_some()
@@ -280,7 +266,7 @@ impl Armed {
     }
 }
 
-/// The error for a refused part of a plan. It does not repeat the text, which may be a key that somebody typed into the
+/// The error for a bad part of a plan. It does not repeat the text, which may be a key that somebody typed into the
 /// wrong file.
 fn bad(part: &str) -> Error {
     let name = part.split_whitespace().next().unwrap_or_default();
@@ -311,12 +297,10 @@ impl fmt::Display for Plan {
     }
 }
 
-/// How long an adapter waits while the clock is held low.
 pub(super) const ADAPTER_WAITS: Duration = Duration::from_secs(1);
 
 impl Transfer {
-    /// Performs a transfer on `bus` with this fault. The caller lets the time pass that a stretched or
-    /// stuck bus takes.
+    /// Performs a transfer on `bus` with this fault. The caller lets the time of a stretched or stuck bus pass.
     pub(super) fn perform(self, bus: &mut dyn Bus, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
         match self {
             Transfer::Nack(None, error) => Err(error.error()),
@@ -347,7 +331,7 @@ impl Transfer {
                 Err(BusError::Short)
             }
             Transfer::Lost => {
-                // The target has sent its bytes, but the host must not have them.
+                // The target has sent its bytes, but the host must not get them.
                 let mut lost = vec![0; read.len()];
                 bus.transfer(write, &mut lost)?;
                 Err(BusError::NoAck)

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! Files with whole firmware of a simulated gauge, in the form of TI's tools (FlashStream): what a rescue from ROM mode
-//! is tried with.
+//! FlashStream files with the whole firmware of a simulated gauge, to try a rescue from ROM mode with.
 //!
 //! ```
 //! use gauge_sim::firmware::{self, Style};
@@ -20,19 +19,18 @@ use gauge_bus::clock::SimClock;
 use crate::rom::{DATA_ROW, DATA_ROWS, ERASED, MARK, MARK_AT, ROWS, erased};
 use crate::{Options, Sim};
 
-/// The mark of valid firmware in row 0.
 const MARK_WORD: std::ops::Range<usize> = MARK_AT..MARK_AT + MARK.len();
 
-/// How a file writes the mark of valid firmware: with row 0 at the end, or alone.
+/// When a file writes the mark of valid firmware.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Style {
-    /// Rows 1 and 0 last.
+    /// With row 0, after all others.
     Row,
-    /// The mark's word alone, after every row.
+    /// As a single word, after every row.
     Word,
 }
 
-/// A file that is being written, and what its commands take their bytes from.
+/// A file in progress, and the flash that its commands write.
 #[derive(Clone, Debug)]
 pub struct Writer {
     /// The file so far.
@@ -44,7 +42,7 @@ pub struct Writer {
 }
 
 impl Writer {
-    /// A command with its sum, and the wait after it.
+    /// Adds a command with its sum, and the wait after it.
     pub fn command(&mut self, bytes: &[u8], ms: u32) {
         let hex = |bytes: &[u8]| bytes.iter().map(|byte| format!(" {byte:02X}")).collect::<String>();
         let sum = bytes.iter().fold(0_u16, |sum, byte| sum.wrapping_add((*byte).into()));
@@ -52,19 +50,19 @@ impl Writer {
         let _ = write!(self.text, "W: 16 00{}\nW: 16 64{}\nX: {ms}\n", hex(bytes), hex(&sum.to_le_bytes()));
     }
 
-    /// A command that has to answer that it is done.
+    /// Adds a command that must report success.
     pub fn done(&mut self, bytes: &[u8], ms: u32) {
         self.command(bytes, ms);
         self.text += "C: 16 66 00\n";
     }
 
-    /// Writes a row of instruction flash.
+    /// Adds a row of instruction flash.
     pub fn row(&mut self, row: usize) {
         let [low, high] = (row as u16).to_le_bytes();
         self.done(&[&[0x02, low, high, 0x00], &self.rows[row][..]].concat(), 2);
     }
 
-    /// Compares the sum of instruction flash, of which these rows have been written.
+    /// Adds a check of the sum of the rows written so far.
     pub fn sum(&mut self, written: &dyn Fn(usize) -> bool) {
         let rows = (0..ROWS).map(|row| if written(row) { self.rows[row] } else { erased() });
         let of_row = |sum: u32, row: [u8; 96]| {
@@ -77,7 +75,7 @@ impl Writer {
         let _ = writeln!(self.text, "C: 16 04 {a:02X} {b:02X} {c:02X} {d:02X}");
     }
 
-    /// Erases data flash, writes it and compares its sum.
+    /// Erases and writes data flash, and checks its sum.
     pub fn data(&mut self) {
         self.done(&[0x0C, 0, 0, 0, 0x83, 0xDE], 200);
         for row in 0..DATA_ROWS {
@@ -91,7 +89,7 @@ impl Writer {
     }
 }
 
-/// Instruction and data flash of a new gauge, with a Device Name at that byte; `None` for a part whose boot loader is not
+/// Instruction and data flash of a new gauge, with a Device Name at that byte; `None` if the part's boot loader is not
 /// simulated.
 pub fn named(part: &str, at: usize, name: &str) -> Option<(Vec<[u8; 96]>, Vec<u8>)> {
     let sim = Sim::new(part, &Options::default(), Arc::new(SimClock::new())).ok()?;
@@ -101,7 +99,7 @@ pub fn named(part: &str, at: usize, name: &str) -> Option<(Vec<[u8; 96]>, Vec<u8
     Some((rows, data))
 }
 
-/// The file that writes all of it: the keys and ROM_MODE, erased flash, every row, the mark last, and the way back.
+/// The whole file: keys and ROM_MODE, erasure, every row, the mark last, and the way back.
 pub fn file(rows: Vec<[u8; 96]>, data: Vec<u8>, style: Style) -> String {
     let text = "; exported\r\nW: AA 00 14 04\nW: AA 00 72 36\nW: AA 00 FF FF\nW: AA 00 FF FF\nX: 1000\n\
                 W: AA 00 00 0F\nX: 1000\n";

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: MIT
 
-//! Data flash of a simulated gauge, or the RAM that some parts have instead: bytes by area and block, how
-//! often each block was programmed, and the file that keeps both across processes.
+//! Data flash of a simulated gauge, or its RAM: bytes by area and block, the wear of each block, and the file that
+//! keeps both across processes.
 //!
-//! An area is a subclass. Its blocks have 32 bytes, except that the last one may be shorter. This module does
-//! not know what the bytes mean.
+//! An area is a subclass. Its blocks have 32 bytes; the last one may be shorter. This module does not know what the
+//! bytes mean.
 
 use std::fmt::Write as _;
 use std::fs::OpenOptions;
@@ -20,7 +20,7 @@ use super::rom::{DATA, Firmware};
 /// Bytes in a whole block.
 pub(super) const BLOCK: usize = 32;
 
-/// The content of a new part: number and bytes of each area, in the order of [`Flash::bytes`].
+/// Content of a new part: number and bytes of each area, in the order of [`Flash::bytes`].
 pub(super) type Image = &'static [(u16, &'static [u8])];
 
 #[derive(Clone, Debug)]
@@ -30,17 +30,15 @@ struct Area {
     wear: Vec<u32>,
 }
 
-/// All flash of one gauge.
 #[derive(Clone, Debug)]
 pub(super) struct Flash {
     areas: Vec<Area>,
-    /// The interface is HDQ instead of I2C. The flag survives a loss of power.
+    /// The interface is HDQ instead of I2C, also after a loss of power.
     pub(super) hdq: bool,
-    /// Flags() `[ITPOR]` of a gauge with RAM: nothing has been loaded over the content from ROM.
+    /// Flags() `[ITPOR]` of a gauge with RAM: its content is still ROM's.
     pub(super) itpor: bool,
     /// This specimen's ROM has a negative CC Gain.
     pub(super) inverted: bool,
-    /// Instruction flash, if the boot loader is simulated.
     pub(super) firmware: Option<Firmware>,
 }
 
@@ -63,7 +61,6 @@ impl Flash {
         self.areas.iter_mut().find(|area| area.id == id)
     }
 
-    /// Bytes in an area.
     pub(super) fn size(&self, id: u16) -> usize {
         self.area(id).map_or(0, |area| area.bytes.len())
     }
@@ -96,7 +93,7 @@ impl Flash {
         }
     }
 
-    /// `count` bytes of an area from `offset` on; none if the area is shorter.
+    /// `count` bytes of an area from `offset` on; empty if the area is shorter.
     pub(super) fn bytes_at(&self, id: u16, offset: usize, count: usize) -> &[u8] {
         self.area(id).and_then(|area| area.bytes.get(offset..offset + count)).unwrap_or(&[])
     }
@@ -106,22 +103,19 @@ impl Flash {
         self.bytes_at(id, offset, N).try_into().unwrap_or([0; N])
     }
 
-    /// A byte.
     pub(super) fn u8(&self, id: u16, offset: usize) -> u8 {
         self.get::<1>(id, offset)[0]
     }
 
-    /// Two bytes, the most significant first.
     pub(super) fn u16(&self, id: u16, offset: usize) -> u16 {
         u16::from_be_bytes(self.get(id, offset))
     }
 
-    /// Two bytes as a signed number, the most significant first.
     pub(super) fn i16(&self, id: u16, offset: usize) -> i16 {
         i16::from_be_bytes(self.get(id, offset))
     }
 
-    /// Four bytes as TI's floating point: exponent, sign and 23 bits behind an implied 1 (SLUSBZ5D, F4).
+    /// TI's floating point: exponent, sign and 23 bits behind an implied 1 (SLUSBZ5D, F4).
     pub(super) fn f4(&self, id: u16, offset: usize) -> f64 {
         let [exponent, high, middle, low] = self.get::<4>(id, offset);
         let mantissa = f64::from(u32::from_be_bytes([0, high | 0x80, middle, low]));
@@ -129,19 +123,18 @@ impl Flash {
         sign * libm::ldexp(mantissa, i32::from(exponent) - 128 - 24)
     }
 
-    /// Restores all areas from `image` except one, as RAM is filled from ROM.
+    /// Restores all areas but one, as ROM fills RAM.
     pub(super) fn reload(&mut self, image: Image, but: u16) {
         for &(id, bytes) in image.iter().filter(|(id, _)| *id != but) {
             self.set(id, 0, bytes);
         }
     }
 
-    /// All bytes, area after area.
     pub(super) fn bytes(&self) -> Vec<u8> {
         self.areas.iter().flat_map(|area| area.bytes.iter().copied()).collect()
     }
 
-    /// How often blocks were programmed, without those that never were: `48/0 3 68/0 1`.
+    /// Program counts of blocks, without zeros: `48/0 3 68/0 1`.
     pub(super) fn wear(&self) -> String {
         let mut out = String::new();
         for area in &self.areas {
@@ -153,23 +146,19 @@ impl Flash {
         out
     }
 
-    /// How often a block was programmed.
     pub(super) fn wear_of(&self, id: u16, block: usize) -> u32 {
         self.area(id).and_then(|area| area.wear.get(block)).copied().unwrap_or(0)
     }
 
-    /// How many times blocks were programmed, all together.
     pub(super) fn programmed(&self) -> u64 {
         self.areas.iter().flat_map(|area| &area.wear).map(|&count| u64::from(count)).sum()
     }
 }
 
-/// The file in which the flash of a gauge is kept, if any.
 #[derive(Debug)]
 pub(super) struct Store {
     path: Option<PathBuf>,
     chip: &'static str,
-    /// The error of the last attempt to save, if it failed.
     pub(super) failure: Option<String>,
 }
 
@@ -193,7 +182,7 @@ impl Store {
         Ok(true)
     }
 
-    /// Whether the file can be read, and be replaced later, as far as that can be seen without a change.
+    /// Checks that the file can be read and replaced, as far as possible without a change.
     pub(super) fn check(&self, flash: &mut Flash) -> Result<()> {
         self.load(flash)?;
         let Some(path) = &self.path else { return Ok(()) };
@@ -213,7 +202,7 @@ impl Store {
         if lines.next() != Some(HEAD) {
             return Err(format!("it does not begin with `{HEAD}`"));
         }
-        // The chip is compared first, because that is the most useful error for a file of another gauge.
+        // The chip comes first: it is the most useful error for another gauge's file.
         let chip = lines.next().and_then(|line| line.strip_prefix("chip ")).ok_or("it names no chip")?;
         if chip != self.chip {
             return Err(format!("it is one of a {chip}"));
@@ -276,8 +265,7 @@ impl Store {
         Ok(())
     }
 
-    /// Saves `flash` in the file, if there is one. A process that is killed at any moment leaves either the
-    /// old content or the new one.
+    /// Saves `flash`, if there is a file. A process killed at any moment leaves the old content or the new.
     pub(super) fn save(&mut self, flash: &Flash) -> Result<()> {
         let Some(path) = &self.path else { return Ok(()) };
         let result =

@@ -1,14 +1,12 @@
 // SPDX-License-Identifier: MIT
 
-//! The flat data flash of the parts with ManufacturerAccessControl(), which is read and written by address
-//! (SLUUBH1C 12.1.3).
+//! Flat data flash of the parts with ManufacturerAccessControl(), read and written by address (SLUUBH1C 12.1.3).
 
 use super::flash::Flash;
 
-/// Addresses of data flash are 0x4000 to 0x43FF.
 pub(super) const BASE: u16 = 0x4000;
 pub(super) const SIZE: usize = 0x400;
-/// The areas of the image: data flash, and what a part keeps at a place that no document gives.
+/// Areas of the image: data flash, and values whose place no document gives.
 pub(super) const DATA_FLASH: u16 = 0;
 pub(super) const PRIVATE: u16 = 1;
 
@@ -17,7 +15,7 @@ pub(super) const fn image(rows: &[(u16, &[u8])]) -> [u8; SIZE] {
     image_from(BASE, rows)
 }
 
-/// A data flash of `N` bytes from the address `base` on, with the given bytes and 0 elsewhere.
+/// `N` bytes of data flash from address `base` on, with the given bytes and 0 elsewhere.
 pub(super) const fn image_from<const N: usize>(base: u16, rows: &[(u16, &[u8])]) -> [u8; N] {
     let mut out = [0; N];
     let mut row = 0;
@@ -33,7 +31,6 @@ pub(super) const fn image_from<const N: usize>(base: u16, rows: &[(u16, &[u8])])
     out
 }
 
-/// The offset of an address in its area.
 pub(super) const fn offset(address: u16) -> usize {
     (address - BASE) as usize
 }

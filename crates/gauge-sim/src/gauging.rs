@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT
 
-//! The model of the parts with block access: measurements, coulomb counting, states and flags, and the
-//! registers that show them. As in the parts, thresholds are read from data flash at a reset. Where they
-//! are stored, and which register shows what, differs between parts and is described by [`Map`].
+//! The model of the parts with block access: measurements, coulomb counting, states and flags, and their registers. As
+//! in the parts, thresholds come from data flash at a reset. [`Map`] has what differs between parts: the places of
+//! parameters and the contents of registers.
 
 use std::mem;
 
@@ -13,10 +13,9 @@ use super::learning::{LEARNED, Learning, Lesson, Ocv, QMAX_AND_RA, settled};
 use super::model::{AVERAGE_S, FREEZING, Kept, Model, NO_TIME, Registers, lasting, signed, whole};
 use super::model::{Host, Place};
 
-/// Rest after which an open-circuit voltage is taken.
 const OCV_S: f64 = 1800.0;
 
-// Conditions, as Flags() of the bq34z100-G1 shows them (SLUSBZ5D table 7-6) ...
+// Conditions as Flags() of the bq34z100-G1 shows them (SLUSBZ5D table 7-6) ...
 pub(super) const OTC: u32 = 0x8000;
 pub(super) const OTD: u32 = 0x4000;
 pub(super) const BATHI: u32 = 0x2000;
@@ -30,52 +29,47 @@ pub(super) const CF: u32 = 0x0010;
 pub(super) const SOC1: u32 = 0x0004;
 pub(super) const SOCF: u32 = 0x0002;
 pub(super) const DSG: u32 = 0x0001;
-// ... and two that it does not have: too warm or too cold, whether or not current flows.
+// ... and two more: too warm and too cold, with or without a current.
 pub(super) const OT: u32 = 0x0001_0000;
 pub(super) const UT: u32 = 0x0002_0000;
 // FlagsB(), table 7-7.
 const FIRSTDOD: u16 = 0x2000;
 const DODEOC: u16 = 0x0400;
 
-/// The places of the parameters and registers that a part uses for gauging.
+/// Where a part keeps the parameters of gauging, and what its registers show.
 #[derive(Debug)]
 pub(super) struct Map {
-    /// Reads its thresholds.
+    /// Reads the thresholds.
     pub(super) settings: fn(&Flash) -> Settings,
-    /// Address, number of bytes, and what is shown there.
+    /// Address, number of bytes, quantity.
     pub(super) registers: &'static [(u8, usize, Quantity)],
-    /// Conditions and the bits of Flags() that show them.
     pub(super) flags: &'static [(u32, u16)],
-    /// The place of the cycle count.
     pub(super) cycles: Option<Place>,
-    /// The classes of the lifetime data and of their count of samples.
+    /// Classes of the lifetime data and of their sample count.
     pub(super) lifetime: Option<(u16, u16)>,
-    /// What Impedance Track learns is stored here.
+    /// Where Impedance Track stores what it learns.
     pub(super) learned: Option<Learns>,
 }
 
-/// The places of the values that Impedance Track learns.
+/// Places of learned values.
 #[derive(Debug)]
 pub(super) struct Learns {
     pub(super) qmax: Place,
-    /// Qmax is in parts of Design Capacity, 16384 for all of it, and not in mAh.
+    /// Qmax is a share of Design Capacity, 16384 for all of it, instead of mAh.
     pub(super) of_design: bool,
-    /// The cycle count at that time.
     pub(super) count: Option<Place>,
     pub(super) status: Option<Place>,
 }
 
-/// The most that a learned Qmax can be in parts of Design Capacity (Max % Default Qmax).
+/// Largest learned Qmax as a share of Design Capacity (Max % Default Qmax).
 const MOST_QMAX: f64 = 1.2;
 
-/// A quantity that a register can show.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Quantity {
     AtRate,
     AtRateTimeToEmpty,
     AverageCurrent,
     AveragePower,
-    /// AveragePower() in 10 mW.
     AverageCentiwatts,
     AvailableEnergy,
     ChargeCurrent,
@@ -97,7 +91,6 @@ pub(super) enum Quantity {
     Full,
     Grid,
     Health,
-    /// Whether the state of health comes from learned resistances.
     HealthStatus,
     InternalTemperature,
     LearnedStatus,
@@ -109,7 +102,6 @@ pub(super) enum Quantity {
     PackConfiguration,
     PassedCharge,
     Percent,
-    /// Power drawn, scaled, and never negative.
     PowerDrawn,
     QmaxPassed,
     Remaining,
@@ -125,12 +117,11 @@ pub(super) enum Quantity {
     VoltageScale,
 }
 
-/// Parameters as data flash had them at the last reset.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Settings {
     pub(super) ot_charge: (f64, f64, f64),
     pub(super) ot_discharge: (f64, f64, f64),
-    /// Limit of OT and of UT, and the hysteresis.
+    /// Limits of OT and UT, and the hysteresis.
     pub(super) over: (f64, f64),
     pub(super) under: (f64, f64),
     pub(super) inhibit: (f64, f64, f64),
@@ -147,17 +138,16 @@ pub(super) struct Settings {
     pub(super) design_mah: u16,
     pub(super) charge_mv: [u16; 3],
     pub(super) charge_percent: [u8; 3],
-    /// Limits of the temperature ranges, if the part has any.
+    /// Limits of the temperature ranges.
     pub(super) jeita: Option<[f64; 4]>,
-    /// mWh in one step of an energy.
+    /// mWh per step of an energy.
     pub(super) energy_scale: f64,
-    /// The factors by which the host multiplies voltages, currents and energies, as registers show them.
+    /// Factors for voltages, currents and energies that the host applies, as registers show them.
     pub(super) scales: [u8; 3],
     pub(super) soc1: (u16, u16),
     pub(super) socf: (u16, u16),
     pub(super) low_mv: (f64, f64, f64),
     pub(super) high_mv: (f64, f64, f64),
-    /// The configuration word as a register shows it.
     pub(super) pack: u16,
     pub(super) full_at_taper: bool,
     pub(super) thermistor: bool,
@@ -177,12 +167,11 @@ pub(super) struct Settings {
     pub(super) deadband_ma: f64,
     pub(super) standby_ma: f64,
     pub(super) max_load_ma: f64,
-    /// Current has the wrong sign.
     pub(super) inverted: bool,
     pub(super) cells: f64,
     pub(super) qmax_mah: f64,
     pub(super) enabled: bool,
-    /// Update Status without the bit that IT_ENABLE sets.
+    /// Update Status without the bit of IT_ENABLE.
     pub(super) learned: u8,
     pub(super) lifetime_s: f64,
     pub(super) lifetime_step: [f64; 3],
@@ -190,7 +179,6 @@ pub(super) struct Settings {
 }
 
 impl Settings {
-    /// One cell, and no thresholds.
     pub(super) fn none() -> Self {
         Self {
             ot_charge: (f64::INFINITY, 0.0, f64::INFINITY),
@@ -229,27 +217,22 @@ enum State {
     Discharge,
 }
 
-/// The measuring and counting half of a gauge.
 #[derive(Clone, Debug)]
 pub(super) struct Gauging {
     map: &'static Map,
     battery: Battery,
     pub(super) analog: Analog,
     settings: Settings,
-    /// Voltage() has been measured since power came.
     measured: bool,
     pub(super) ram: Ram,
 }
 
-/// Everything that a reset clears.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Ram {
-    /// The values that the host has written to AtRate() and, if the part allows it, to Temperature().
+    /// AtRate(), and Temperature() where the host may write it.
     at_rate_ma: i16,
     host_temperature: Option<u16>,
-    /// Error of the coulomb counter.
     drift_mah: f64,
-    /// Impedance Track runs.
     pub(super) enabled: bool,
     max_error: u8,
     average_ma: f64,
@@ -271,20 +254,18 @@ pub(super) struct Ram {
     dod: f64,
     dod_s: f64,
     end_dod: f64,
-    /// Highest and lowest temperature, largest charge and discharge current, highest and lowest voltage, in
-    /// the units of data flash.
+    /// Extremes of temperature, charge and discharge current, and voltage, in the units of data flash.
     lifetime: [f64; 6],
     lifetime_kept: [f64; 6],
     lifetime_s: f64,
     pub(super) learning: Learning,
-    /// Cycle count, lifetime data and what was learned have changed since they were stored.
+    /// Cycle count, lifetime data or learned values have changed since they were stored.
     cycles_changed: bool,
     lifetime_changed: bool,
     learned_changed: bool,
 }
 
 impl Gauging {
-    /// A gauge whose pack has been at rest for a long time.
     pub(super) fn new(map: &'static Map, flash: &Flash, soc: f64) -> Self {
         let settings = (map.settings)(flash);
         let battery = Battery::new(settings.cells, settings.qmax_mah, soc);
@@ -296,7 +277,6 @@ impl Gauging {
         new
     }
 
-    /// Takes a word that the host has written.
     pub(super) fn write(&mut self, register: Host, word: u16) {
         match register {
             Host::AtRate => self.ram.at_rate_ma = word as i16,
@@ -304,7 +284,7 @@ impl Gauging {
         }
     }
 
-    /// Takes over data flash as it is now, and an open-circuit voltage.
+    /// Loads data flash and takes an open-circuit voltage.
     pub(super) fn load(&mut self, flash: &Flash) {
         self.apply(flash);
         self.ram.lifetime = self.settings.lifetime;
@@ -313,7 +293,7 @@ impl Gauging {
         self.update(0.0);
     }
 
-    /// Takes over data flash as it is now, and continues counting.
+    /// Loads data flash and continues counting.
     pub(super) fn apply(&mut self, flash: &Flash) {
         self.settings = (self.map.settings)(flash);
         self.battery.resize(self.settings.cells, self.settings.qmax_mah);
@@ -322,7 +302,6 @@ impl Gauging {
         self.update(0.0);
     }
 
-    /// Voltage() is measured for the first time since power came.
     pub(super) fn first_voltage(&mut self) {
         if !self.measured {
             self.measured = true;
@@ -340,8 +319,8 @@ impl Gauging {
         self.simulate();
     }
 
-    /// The state of charge that the present voltage shows, if the pack is at rest. Of a pack with a capacity of its own the
-    /// gauge knows nothing else.
+    /// The state of charge by the present voltage, if the pack is at rest. The gauge knows no more of a pack with a
+    /// capacity of its own.
     fn ocv_percent(&self) -> f64 {
         if self.battery.is_own {
             self.battery.percent_at(self.battery.cell_mv())
@@ -350,26 +329,25 @@ impl Gauging {
         }
     }
 
-    /// The capacity of the pack as the gauge has it.
+    /// The capacity as the gauge believes it.
     fn capacity(&self) -> f64 {
         if self.battery.is_own { self.settings.qmax_mah } else { self.battery.capacity_mah }
     }
 
-    /// The capacity that the pack really has, if that is not what data flash says.
+    /// The pack's real capacity, where data flash has another one.
     pub(super) fn own_capacity(&self) -> Option<f64> {
         self.battery.is_own.then_some(self.battery.capacity_mah)
     }
 
-    /// Gives the pack a capacity of its own, or the one that data flash says.
     pub(super) fn set_capacity(&mut self, own: Option<f64>) {
         self.battery.is_own = own.is_some();
         self.battery.set_capacity(own.unwrap_or(self.settings.qmax_mah));
-        // What the gauge has counted goes on.
+        // The counted charge is kept.
         let counted = self.ram.start_mah + self.ram.passed_mah + self.settings.reserve_mah;
         self.ram.drift_mah = if own.is_some() { counted - self.battery.charge_mah } else { 0.0 };
     }
 
-    /// Impedance Track is enabled. A pack that is at rest shows its depth of discharge at once.
+    /// Enables Impedance Track. A pack at rest shows its depth of discharge at once.
     pub(super) fn enable(&mut self) {
         self.ram.enabled = true;
         self.begin_learning();
@@ -382,7 +360,6 @@ impl Gauging {
         }
     }
 
-    /// Learns from the open-circuit voltage that was just taken.
     fn learn(&mut self) {
         if !self.ram.enabled {
             return;
@@ -405,7 +382,7 @@ impl Gauging {
         }
     }
 
-    /// Makes a new prediction, and counts from here.
+    /// Predicts anew, and counts from here.
     fn simulate(&mut self) {
         self.ram.passed_mah = 0.0;
         self.ram.start_mah = self.remaining();
@@ -415,7 +392,6 @@ impl Gauging {
         (self.counted() - self.settings.reserve_mah).max(0.0)
     }
 
-    /// The pack's charge according to the coulomb counter.
     fn counted(&self) -> f64 {
         (self.battery.charge_mah + self.ram.drift_mah).clamp(0.0, self.capacity())
     }
@@ -424,7 +400,6 @@ impl Gauging {
         (self.capacity() - self.settings.reserve_mah).max(0.0)
     }
 
-    /// Voltage() of the whole stack.
     pub(super) fn voltage_mv(&self) -> u16 {
         let pack = self.battery.cell_mv() * self.battery.cells;
         let there = self.battery.forced_mv.map_or(pack, f64::from);
@@ -435,7 +410,7 @@ impl Gauging {
         f64::from(self.voltage_mv()) / self.battery.cells
     }
 
-    /// Current as the coulomb counter shows it: 0 within the deadband.
+    /// 0 within the deadband.
     fn current_ma(&self) -> f64 {
         let s = &self.settings;
         let current = self.battery.current_ma();
@@ -444,30 +419,28 @@ impl Gauging {
         if current.abs() < self.settings.deadband_ma { 0.0 } else { current }
     }
 
-    /// Takes over the offsets that the gauge has just measured and stored.
+    /// Loads the offsets that the gauge has just measured and stored.
     pub(super) fn take_offsets(&mut self, flash: &Flash) {
         let settings = (self.map.settings)(flash);
         (self.settings.board_offset, self.settings.cc_offset) = (settings.board_offset, settings.cc_offset);
     }
 
-    /// Cells that there really are; `None` for as many as data flash says.
     pub(super) fn set_series(&mut self, series: Option<f64>) {
         self.battery.series = series;
         self.battery.cells = series.unwrap_or(self.settings.cells);
     }
 
-    /// Whether the average current is low enough for SLEEP.
     pub(super) fn is_quiet(&self, sleep_ma: f64) -> bool {
         self.ram.state == State::Rest && self.ram.average_ma.abs() <= sleep_ma
     }
 
-    /// Updates states and flags, after the present measurements have lasted for `seconds`.
+    /// Updates states and flags after `seconds` of the present measurements.
     fn update(&mut self, seconds: f64) {
         self.change_state(seconds);
         self.terminate(seconds);
         let temperature = self.temperature() - FREEZING;
         let (cell, remaining) = (self.cell_mv(), whole(self.remaining()));
-        // A pack is not full because a percentage was rounded up.
+        // The exact value decides: a rounded percentage does not make a pack full.
         let (exact, percent) = (self.percent(), self.percent().round() as i8);
         let (s, ram) = (&self.settings, &mut self.ram);
         let (charging, discharging) = (ram.state == State::Charge, ram.state == State::Discharge);
@@ -555,7 +528,7 @@ impl Gauging {
         }
     }
 
-    /// In a discharge, compares the voltage with the one that the counted charge would have without a current.
+    /// While discharging, compares the voltage with the open-circuit voltage for the counted charge.
     fn measure_resistance(&mut self, seconds: f64) {
         if !self.ram.enabled || self.ram.state != State::Discharge {
             return;
@@ -569,7 +542,7 @@ impl Gauging {
         self.ram.learning.discharge(seconds, rate, cell, open);
     }
 
-    /// Primary charge termination: twice the taper window below the taper current near the full voltage.
+    /// Primary charge termination: two windows below the taper current near the full voltage.
     fn terminate(&mut self, seconds: f64) {
         let s = &self.settings;
         let near = self.cell_mv() >= f64::from(s.charge_mv[1]) - s.taper_mv;
@@ -619,7 +592,6 @@ impl Gauging {
         true
     }
 
-    /// The reading of the temperature sensor before its offset is added, in 0.1 K.
     fn sensed(&self) -> f64 {
         self.battery.temperature() * 10.0 + FREEZING + self.analog.temperature
     }
@@ -628,7 +600,6 @@ impl Gauging {
         self.sensed() + self.settings.internal_offset
     }
 
-    /// Temperature() in 0.1 K, before rounding.
     fn temperature(&self) -> f64 {
         if self.settings.host_temperature {
             return self.ram.host_temperature.map_or(self.die(), f64::from);
@@ -665,19 +636,16 @@ impl Gauging {
         }
     }
 
-    /// Minutes to empty at a load in mA.
     fn minutes_at(&self, load_ma: f64) -> u16 {
         if load_ma < 0.0 { whole((self.remaining() / -load_ma * 60.0).min(65534.0)) } else { NO_TIME }
     }
 
-    /// The registers that are predicted.
     pub(super) fn predicted(&self) -> impl Iterator<Item = u8> {
         let predicted = self.map.registers.iter().filter(|(_, _, quantity)| quantity.is_predicted());
         predicted.flat_map(|&(register, size, _)| register..register + size as u8)
     }
 
-    /// The registers. Those that the host writes are left 0, and without a battery `present` also those
-    /// that are predicted.
+    /// The registers, with 0 for those that the host writes, and for predictions while no battery is `present`.
     pub(super) fn registers(&self, calibration: bool, present: bool) -> Registers {
         let mut out = [0; 0x80];
         for &(register, size, quantity) in self.map.registers {
@@ -734,7 +702,7 @@ impl Gauging {
             Quantity::MaxLoadTimeToEmpty => self.minutes_at(s.max_load_ma),
             Quantity::NominalFull => whole(self.capacity()),
             Quantity::NominalRemaining => whole(self.counted()),
-            // CAL_ENABLE toggles the bit of the running copy.
+            // CAL_ENABLE toggles the bit in the running copy.
             Quantity::PackConfiguration if calibration => s.pack | 0x4000,
             Quantity::PackConfiguration => s.pack,
             Quantity::PassedCharge => signed(self.ram.passed_mah),
@@ -799,7 +767,7 @@ impl Model for Gauging {
         (self.battery, self.analog, self.measured) = (battery, analog, measured);
         (self.ram.max_error, self.ram.state_s, self.ram.dod_s) = (100, 0.0, 0.0);
         self.load(flash);
-        // What is measured now is not known to be at rest.
+        // The voltage measured now may not be one at rest.
         self.ram.learning = Learning::after_reset();
         self.ram.flags &= !OCVTAKEN;
     }
@@ -814,7 +782,7 @@ impl Model for Gauging {
         self.battery.step(seconds);
         let mut moved = self.battery.charge_mah - before;
         if self.settings.inverted {
-            // The counter stops at the end of its scale.
+            // The counter stops at the ends of its scale.
             let (low, high) = (-self.battery.charge_mah, self.battery.capacity_mah - self.battery.charge_mah);
             self.ram.drift_mah = (self.ram.drift_mah - 2.0 * moved).clamp(low, high);
             moved = -moved;
@@ -889,6 +857,6 @@ impl Quantity {
     }
 }
 
-/// TI prints the clear voltages of BATLOW and BATHI once as absolute voltages and once as a default of
-/// 5 mV, which can only be a distance from the voltage that sets the flag.
+/// TI prints the clear voltages of BATLOW and BATHI once as absolute voltages and once as a default of 5 mV, which must
+/// be a distance from the voltage that sets the flag.
 const DISTANCE: f64 = 1000.0;

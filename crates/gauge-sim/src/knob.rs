@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use super::error::{Error, Kind, Result};
 
-/// The knobs that have an effect on it.
+/// Knobs that also act on gauges without data flash.
 pub(super) const OF_REGISTERS: &[&str] = &[
     "load_ma",
     "temperature",
@@ -25,7 +25,6 @@ pub(super) const OF_REGISTERS: &[&str] = &[
 /// One file of the folder `sim/`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Knob {
-    /// Name of the file.
     pub name: &'static str,
     /// Describes what the knob shows or does.
     pub help: &'static str,
@@ -34,17 +33,14 @@ pub struct Knob {
     pub(super) of: Of,
 }
 
-/// The gauges that have a knob.
+/// Which gauges have a knob.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Of {
     Bus,
-    /// Every gauge.
     Gauge,
-    /// A gauge with block access.
     Block,
-    /// A gauge with ManufacturerAccessControl().
     Mac,
-    /// A gauge that counts in the voltage of its sense resistor.
+    /// A gauge that counts the voltage of its sense resistor.
     Volts,
 }
 
@@ -168,10 +164,10 @@ pub(super) static KNOBS: &[Knob] = &[
     Of::Gauge.set("refused_quiet_ms", "the same after a key was refused"),
 ];
 
-/// A value that a knob shows and sets.
+/// A value of a knob.
 pub(super) trait Dial {
     fn show(&self) -> String;
-    /// Takes a text. One that is not understood changes nothing.
+    /// Takes a text. A bad text changes nothing.
     fn turn(&mut self, name: &str, text: &str) -> Result<()>;
 }
 
@@ -197,7 +193,6 @@ impl Choice for bool {
     const WORDS: &'static [(&'static str, Self)] = &[("off", false), ("on", true)];
 }
 
-/// A time in milliseconds.
 impl Dial for Duration {
     fn show(&self) -> String {
         self.as_millis().to_string()
@@ -220,7 +215,7 @@ impl Dial for u32 {
     }
 }
 
-/// A word that replaces the printed one.
+/// A word in place of the documented one.
 impl Dial for Option<u16> {
     fn show(&self) -> String {
         self.map_or_else(|| "printed".into(), |word| format!("0x{word:04X}"))
@@ -247,7 +242,6 @@ impl Dial for Option<u16> {
     }
 }
 
-/// A knob with two positions.
 #[derive(Debug)]
 pub(super) struct Switch([&'static str; 2]);
 
@@ -270,12 +264,11 @@ impl Switch {
     }
 }
 
-// Texts that are refused are not repeated: they may be keys that somebody typed into the wrong file.
+// The text is not repeated: it may be a key that somebody typed into the wrong file.
 fn none_of(name: &str, words: &str) -> Error {
     Error::new(name, Kind::Invalid, format!("no such setting; write one of: {words}"))
 }
 
-/// A number within bounds, or `auto`.
 pub(super) fn or_auto(name: &str, text: &str, min: f64, max: f64) -> Result<Option<f64>> {
     if text == "auto" {
         return Ok(None);
@@ -286,15 +279,13 @@ pub(super) fn or_auto(name: &str, text: &str, min: f64, max: f64) -> Result<Opti
     })
 }
 
-/// Shows a number, or `auto`.
 pub(super) fn show_or_auto(value: Option<f64>) -> String {
     value.map_or_else(|| "auto".into(), |value| value.to_string())
 }
 
-/// A number within bounds.
 pub(super) fn number(name: &str, text: &str, min: f64, max: f64) -> Result<f64> {
     let bad = || Error::new(name, Kind::Invalid, format!("not a number; write one from {min} to {max}"));
-    // `f64` also reads texts that are not decimal numbers, such as `inf` and `1e9`.
+    // `f64` also parses `inf` and `1e9`.
     if !text.bytes().all(|byte| byte.is_ascii_digit() || b"+-.".contains(&byte)) {
         return Err(bad());
     }

@@ -1,23 +1,22 @@
 // SPDX-License-Identifier: MIT
 
-//! The learning state of Impedance Track since the last reset. The conditions under which it learns Qmax at rest and Ra
-//! in a discharge are those of SLUA450, of chapter 12 of SLUUBW5A, and, for the current of a
-//! discharge, of TI's answer to owners whose Update Status stays at 05 (E2E 1263623).
+//! Impedance Track's learning since the last reset. The conditions for learning Qmax at rest and Ra in a discharge are
+//! those of SLUA450, of chapter 12 of SLUUBW5A, and, for the current of a discharge, of TI's answer to owners whose
+//! Update Status stays at 05 (E2E 1263623).
 
-/// Slope of a cell's voltage below which it is an open-circuit voltage, in mV/s.
+/// A cell's voltage counts as open-circuit voltage below this slope, in mV/s.
 const SETTLED: f64 = 0.004;
-/// Rest after which it is taken in any case, in seconds.
+/// Rest after which it counts in any case, in seconds.
 const LONGEST_REST_S: f64 = 5.0 * 3600.0;
-/// Temperatures in degrees at which an open-circuit voltage counts for Qmax.
 const TEMPERATURE: (f64, f64) = (10.0, 40.0);
-/// Voltages of a cell in mV at which it does not, because the curve is too flat.
+/// Voltages of a cell in mV where the curve is too flat for Qmax.
 const FLAT_MV: (f64, f64) = (3737.0, 3800.0);
-/// Charge in parts of the design capacity that has to pass between two of them: in the first cycle, and later.
+/// Charge between two open-circuit voltages, as a share of the design capacity: in the first cycle, and later.
 const FIRST_CHARGE: f64 = 0.9;
 const LATER_CHARGE: f64 = 0.37;
-/// Currents in parts of the design capacity at which the resistance is measured.
+/// Currents for measuring the resistance, as a share of the design capacity.
 const RATE: (f64, f64) = (0.1, 0.5);
-/// Discharge after which it can be measured, in seconds.
+/// Discharge before the resistance is measured, in seconds.
 const TRANSIENT_S: f64 = 500.0;
 
 /// Bits 0 and 1 of Update Status: Qmax is learned, or Qmax and Ra.
@@ -25,52 +24,49 @@ pub(super) const QMAX: u8 = 0x01;
 pub(super) const QMAX_AND_RA: u8 = 0x02;
 pub(super) const LEARNED: u8 = QMAX | QMAX_AND_RA;
 
-/// Whether a rest has brought the voltage to rest as well.
+/// Whether the voltage has come to rest.
 pub(super) fn settled(slope_mv_s: f64, rest_s: f64) -> bool {
     slope_mv_s.abs() < SETTLED || rest_s >= LONGEST_REST_S
 }
 
-/// An open-circuit voltage that was just taken.
+/// A newly taken open-circuit voltage.
 pub(super) struct Ocv {
-    /// The depth of discharge that it shows, from 0 to 1.
+    /// Depth of discharge, from 0 to 1.
     pub(super) dod: f64,
     pub(super) cell_mv: f64,
     pub(super) degrees: f64,
 }
 
 impl Ocv {
-    /// Whether it can be one of the two between which Qmax is measured.
+    /// Whether Qmax can be measured from it.
     fn counts(&self) -> bool {
         let warm = (TEMPERATURE.0..=TEMPERATURE.1).contains(&self.degrees);
         warm && !(FLAT_MV.0..=FLAT_MV.1).contains(&self.cell_mv)
     }
 }
 
-/// The values that the gauge learns from an open-circuit voltage.
+/// What an open-circuit voltage teaches.
 pub(super) struct Lesson {
     pub(super) qmax_mah: f64,
-    /// The new bits of Update Status.
     pub(super) learned: u8,
 }
 
-/// The state of a cycle. A reset clears it.
+/// The present cycle.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Learning {
-    /// The depth of discharge from which the next Qmax is measured, and the charge that has passed since.
+    /// Depth of discharge at the start of the next Qmax measurement, and the charge since.
     from: Option<f64>,
     passed_mah: f64,
-    /// Qmax was updated in this rest.
     updated: bool,
     /// `[RUP_DIS]`: the resistance is not updated.
     pub(super) ra_off: bool,
-    /// For how long the present discharge has had a current that suits.
+    /// How long the discharge current has been suitable.
     steady_s: f64,
-    /// The resistance was updated since the last open-circuit voltage.
     ra: bool,
 }
 
 impl Learning {
-    /// After a reset the depth of discharge is not known.
+    /// After a reset the depth of discharge is unknown.
     pub(super) fn after_reset() -> Self {
         Self { ra_off: true, ..Self::default() }
     }
@@ -80,7 +76,6 @@ impl Learning {
         self.from.is_some() && !self.updated
     }
 
-    /// A rest has ended, or begun.
     pub(super) fn change(&mut self) {
         self.updated = false;
         self.steady_s = 0.0;
@@ -90,9 +85,9 @@ impl Learning {
         self.passed_mah += mah;
     }
 
-    /// A part of a discharge, with the voltage that a cell would have without the current.
+    /// Takes a part of a discharge and the cell's open-circuit voltage.
     pub(super) fn discharge(&mut self, seconds: f64, rate: f64, cell_mv: f64, open_mv: f64) {
-        // A negative resistance is impossible: the gauge is wrong about the depth of discharge.
+        // A negative resistance is impossible: the gauge's depth of discharge is wrong.
         if cell_mv > open_mv + 1.0 {
             self.ra_off = true;
         }
@@ -107,7 +102,7 @@ impl Learning {
             self.from = None;
             return None;
         }
-        // It shows the depth of discharge, whatever the gauge thought.
+        // The voltage shows the real depth of discharge.
         let ra = std::mem::take(&mut self.ra);
         self.ra_off = false;
         let needed = if learned & LEARNED == 0 { FIRST_CHARGE } else { LATER_CHARGE } * design_mah;

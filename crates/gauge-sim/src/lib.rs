@@ -91,12 +91,12 @@ use register::Register;
 use scenario::{Player, Scenario};
 pub use seal::Level;
 
-/// One bit at 100 kHz.
+/// At 100 kHz.
 const BIT: Duration = Duration::from_micros(10);
 /// How many transfers the log keeps.
 const LOG: usize = 4096;
 
-/// One transfer of the log.
+/// A transfer in the log.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Record {
     /// When it ended.
@@ -109,7 +109,7 @@ pub struct Record {
     pub read: Vec<u8>,
     /// The result that the host got.
     pub result: Result<(), BusError>,
-    /// The host has marked it as carrying keys, so it is not shown.
+    /// It carried keys, so it is not shown.
     pub secret: bool,
 }
 
@@ -148,19 +148,18 @@ struct State {
     part: &'static Part,
     options: Options,
     gauge: Gauge,
-    /// The number of its pack, and the other packs that have been there.
+    /// The present pack's number, and the packs that were exchanged.
     pack: u32,
     others: BTreeMap<u32, Gauge>,
-    /// Commits to packs that were exchanged.
+    /// Commits to exchanged packs.
     commits: u64,
     player: Option<Player>,
     counters: Counters,
     log: Option<VecDeque<Record>>,
-    /// Until then nothing on the bus is acknowledged.
+    /// Nothing on the bus is acknowledged until then.
     silent_until: Duration,
 }
 
-/// Traffic on the bus.
 #[derive(Default)]
 struct Counters {
     transfers: u64,
@@ -173,19 +172,18 @@ struct Counters {
 impl State {
     fn new(part: &'static Part, options: &Options, now: Duration) -> Result<Self> {
         let gauge = make(part, options, now)?;
-        // The file is that of the first pack.
+        // The state file belongs to the first pack.
         let options = Options { state: None, ..options.clone() };
         let (counters, silent_until) = (Counters::default(), Duration::ZERO);
         let (pack, others, commits, player) = (1, BTreeMap::new(), 0, None);
         Ok(Self { part, options, gauge, pack, others, commits, player, counters, log: None, silent_until })
     }
 
-    /// The knob of that name, if the part has it.
     fn find(&self, name: &str) -> Option<&'static Knob> {
         knob::KNOBS.iter().find(|knob| knob.name == name && self.gauge.has_knob(knob))
     }
 
-    /// Turns a knob. A text that is not understood changes nothing.
+    /// Turns a knob. A bad text changes nothing.
     fn turn(&mut self, knob: &str, text: &str, now: Duration) -> Result<()> {
         match self.find(knob) {
             None => Err(Error::new(knob, Kind::Invalid, "there is no such knob")),
@@ -209,7 +207,7 @@ impl State {
         }
     }
 
-    /// Does what a scenario says.
+    /// Performs an act of the scenario.
     fn act(&mut self, knob: &str, text: &str, now: Duration) -> Result<()> {
         match knob {
             scenario::PACK => self.exchange(text, now),
@@ -218,19 +216,19 @@ impl State {
         }
     }
 
-    /// Does all that the scenario says up to `now`, each at its time.
+    /// Performs all acts up to `now`, each at its time.
     fn catch_up(&mut self, now: Duration) {
         loop {
             let commits = self.commits + self.gauge.commits();
             let Some((at, act)) = self.player.as_mut().and_then(|player| player.next(commits, now)) else {
                 return;
             };
-            // A gauge of that part has accepted it before.
+            // A gauge of this part has accepted it before.
             let _ = self.act(&act.knob, &act.text, at);
         }
     }
 
-    /// Takes the pack away, and puts the one of that number in its place, as it was left or new.
+    /// Exchanges the pack for another one by number, as it was left or new.
     fn exchange(&mut self, text: &str, now: Duration) -> Result<()> {
         let number = knob::number(scenario::PACK, text, 1.0, 9.0)? as u32;
         if number == self.pack {
@@ -274,8 +272,8 @@ impl fmt::Debug for Sim {
 }
 
 impl Sim {
-    /// Makes a gauge. With flash it is SEALED, with RAM UNSEALED, unless the options say otherwise. Its pack is one cell
-    /// at rest, about 60 % full; a primary cell is new.
+    /// Makes a gauge. With flash it is SEALED, with RAM UNSEALED, unless the options say otherwise. Its pack is one
+    /// cell at rest, about 60 % full; a primary cell is new.
     pub fn new(chip: &str, options: &Options, clock: Arc<dyn Clock>) -> Result<Sim> {
         let Some(part) = parts::all().find(|part| part.name == chip) else {
             let known: Vec<&str> = parts::all().map(|part| part.name).collect();
@@ -286,7 +284,7 @@ impl Sim {
         Ok(Sim { state: Arc::new(Mutex::new(state)), clock })
     }
 
-    /// Whether a gauge of that chip can keep its flash in that file, as far as that can be seen without a change.
+    /// Checks that a gauge of this chip can keep its flash in that file, as far as possible without a change.
     pub fn check_state(chip: &str, path: &std::path::Path) -> Result<()> {
         let Some(part) = parts::all().find(|part| part.name == chip) else { return Ok(()) };
         let mut flash = flash::Flash::new(part.image);
@@ -294,7 +292,7 @@ impl Sim {
         flash::Store::new(Some(path.to_path_buf()), part.name).check(&mut flash)
     }
 
-    /// Whether there is such a gauge to simulate.
+    /// Whether this chip can be simulated.
     pub fn knows(chip: &str) -> bool {
         parts::all().any(|part| part.name == chip)
     }
@@ -303,7 +301,6 @@ impl Sim {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The gauge as it is now.
     fn now(&self) -> MutexGuard<'_, State> {
         let mut state = self.lock();
         state.catch_up(self.clock.now());
@@ -320,13 +317,13 @@ impl Sim {
         SimBus { sim: self.clone(), address, secret: false }
     }
 
-    /// The knobs that the part has: the files of `sim/`.
+    /// The part's knobs, which are the files of `sim/`.
     pub fn knobs(&self) -> Vec<Knob> {
         let state = self.lock();
         knob::KNOBS.iter().copied().filter(|knob| state.gauge.has_knob(knob)).collect()
     }
 
-    /// The text that a knob shows; `None` if there is no knob of that name.
+    /// The text of a knob, if the part has it.
     pub fn get(&self, knob: &str) -> Option<String> {
         let mut state = self.now();
         state.find(knob)?;
@@ -342,21 +339,21 @@ impl Sim {
         })
     }
 
-    /// Turns a knob. A text that is not understood changes nothing.
+    /// Turns a knob. A bad text changes nothing.
     pub fn set(&self, knob: &str, text: &str) -> Result<()> {
         self.now().turn(knob, text.trim(), self.clock.now())
     }
 
-    /// Makes it stricter than owners report real gauges to be, for tests of what talks to it: it is SEALED, and does not
-    /// acknowledge its address while it resets.
+    /// Makes it stricter than any reported real gauge, to test drivers: it is SEALED, and does not acknowledge its
+    /// address while it resets.
     pub fn be_strict(&self) {
         for (knob, text) in [("seal", "sealed"), ("reset_busy", "nack")] {
-            // A part without data flash has neither.
+            // A part without data flash has neither knob.
             let _ = self.set(knob, text);
         }
     }
 
-    /// Plays a scenario from now on, in place of any other. One that this part does not accept changes nothing.
+    /// Plays a scenario from now on, instead of any other. Acts that this part refuses change nothing.
     pub fn play(&self, scenario: Scenario) -> Result<()> {
         let now = self.clock.now();
         let part = self.lock().part;
@@ -374,8 +371,7 @@ impl Sim {
         Ok(())
     }
 
-    /// The gauge that the seed of [`Options::envelope`] has drawn, in one line: the seed, and the names of the knobs
-    /// with their present values.
+    /// The gauge that [`Options::envelope`] has drawn, in one line: the seed, and the knobs with their present values.
     pub fn envelope(&self) -> String {
         self.lock().gauge.envelope()
     }
@@ -385,28 +381,28 @@ impl Sim {
         self.now().gauge.flash().bytes()
     }
 
-    /// Instruction flash by rows, and data flash as the boot loader has it; `None` for a part whose boot loader is not
+    /// Rows of instruction flash, and data flash as the boot loader has it; `None` if the part's boot loader is not
     /// simulated.
     pub fn firmware(&self) -> Option<(Vec<[u8; 96]>, Vec<u8>)> {
         self.now().gauge.firmware()
     }
 
-    /// Sends a new gauge to ROM mode, as a firmware update does that is interrupted before its first row. Returns whether
-    /// it is there now: without a boot loader, or with other keys than the manual's, it is not.
+    /// Sends a new gauge to ROM mode, as an interrupted firmware update does. Returns whether it is there: that needs a
+    /// boot loader and the manual's keys.
     pub fn leave_in_rom(&self) -> bool {
         let mut bus = self.bus();
-        // The keys to UNSEALED and FULL ACCESS, and ROM_MODE.
+        // Keys to UNSEALED and FULL ACCESS, and ROM_MODE.
         for word in [0x0414_u16, 0x3672, 0xFFFF, 0xFFFF, 0x0F00] {
             let [low, high] = word.to_le_bytes();
-            // What is not acknowledged shows in the mode.
+            // The mode shows whether it was acknowledged.
             let _ = bus.transfer(&[0x00, low, high], &mut []);
             self.clock.sleep(Duration::from_millis(100));
         }
         self.get("mode").as_deref() == Some("rom")
     }
 
-    /// Puts bytes into flash, not over the bus, as a production line's programmer does. `area` is a subclass, or 0
-    /// with offsets from address 0x4000 on.
+    /// Puts bytes into flash without the bus, as a production line's programmer does. `area` is a subclass, or 0 with
+    /// offsets from address 0x4000 on.
     pub fn set_flash(&self, area: u16, offset: usize, bytes: &[u8]) {
         self.now().gauge.set_flash(area, offset, bytes);
     }
@@ -416,7 +412,7 @@ impl Sim {
         self.lock().log = on.then(VecDeque::new);
     }
 
-    /// The latest transfers, oldest first; none if the log is off.
+    /// The latest transfers, oldest first; empty if the log is off.
     pub fn log(&self) -> Vec<Record> {
         self.lock().log.iter().flatten().cloned().collect()
     }
@@ -429,7 +425,7 @@ impl Sim {
     }
 }
 
-/// A [`Bus`] to one address of the simulated gauge's bus.
+/// A [`Bus`] to one address of the simulated bus.
 #[derive(Debug)]
 pub struct SimBus {
     sim: Sim,
@@ -437,14 +433,13 @@ pub struct SimBus {
     secret: bool,
 }
 
-/// The bus without faults.
 struct Direct<'a> {
     sim: &'a Sim,
     address: u8,
 }
 
 impl Direct<'_> {
-    /// Counts what passes and lets its time pass. Nothing follows an address that is not acknowledged.
+    /// Counts the transfer and lets its time pass. Nothing follows an address that is not acknowledged.
     fn pass(&self, state: &mut State, write: usize, read: usize) {
         let bits = wire_bits(write, read);
         state.counters.transfers += 1;
@@ -468,7 +463,7 @@ impl Bus for Direct<'_> {
         };
         if hold > Duration::ZERO {
             held.counters.stretched += hold.min(ADAPTER_WAITS);
-            // The lock is released, so that another thread can read the knobs meanwhile.
+            // Other threads can read the knobs meanwhile.
             drop(held);
             clock.sleep(hold.min(ADAPTER_WAITS));
             if hold > ADAPTER_WAITS {
@@ -476,8 +471,8 @@ impl Bus for Direct<'_> {
             }
             held = self.sim.lock();
         }
-        // How long the transfer takes depends on what is acknowledged, and that on the time: the gauge sees
-        // the end of a transfer in which everything is.
+        // The time depends on what is acknowledged, and the other way round: the gauge sees the end of a transfer in
+        // which everything is acknowledged.
         let now = clock.now() + BIT * wire_bits(write.len(), read.len()) as u32;
         let state = &mut *held;
         let result = state.gauge.message(write, read, now);
@@ -501,7 +496,7 @@ impl SimBus {
             state.catch_up(clock.now());
             state.gauge.plan().next(write.len() + read.len())
         };
-        // The bus waits without holding the lock, so that knobs can still be read.
+        // The bus waits without the lock, so that knobs can be read.
         if let Some(Fault::Transfer(Transfer::Stretch(ms))) = due {
             let hold = Duration::from_millis(ms).min(ADAPTER_WAITS);
             clock.sleep(hold);
@@ -536,7 +531,7 @@ impl SimBus {
         };
         let mut state = self.sim.lock();
         let nack_as = state.gauge.nack_as();
-        // What waits for a commit comes right after it.
+        // Steps that wait for a commit follow it directly.
         state.catch_up(clock.now());
         let result = match result {
             Err(BusError::NoAck) => {

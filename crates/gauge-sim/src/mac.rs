@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: MIT
 
-//! ManufacturerAccessControl: a flash gauge whose subcommands and flat data flash are reached through one
-//! word, a buffer, a sum and a length (SLUUBH1C 12.1.3, SLUA790 section 3). It covers what a host can do to
-//! such a part over the bus. The model of each part's pack is in its own file. Where data memory is RAM, it is
-//! written in FULL ACCESS between ENTER_CFG_UPDATE and one of the ways out (SLUUBD4A 6.1).
+//! ManufacturerAccessControl: subcommands and flat data flash are reached through one word, a buffer, a sum and a
+//! length (SLUUBH1C 12.1.3, SLUA790 section 3). It covers what a host can do to such a part over the bus. The part's
+//! file has the model of its pack. Where data memory is RAM, it is written in FULL ACCESS between ENTER_CFG_UPDATE and
+//! one of the ways out (SLUUBD4A 6.1).
 //!
-//! A gauge with flash is SEALED after every reset. One with RAM is UNSEALED unless its data memory says otherwise.
-//! Both ignore refused commands silently, and echo a refused word above the previous answer.
+//! A gauge with flash is SEALED after every reset. One with RAM is UNSEALED unless its data memory says otherwise. Both
+//! ignore refused commands silently, and echo a refused word above the previous answer.
 
 use std::time::Duration;
 
@@ -25,20 +25,19 @@ use super::update::{Exit, Mode};
 use super::window::checksum;
 use gauge_bus::GAUGE_ADDRESS;
 
-/// Owners' parts had some addresses one lower than printed, but not the first ones (E2E 668766 and 834655).
-/// No source has the address at which that begins.
+/// Owners' parts had some addresses one lower than printed, but not the first ones (E2E 668766 and 834655). No source
+/// has the address where that begins.
 const SHIFTED: u16 = 0x4100;
-/// The subcommand that answers with the seal state among other things.
+/// Its answer includes the seal state.
 const OPERATION_STATUS: u16 = 0x0054;
-/// A word above it that is no subcommand is taken for one of a key.
+/// A larger word that is no subcommand counts as one of a key.
 const LAST_SUBCOMMAND: u16 = 0x00FF;
-/// Bytes that MACDataLen() counts besides the data: the word, the sum and itself.
+/// MACDataLen() also counts the word, the sum and itself.
 const OVERHEAD: usize = 4;
-/// ENTER_CFG_UPDATE, EXIT_CFG_UPDATE_REINIT and EXIT_CFG_UPDATE.
 const ENTER_UPDATE: u16 = 0x0090;
 const EXIT_UPDATE_ANEW: u16 = 0x0091;
 const EXIT_UPDATE: u16 = 0x0092;
-/// The value that Control() of a bq34110 reads once after DEVICE_TYPE or FW_VERSION.
+/// Control() of a bq34110 reads this once after DEVICE_TYPE or FW_VERSION.
 const ANSWERED_ELSEWHERE: u16 = 0xFFA5;
 
 /// MACData(), MACDataSum() and MACDataLen() as the host reads them.
@@ -63,20 +62,18 @@ impl Answer {
     }
 }
 
-/// The complement of the sum of the word and the data.
 fn sum(word: u16, data: &[u8]) -> u8 {
     let [low, high] = word.to_le_bytes();
     checksum(data).wrapping_sub(low).wrapping_sub(high)
 }
 
-/// The buffer. It is separate from flash: after a write the host reads this back, whether anything was
-/// stored or not.
+/// The buffer is separate from flash: after a write the host reads it back, whether anything was stored or not.
 #[derive(Default)]
 struct Buffer {
     shown: Answer,
-    /// An answer that is still being fetched, and when it is there. It overwrites what a host writes before.
+    /// An answer in preparation, and its time. It overwrites what the host writes before.
     coming: Option<(Answer, Duration)>,
-    /// The sum, if it has been written and the length has not.
+    /// The sum, until the length is written.
     sum_sent: Option<u8>,
 }
 
@@ -94,7 +91,7 @@ impl MacPart {
         Some(Scale { divider: u16_at(flash, divider), external: u8_at(flash, byte) & bit != 0 })
     }
 
-    /// The level of a gauge that begins to work with its data memory. One with flash was sealed.
+    /// The level after a start.
     fn level(&self, flash: &Flash) -> Level {
         match &self.data_memory {
             Some(MacMemory { default_seal: (address, bit), .. })
@@ -107,38 +104,32 @@ impl MacPart {
     }
 }
 
-/// A gauge with ManufacturerAccessControl().
 pub(super) struct Mac {
     part: &'static MacPart,
     model: Box<dyn MacModel>,
     ram: Ram,
-    /// The scale that fits the board.
     board: Option<Scale>,
-    /// By how many bytes this specimen has its data flash lower than the manual.
+    /// How many bytes lower than in the manual this specimen has its data flash.
     shift: u16,
-    /// The registers before the last reset.
     before: Registers,
 }
 
-/// Everything that a reset clears.
 #[derive(Default)]
 struct Ram {
     seal: Seal,
     buffer: Buffer,
-    /// ManufacturerAccessControl() as it is read back.
     echo: u16,
-    /// The low bytes of Control() and of ManufacturerAccessControl(), while the high byte is still to come.
+    /// Low bytes of Control() and ManufacturerAccessControl() that wait for their high bytes.
     low: [u8; 2],
     previous: u16,
     /// The word came with this message.
     selecting: bool,
-    /// Control() has 0xFFA5 to show, and shows it in this message.
+    /// Control() shows 0xFFA5, in this message or the next.
     elsewhere: bool,
     elsewhere_seen: bool,
     update: Mode,
-    /// The boot loader runs. All that is known of it is that a loss of power ends it.
+    /// The boot loader runs. Only a loss of power is known to end it.
     rom: bool,
-    /// The registers as they were measured for this message.
     registers: Option<Registers>,
 }
 
@@ -167,13 +158,12 @@ impl Mac {
         self.ram.seal.level == Level::Sealed
     }
 
-    /// To SEALED, with nothing left in the buffer.
+    /// Seals, and empties the buffer.
     fn close(&mut self, now: Duration) {
         self.ram.seal.change(Level::Sealed, now);
         self.ram.buffer = Buffer::default();
     }
 
-    /// Voltage() as the host reads it.
     fn voltage_mv(&self, flash: &Flash) -> u16 {
         let voltage_mv = self.model.battery().forced_mv.unwrap_or_else(|| self.model.voltage_mv());
         let scales = self.part.scale(flash).zip(self.board);
@@ -188,7 +178,6 @@ impl Mac {
         Some(at + shift).filter(|&at| at < size)
     }
 
-    /// CONFIG UPDATE is over.
     fn end_update(&mut self, device: &mut Device, exit: Exit) {
         if exit == Exit::Anew {
             self.model.restart(&device.flash);
@@ -196,7 +185,7 @@ impl Mac {
         self.ram.registers = None;
     }
 
-    /// The length was written after the sum. Both have to be right.
+    /// Acts on the length, written after the sum. Both have to be right.
     fn commit(&mut self, device: &mut Device, told: u8, length: u8) {
         let count = usize::from(length).saturating_sub(OVERHEAD);
         if !(1..=BLOCK).contains(&count) {
@@ -226,8 +215,8 @@ impl Mac {
         device.commit(self, kept, allowed);
     }
 
-    /// A word was written to Control() or ManufacturerAccessControl(). One that is unknown, or not for a
-    /// sealed gauge, is echoed and does nothing.
+    /// Acts on a word in Control() or ManufacturerAccessControl(). An unknown word, or one that a sealed gauge refuses,
+    /// is echoed and does nothing.
     fn word(&mut self, device: &mut Device, word: u16) {
         self.ram.echo = word;
         self.ram.buffer.sum_sent = None;
@@ -243,7 +232,7 @@ impl Mac {
             }
             return;
         }
-        // The second word was another one.
+        // The second word was wrong.
         self.ram.seal.refused |= before.is_half() && !self.ram.seal.is_half();
         let open = !self.sealed();
         if let Some(at) = self.locate(&device.flash, word) {
@@ -254,7 +243,7 @@ impl Mac {
             }
             return;
         }
-        // What shows the level shows it late.
+        // A delayed status shows the old level.
         let level = if word == OPERATION_STATUS { self.shown_level(device) } else { self.ram.seal.level };
         self.ram.elsewhere |= self.part.answers_elsewhere && matches!(word, 0x0001 | 0x0002);
         match word {
@@ -293,7 +282,7 @@ impl Mac {
                 }
                 Some(Reply::Keep(kept)) => device.keep(self, kept),
                 Some(Reply::Done) => {}
-                // All subcommands but a few are lower, so that this was a key.
+                // Almost all subcommands are lower, so this was a key.
                 None => self.ram.seal.refused |= word > LAST_SUBCOMMAND,
             },
         }
@@ -303,7 +292,7 @@ impl Mac {
         }
     }
 
-    /// Fetches an answer, which takes `late` longer than others.
+    /// Prepares an answer, `late` longer than others.
     fn answer(&mut self, device: &Device, word: u16, bytes: &[u8], late: Duration) {
         let ready = device.now + device.timing.load + late;
         self.ram.buffer.coming = Some((Answer::new(word, bytes), ready));
@@ -313,7 +302,6 @@ impl Mac {
         self.ram.buffer.settle(device.now);
     }
 
-    /// CONTROL_STATUS.
     fn control_status(&self, device: &Device) -> u16 {
         self.model.control_status(self.shown_level(device)) & !self.hidden(device, 0)
     }
@@ -324,7 +312,7 @@ impl Mac {
         if shown == register && device.unmeasured() { bit } else { 0 }
     }
 
-    /// A byte of the word that shows the level and CONFIG UPDATE, which is right while the gauge does not gauge.
+    /// A byte of the word with the level and CONFIG UPDATE, which stays right while gauging stops.
     fn update_status(&self, device: &Device, register: u8) -> Option<u8> {
         let (first, bit) = self.part.data_memory.as_ref()?.shows;
         let at = usize::from(register.checked_sub(first)?);
@@ -335,12 +323,11 @@ impl Mac {
         ((word | mode) & !self.hidden(device, first)).to_le_bytes().get(at).copied()
     }
 
-    /// The level that the status words show.
     fn shown_level(&self, device: &Device) -> Level {
         self.ram.seal.shown(device.envelope.status, device.now)
     }
 
-    /// The registers, some of which are not right before the first measurement.
+    /// The registers, partly wrong before the first measurement.
     fn measure(&self, device: &Device) -> Registers {
         let unmeasured = device.unmeasured();
         let voltage_mv = if unmeasured { 0 } else { self.voltage_mv(&device.flash) };
@@ -357,7 +344,7 @@ impl Mac {
     }
 }
 
-/// Puts a version in an answer: FW_VERSION has the device, the version and the build, HW_VERSION is one word.
+/// Puts a version in an answer: FW_VERSION has device, version and build, HW_VERSION is one word.
 fn set_version(word: u16, bytes: &mut [u8], version: u16) {
     match word {
         0x0002 => bytes[2..4].copy_from_slice(&version.to_be_bytes()),
@@ -393,7 +380,7 @@ impl Wire for Mac {
                 self.ram.selecting = true;
             }
             0x40..=0x5F => {
-                // Data in the word's own message is taken after the block has been fetched.
+                // Data in the word's own message follows the block.
                 if self.ram.selecting {
                     buffer.settle(Duration::MAX);
                 }
@@ -401,7 +388,7 @@ impl Wire for Mac {
                 buffer.shown.data[usize::from(register - 0x40)] = byte;
             }
             0x60 => {
-                // The gauge does one thing after the other: the block overwrites what came before it.
+                // The gauge works in order: the block overwrites what came before it.
                 buffer.settle(Duration::MAX);
                 buffer.shown.sum = byte;
                 buffer.sum_sent = Some(byte);
@@ -461,7 +448,6 @@ impl Wire for Mac {
         [firmware, hardware]
     }
 
-    /// In CONFIG UPDATE the gauge does not gauge.
     fn gauges(&self) -> bool {
         !self.ram.rom && !self.ram.update.shows()
     }

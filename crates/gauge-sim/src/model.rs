@@ -1,33 +1,28 @@
 // SPDX-License-Identifier: MIT
 
-//! The measuring half of a gauge: its view of the pack. The parts with block access share `gauging`;
-//! those with ManufacturerAccessControl() have a model each, in their own files.
+//! The measuring half of a gauge: its view of the pack. The parts with block access share `gauging`; those with
+//! ManufacturerAccessControl() have their models in their own files.
 
 use super::battery::Battery;
 use super::flash::Flash;
 use super::flat::{DATA_FLASH, offset};
 use super::seal::Level;
 
-/// All registers, 0x00 to 0x7F.
+/// 0x00 to 0x7F.
 pub(super) type Registers = [u8; 0x80];
 
 /// 0 degrees Celsius in 0.1 K.
 pub(super) const FREEZING: f64 = 2731.0;
-/// Time constant of AverageCurrent().
 pub(super) const AVERAGE_S: f64 = 15.0;
-/// A time in minutes that is not known.
 pub(super) const NO_TIME: u16 = 0xFFFF;
-/// Duration of an offset measurement.
 const OFFSET_S: f64 = 4.0;
 
-/// A word that the host writes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Host {
     AtRate,
     Temperature,
 }
 
-/// Class and offset of a value in data flash.
 pub(super) type Place = (u16, usize);
 
 /// Bytes that the gauge itself stores, and their place in flash.
@@ -43,68 +38,65 @@ impl Kept {
     }
 }
 
-/// The measurements and predictions that a gauge makes of its pack.
 pub(super) trait Model: Send {
     fn battery(&self) -> &Battery;
     fn battery_mut(&mut self) -> &mut Battery;
-    /// State of charge as the gauge reports it, before rounding.
+    /// State of charge as reported, before rounding.
     fn percent(&self) -> f64 {
         self.battery().percent()
     }
-    /// Brings the pack to a state of charge.
     fn set_percent(&mut self, percent: f64) {
         self.battery_mut().set_percent(percent);
         self.measure();
     }
-    /// Brings states and flags up to the present measurements.
+    /// Updates states and flags by the present measurements.
     fn measure(&mut self);
-    /// Whether the pack can be charged.
     fn charges(&self) -> bool {
         true
     }
     /// Power has come: nothing has been measured yet.
     fn power_up(&mut self) {}
-    /// Builds RAM anew from flash. The pack itself goes on.
+    /// Rebuilds RAM from flash. The pack itself goes on.
     fn restart(&mut self, flash: &Flash);
-    /// Flash was programmed. A gauge that reads its parameters at a reset only does nothing.
+    /// Flash was programmed. A gauge that reads parameters only at a reset does nothing.
     fn configure(&mut self, _flash: &Flash) {}
-    /// Whether the pack changes so slowly that a step may be long.
+    /// Whether the pack changes so slowly that steps may be long.
     fn at_rest(&self) -> bool {
         self.battery().current_ma() == 0.0
     }
-    /// Lets time pass that is short compared with everything modelled. Returns what is stored at once.
+    /// Lets a short time pass. Returns what is stored at once.
     fn step(&mut self, seconds: f64) -> Vec<Kept>;
-    /// The values that are stored once after a run of steps.
+    /// Values that are stored once after a run of steps.
     fn learned(&mut self, _flash: &Flash) -> Vec<Kept> {
         Vec::new()
     }
 }
 
-/// The model of a part with ManufacturerAccessControl(), which has subcommands of its own.
+/// The model of a part with ManufacturerAccessControl() and subcommands of its own.
 pub(super) trait MacModel: Model {
     /// The pack's voltage as Voltage() shows it.
     fn voltage_mv(&self) -> u16;
     fn calibrating(&self) -> bool;
     fn control_status(&self, level: Level) -> u16;
-    /// The content of 0x00 to 0x7F. Registers that the host writes are left 0.
+    /// 0x00 to 0x7F, with 0 in registers that the host writes.
     fn registers(&self, level: Level, voltage_mv: u16) -> Registers;
-    /// Takes a subcommand; `None` if the part does not take it at this level.
+    /// Takes a subcommand; `None` if the part refuses it at this level.
     fn subcommand(&mut self, word: u16, level: Level, flash: &Flash) -> Option<Reply>;
-    /// Takes data that is committed to a subcommand instead of an address.
+    /// Takes data committed to a subcommand instead of an address.
     fn parameters(&mut self, _word: u16, _data: &[u8], _level: Level) -> Vec<Kept> {
         Vec::new()
     }
-    /// Takes a byte that is written to a standard command. Returns whether it is acknowledged.
+    /// Takes a byte written to a standard command. Returns whether it is acknowledged.
     fn write(&mut self, _register: u8, _byte: u8) -> bool {
         false
     }
-    /// A register has been read.
+    /// A register was read.
     fn seen(&mut self, _register: u8) {}
 }
 
-/// The reply to a subcommand, besides the change of the model.
+/// The reply to a subcommand.
 pub(super) enum Reply {
-    /// Nothing; the buffer stays as it was.
+    /// The buffer stays as it was.
     Done,
     Answer(Vec<u8>),
     Keep(Vec<Kept>),
@@ -127,9 +119,7 @@ pub(super) struct Calibration {
     cc_s: f64,
     pub(super) enabled: bool,
     pub(super) mode: bool,
-    /// AnalogCount() or Cal_Count().
     pub(super) count: u8,
-    /// The part of the current second that has passed.
     part_s: f64,
 }
 
@@ -142,7 +132,7 @@ impl Calibration {
         self.cc_s > 0.0
     }
 
-    /// BOARD_OFFSET measures the offset of the counter as well.
+    /// BOARD_OFFSET also measures the counter's offset.
     pub(super) fn board_offset(&mut self) {
         (self.board_s, self.cc_s) = (OFFSET_S, OFFSET_S);
     }
@@ -155,7 +145,7 @@ impl Calibration {
         Kept::new(DATA_FLASH, offset(0x4008), &(-1180i16).to_be_bytes())
     }
 
-    /// Lets time pass. A current that flows meanwhile is taken for an offset.
+    /// Lets time pass. A current that flows meanwhile counts as offset.
     pub(super) fn step(&mut self, seconds: f64, current_ma: f64) -> Option<Kept> {
         self.part_s += seconds;
         if self.part_s >= 1.0 {
@@ -181,12 +171,11 @@ pub(super) fn registers(words: &[(usize, u16)]) -> Registers {
     out
 }
 
-/// The bits that are on.
 pub(super) fn bits(bits: &[(u16, bool)]) -> u16 {
     bits.iter().filter(|(_, on)| *on).fold(0, |word, (bit, _)| word | bit)
 }
 
-/// For how long a condition has been met: `timer` after `seconds` more.
+/// How long a condition has been met: `timer` after `seconds` more.
 pub(super) fn lasting(timer: &mut f64, met: bool, seconds: f64) -> f64 {
     *timer = if met { *timer + seconds } else { 0.0 };
     *timer

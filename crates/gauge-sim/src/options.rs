@@ -1,7 +1,5 @@
 // SPDX-License-Identifier: MIT
 
-//! How a simulated gauge is made.
-
 use std::fmt;
 use std::path::PathBuf;
 
@@ -12,16 +10,15 @@ use super::seal::Level;
 pub struct Options {
     /// File that keeps the flash across processes. It is created if it does not exist.
     pub state: Option<PathBuf>,
-    /// The key that unseals a new gauge, in the order its words are sent.
+    /// The key that unseals a new gauge, in the order of its words on the wire.
     pub unseal_key: Option<[u16; 2]>,
-    /// The seal state in which the gauge begins. Without it a new one with RAM is UNSEALED, as after every power-up, and
-    /// one with flash is SEALED.
+    /// The initial seal state. By default a new gauge with RAM is UNSEALED, as after every power-up, and one with flash
+    /// is SEALED.
     pub seal: Option<Level>,
     /// Seed of the random faults and of the part's offsets.
     pub seed: u64,
-    /// Seed by which one gauge is drawn from everything that real ones do: late blocks, slow commits, resets that are
-    /// lost, values that the gauge itself rewrites, and more. Without it the gauge is friendly; each behaviour is also a
-    /// knob.
+    /// Seed that draws one gauge from everything that real ones do: late blocks, slow commits, lost resets, values that
+    /// the gauge itself rewrites, and more. Without it the gauge is friendly; each behaviour is also a knob.
     pub envelope: Option<u64>,
 }
 

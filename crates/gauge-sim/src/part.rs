@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! The description of a part: everything in which one simulated gauge differs from another.
+//! The description of a part: everything that differs between simulated gauges.
 
 use super::flash::{Flash, Image};
 use super::gauging::Map;
@@ -10,18 +10,17 @@ use super::seal::Level;
 use super::timing::Timing;
 use super::update::Exit;
 
-/// A part.
 pub(super) struct Part {
     pub(super) name: &'static str,
     pub(super) image: Image,
     pub(super) timing: Timing,
     pub(super) scheme: Scheme,
-    /// Values that the gauge itself rewrites: area, offset and length, which is 1 or 2.
+    /// Values that the gauge itself rewrites: area, offset, and length (1 or 2).
     pub(super) rewrites: &'static [(u16, usize, usize)],
 }
 
 impl Part {
-    /// Whether a host's commits are programmed into flash, and not into RAM.
+    /// Whether commits are programmed into flash; otherwise data memory is RAM.
     pub(super) fn has_flash(&self) -> bool {
         match self.scheme {
             Scheme::Block(part) => part.data_memory.is_none(),
@@ -49,7 +48,6 @@ impl Part {
         })
     }
 
-    /// Data flash as the boot loader has it.
     pub(super) fn rom_data(&self, flash: &Flash) -> Vec<u8> {
         let mut data = flash.firmware.as_ref().map(|firmware| firmware.rest.to_vec()).unwrap_or_default();
         for &(id, at, length) in self.layout().unwrap_or_default() {
@@ -58,7 +56,6 @@ impl Part {
         data
     }
 
-    /// Changes data flash as the boot loader does.
     pub(super) fn set_rom_data(&self, flash: &mut Flash, data: Vec<u8>) {
         for &(id, at, length) in self.layout().unwrap_or_default() {
             flash.set(id, 0, &data[at..at + length]);
@@ -69,7 +66,6 @@ impl Part {
     }
 }
 
-/// How a part is accessed.
 #[derive(Clone, Copy)]
 pub(super) enum Scheme {
     Block(&'static BlockPart),
@@ -77,61 +73,57 @@ pub(super) enum Scheme {
     Registers(&'static RegisterPart),
 }
 
-/// A bit of the word there.
+/// A bit of the word at a place.
 pub(super) type Flag = (u16, usize, u16);
 
-/// A part with block access.
 #[derive(Debug)]
 pub(super) struct BlockPart {
     /// DM_CODE, the only difference between some parts.
     pub(super) code: u16,
     pub(super) map: Map,
-    /// Control(): code, lowest level at which it is accepted, what it does. All other codes do nothing.
+    /// Subcommands of Control(): code, lowest level, action. All other codes do nothing.
     pub(super) subcommands: &'static [(u16, Level, Action)],
-    /// Bits of CONTROL_STATUS.
     pub(super) status: &'static [(Status, u16)],
     /// PREV_MACWRITE shows only subcommands below this one.
     pub(super) remembered: u16,
-    /// Registers above it are not acknowledged.
+    /// Higher registers are not acknowledged.
     pub(super) last_register: u8,
     pub(super) flags_register: u8,
     pub(super) voltage_register: u8,
-    /// Registers whose word the host may write.
     pub(super) host_registers: &'static [(u8, Host)],
-    /// Offsets in class 112 of the key to UNSEALED and, if there is such a level, of that to FULL ACCESS.
+    /// Offsets in class 112 of the keys to UNSEALED and, if there is that level, to FULL ACCESS.
     pub(super) keys: &'static [usize],
-    /// Data memory is RAM.
+    /// For a part whose data memory is RAM.
     pub(super) data_memory: Option<DataMemory>,
     pub(super) gate: Option<Gate>,
-    /// Place of the key of SHA-1 authentication.
     pub(super) authentication: Option<Place>,
-    /// Blocks that a sealed gauge shows, and the class of each.
+    /// Blocks that a sealed gauge shows, with their classes.
     pub(super) sealed_blocks: &'static [(u8, u16)],
-    /// The one of those classes that a sealed gauge lets the host write.
+    /// The class that a sealed gauge lets the host write.
     pub(super) sealed_writes: Option<u16>,
-    /// Class, offset and bit by which a pin detects the battery, and BAT_INSERT has no effect.
+    /// Class, offset and bit that make a pin detect the battery; BAT_INSERT then has no effect.
     pub(super) battery_insert: Option<(u16, usize, u8)>,
     pub(super) own: Own,
-    /// The places of the classes in the boot loader's data flash, if the boot loader is simulated.
+    /// Places of the classes in the boot loader's data flash, if the boot loader is simulated.
     pub(super) rom: Option<Layout>,
 }
 
-/// Data memory that is RAM, filled from ROM when power comes.
+/// Data memory in RAM, filled from ROM when power comes.
 #[derive(Debug)]
 pub(super) struct DataMemory {
     /// Class and offset of a byte, and its bit that seals.
     pub(super) seals: (u16, usize, u8),
-    /// The byte whose bit 7 is the sign of CC Gain, if parts differ in what their ROM has there.
+    /// The byte whose bit 7 is the sign of CC Gain, where ROMs differ in it.
     pub(super) gain_sign: Option<Place>,
 }
 
-/// Data flash that the gauge itself reads or stores, besides what gauging does.
+/// Data flash that the gauge itself uses, besides gauging.
 #[derive(Debug)]
 pub(super) struct Own {
     pub(super) update_status: Option<Place>,
     pub(super) cc_offset: Option<Place>,
     pub(super) board_offset: Option<Place>,
-    /// The byte that is not 0 for the constant-power model.
+    /// The byte that selects the constant-power model unless it is 0.
     pub(super) load_mode: Option<Place>,
     /// The bit that lifts the gate.
     pub(super) calibration: Option<Flag>,
@@ -143,18 +135,17 @@ pub(super) struct Own {
     pub(super) chemistry: Option<u16>,
 }
 
-/// The voltage below which nothing is programmed.
 #[derive(Debug)]
 pub(super) struct Gate {
     pub(super) limit: Place,
     /// Voltage Divider, and the bit that switches off the internal divider.
     pub(super) divider: Option<(Place, Flag)>,
-    /// The Voltage Divider at which Voltage() is a cell's, if Voltage() scaled back to it is compared as well.
+    /// The Voltage Divider of a single cell, for parts that also compare Voltage() scaled back to a cell.
     pub(super) cell_divider: Option<u16>,
 }
 
-/// The scale of Voltage(). It is proportional to Voltage Divider, the voltage at the
-/// full scale of the converter, and 5 times as large without the internal divider (SLUSBZ5D 7.3.8).
+/// The scale of Voltage(): proportional to Voltage Divider, the voltage at the converter's full scale, and 5 times as
+/// large without the internal divider (SLUSBZ5D 7.3.8).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Scale {
     pub(super) divider: u16,
@@ -166,8 +157,8 @@ impl Scale {
         u64::from(self.divider) * if self.external { 5 } else { 1 }
     }
 
-    /// The value that Voltage() shows with this scale, if it would be `voltage_mv` with the scale that fits the board.
-    /// It overflows, and beyond the range of the converter it is 0, as owners read it (E2E 255438).
+    /// What Voltage() shows with this scale, where the board's own scale would show `voltage_mv`. It overflows; beyond
+    /// the converter's range it is 0, as owners read it (E2E 255438).
     pub(super) fn shows(self, board: Self, voltage_mv: u16) -> u16 {
         if self == board && self.divider > 0 {
             return voltage_mv;
@@ -178,15 +169,13 @@ impl Scale {
     }
 }
 
-/// The action of a subcommand.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Action {
     ControlStatus,
     Answer(u16),
     AnswerCode,
-    /// Answers with a word of data flash.
     AnswerFrom(u16, usize),
-    /// Answers with the chemistry that was chosen, or with this one.
+    /// Answers with the chosen chemistry, or with this one.
     AnswerChemistry(u16),
     AnswerOffset,
     ResetData,
@@ -194,7 +183,6 @@ pub(super) enum Action {
     BoardOffset,
     CcOffset,
     WriteCcOffset,
-    /// Answers with the sum of all data flash.
     FlashChecksum,
     ChemistryChecksum,
     FullSleep,
@@ -210,15 +198,14 @@ pub(super) enum Action {
     Reset,
     ConfigUpdate,
     Leave(Exit),
-    /// Chooses a chemistry, in CONFIG UPDATE only.
+    /// Selects a chemistry, in CONFIG UPDATE only.
     Chemistry(u16),
-    /// If it was armed: off until power is switched off and on.
+    /// If armed: off until power is switched off and on.
     Shutdown,
     Rom,
     Hdq,
 }
 
-/// The meaning of a bit of CONTROL_STATUS.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Status {
     NotFullAccess,
@@ -228,13 +215,11 @@ pub(super) enum Status {
     Initialized,
     Sleep,
     LoadMode,
-    /// Impedance Track is enabled.
     Enabled,
     VoltageOk,
-    /// Ra is not updated.
     RaOff,
     ChemistryChanged,
-    // Marks: subcommands set and clear them, and nothing else does.
+    // Marks, which only subcommands set and clear.
     Calibrating,
     ChecksumValid,
     DataLog,
@@ -245,43 +230,39 @@ pub(super) enum Status {
     WatchdogReset,
 }
 
-/// Data memory that is RAM, filled from ROM when power comes, and written in FULL ACCESS between two subcommands.
+/// Data memory in RAM, filled from ROM when power comes, and written in FULL ACCESS between two subcommands.
 #[derive(Debug)]
 pub(super) struct MacMemory {
-    /// The address of a byte, and the bit by which the gauge seals itself when power comes.
+    /// The address of a byte, and the bit that makes the gauge seal itself when power comes.
     pub(super) default_seal: (u16, u8),
-    /// The register and the bit that show CONFIG UPDATE.
+    /// Register and bit that show CONFIG UPDATE.
     pub(super) shows: (u8, u16),
 }
 
-/// A part with ManufacturerAccessControl().
 pub(super) struct MacPart {
-    /// The first address of data flash.
     pub(super) base: u16,
-    /// Data memory is RAM.
+    /// For a part whose data memory is RAM.
     pub(super) data_memory: Option<MacMemory>,
-    /// The address of Flash Update OK Voltage.
     pub(super) gate: Option<u16>,
-    /// The address of Voltage Divider, and the bit of a byte that switches off the internal divider.
+    /// Address of Voltage Divider, and the bit of a byte that switches off the internal divider.
     pub(super) divider: Option<(u16, (u16, u8))>,
-    /// Area and offset of the keys: four words in the order in which they are sent.
+    /// Area and offset of the keys: four words in their order on the wire.
     pub(super) keys: Place,
-    /// The subcommand that seals.
     pub(super) seal: u16,
     /// Control() reads 0xFFA5 once after DEVICE_TYPE or FW_VERSION.
     pub(super) answers_elsewhere: bool,
-    /// Registers of one word that are predicted, and the bit that says so: of a register, or 0 for CONTROL_STATUS.
+    /// Predicted registers of one word, and the bit that says so: of a register, or 0 for CONTROL_STATUS.
     pub(super) predicted: &'static [u8],
     pub(super) initialized: (u8, u16),
     pub(super) model: fn(&Flash) -> Box<dyn MacModel>,
 }
 
-/// A part of which only the standard commands are known.
+/// A part known by its standard commands only.
 #[derive(Debug)]
 pub(super) struct RegisterPart {
     pub(super) map: Map,
-    /// Charges and currents are counted in the voltage of the sense resistor, without sign.
+    /// Charge and current are counted as the voltage of the sense resistor, without sign.
     pub(super) in_volts: bool,
-    /// The answers to DEVICE_TYPE and FW_VERSION; `None` for a part without Control().
+    /// Answers to DEVICE_TYPE and FW_VERSION; `None` for a part without Control().
     pub(super) control: Option<(u16, u16)>,
 }

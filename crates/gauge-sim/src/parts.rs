@@ -2,7 +2,7 @@
 
 //! The parts that are simulated, a file each.
 
-// A part's file names them as `super::part` and so on.
+// Parts name them as `super::part` and so on.
 use super::part::Part;
 use super::{battery, flash, flat, gauging, learning, model, part, rom, seal, timing, update};
 
@@ -32,12 +32,12 @@ static PARTS: &[&Part] = &[
     &bq35100::PART,
 ];
 
-/// Every part: those with data flash, then those of which only the standard commands are known.
+/// Every part: those with data flash, then those known by their standard commands only.
 pub(super) fn all() -> impl Iterator<Item = &'static Part> {
     PARTS.iter().chain(kernel::PARTS).copied()
 }
 
-/// Compares blocks of an image with the checksums that documents and parts have for them.
+/// Compares blocks of an image with the checksums of documents and real parts.
 #[cfg(test)]
 fn check_sums(image: flash::Image, sums: &[(u16, usize, u8)]) {
     for &(id, block, sum) in sums {

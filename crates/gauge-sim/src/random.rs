@@ -1,10 +1,9 @@
 // SPDX-License-Identifier: MIT
 
-//! Random numbers that repeat with their seed.
+//! Random numbers that repeat with their seed (xorshift).
 
 use std::ops::RangeInclusive;
 
-/// A generator (xorshift).
 #[derive(Clone, Debug)]
 pub(super) struct Random(u64);
 
@@ -14,7 +13,6 @@ impl Random {
         Self(seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1)
     }
 
-    /// The generator that belongs to one place of one gauge.
     pub(super) fn of(seed: u64, area: u16, block: usize) -> Self {
         let place = u64::from(area) << 32 | block as u64;
         let mut new = Self::new(seed ^ place.wrapping_mul(0xD6E8_FEB8_6659_FD93));

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT
 
-//! A gauge of which only the standard commands are known: registers that can be read, and what identifies the part.
-//! It takes no other writes, so whatever a host sends to it beyond that is refused where a test sees it.
+//! A gauge known by its standard commands only: readable registers, and what identifies the part. It takes no other
+//! writes, so a test sees anything else that a host sends.
 
 use std::time::Duration;
 
@@ -16,22 +16,20 @@ use super::part::{Part, RegisterPart};
 use super::seal::Level;
 use gauge_bus::GAUGE_ADDRESS;
 
-/// A charge of 3.57 µVh across 20 mΩ, in mAh, and an energy of 29.2 µV²h across it, in mWh.
+/// A charge of 3.57 µVh across 20 mΩ in mAh, and an energy of 29.2 µV²h across it in mWh.
 const CHARGE: f64 = 0.1785;
 const ENERGY: f64 = 1.46;
 /// `[CHGS]` of the bq27000.
 const CHARGING: u8 = 0x80;
 
-/// The gauge.
 pub(super) struct Register {
     part: &'static RegisterPart,
     gauging: Gauging,
-    /// The low byte of a word for Control(), and what Control() answers with.
+    /// Low byte of a word for Control(), and its answer.
     low: u8,
     answer: u16,
-    /// The pack has been taken out, and the lines are pulled up.
+    /// The pack was taken out, and the lines are pulled up.
     out: bool,
-    /// The registers as they were measured for this message.
     registers: Option<Registers>,
 }
 
@@ -49,7 +47,7 @@ impl Register {
         Ok(Gauge::new(device, gauge, options.envelope))
     }
 
-    /// The registers; those of a bq27000 in its units.
+    /// A bq27000's registers are in its own units.
     fn measure(&self) -> Registers {
         let mut registers = self.gauging.registers(false, true);
         if !self.part.in_volts {

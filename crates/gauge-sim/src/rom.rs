@@ -2,11 +2,11 @@
 
 //! Instruction flash, and the boot loader that answers in ROM mode.
 //!
-//! No manual describes it. Commands, sums and the mark that makes firmware valid are those of whole files for
-//! bq27520-G3 and bq27510 (github.com/pelotoncycle/opensource-quartz, octathorp/Kepler_CM7), which agree with what is
-//! public for bq34z100. Where they leave a choice, the gauge does what is worst for a programmer: it leaves half done
-//! whatever it is doing when power is lost, and firmware that is marked as whole and is not whole never answers again.
-//! But an erase that is interrupted has erased the mark: where it has not, no order of rows would help.
+//! No manual describes it. Commands, sums and the mark of valid firmware are those of whole files for bq27520-G3 and
+//! bq27510 (github.com/pelotoncycle/opensource-quartz, octathorp/Kepler_CM7), which agree with what is public for
+//! bq34z100. Where they leave a choice, the gauge does what is worst for a programmer: a loss of power leaves its work
+//! half done, and marked but incomplete firmware never answers again. One exception: an interrupted erase has erased
+//! the mark, because otherwise no order of rows would help.
 
 use std::borrow::Cow;
 use std::sync::Arc;
@@ -17,36 +17,32 @@ use super::random::Random;
 /// Address at which a gauge in ROM mode answers.
 pub(super) const ROM_ADDRESS: u8 = 0x0B;
 
-/// Rows of instruction flash and of data flash, and their bytes.
 pub(super) const ROWS: usize = 512;
 const ROW: usize = 96;
 pub(super) const DATA_ROWS: usize = 32;
 pub(super) const DATA_ROW: usize = 32;
-/// Bytes of data flash.
 pub(super) const DATA: usize = DATA_ROWS * DATA_ROW;
-/// The mark of valid firmware in row 0.
 pub(super) const MARK: [u8; 3] = [0x54, 0x54, 0x15];
 pub(super) const MARK_AT: usize = 15;
 pub(super) const ERASED: [u8; 3] = [0xFF, 0xFF, 0x3F];
-/// Offset of the version in row 0, the low byte first.
+/// Offset of the version in row 0, low byte first.
 const VERSION_AT: usize = 48;
-/// The values of 0x66: done; the magic word is wrong; the sum is wrong; not done yet. No source has the last one.
+/// The values of 0x66: done; wrong magic word; wrong sum; not done yet. No source has the last one.
 const DONE: u8 = 0x00;
 const REFUSED: u8 = 0x02;
 const WRONG_SUM: u8 = 0x04;
 const WORKING: u8 = 0xFF;
 
-/// A row of instruction flash.
 pub(super) type Row = [u8; ROW];
 
-/// The place of each class in the boot loader's data flash: class, index, length.
+/// Places of the classes in the boot loader's data flash: class, index, length.
 pub(super) type Layout = &'static [(u16, usize, usize)];
 
 pub(super) fn erased() -> Row {
     std::array::from_fn(|at| ERASED[at % 3])
 }
 
-/// Words that stand for firmware of a version: TI's own are TI's.
+/// Made-up words for the firmware of a version: TI's own belong to TI.
 fn words(version: u16) -> Vec<Row> {
     let mut random = Random::new(u64::from(version));
     let mut rows: Vec<Row> = vec![erased(); ROWS];
@@ -60,34 +56,33 @@ fn words(version: u16) -> Vec<Row> {
     rows
 }
 
-/// Instruction flash, and the bytes of data flash that belong to no class.
+/// Instruction flash, and the bytes of data flash outside all classes.
 #[derive(Clone, Debug)]
 pub(super) struct Firmware {
     version: u16,
-    /// `None` as long as nothing has looked at it: it takes more memory than all else of a gauge.
+    /// `None` until something looks at it: it takes more memory than the rest of the gauge.
     rows: Option<Rows>,
     pub(super) rest: Cow<'static, [u8]>,
 }
 
 #[derive(Clone, Debug)]
 struct Rows {
-    /// The part's own firmware, as it leaves the factory.
+    /// The factory's firmware.
     own: Arc<Vec<Row>>,
     now: Arc<Vec<Row>>,
 }
 
 impl Firmware {
-    /// The firmware of a new part.
     pub(super) fn new(version: u16) -> Self {
         Self { version, rows: None, rest: Cow::Borrowed(&[0xFF; DATA]) }
     }
 
-    /// Whether the gauge starts its firmware, instead of staying in ROM mode.
+    /// Whether the gauge starts its firmware instead of staying in ROM mode.
     pub(super) fn is_marked(&self) -> bool {
         self.rows.as_ref().is_none_or(|rows| rows.now[0][MARK_AT..MARK_AT + 3] == MARK)
     }
 
-    /// Whether it works.
+    /// Whether the firmware works.
     pub(super) fn is_sound(&self) -> bool {
         self.rows.as_ref().is_none_or(|rows| rows.now == rows.own)
     }
@@ -99,17 +94,15 @@ impl Firmware {
         })
     }
 
-    /// The rows as they are.
     pub(super) fn rows(&self) -> Arc<Vec<Row>> {
         self.rows.as_ref().map_or_else(|| words(self.version).into(), |rows| rows.now.clone())
     }
 
-    /// The rows, to be changed.
     pub(super) fn rows_mut(&mut self) -> &mut Vec<Row> {
         Arc::make_mut(&mut self.known().now)
     }
 
-    /// The rows that are not as in a new part.
+    /// Rows that differ from a new part's.
     pub(super) fn changed(&self) -> impl Iterator<Item = (usize, &Row)> {
         let rows = self.rows.iter().flat_map(|rows| rows.now.iter().zip(&*rows.own).enumerate());
         rows.filter(|(_, (row, own))| row != own).map(|(at, (row, _))| (at, row))
@@ -121,7 +114,7 @@ impl Firmware {
     }
 }
 
-/// The work of a command, which takes effect when the command is done.
+/// Work that takes effect when its command is done.
 #[derive(Clone, Debug)]
 enum Work {
     Rows(Vec<(usize, Row)>),
@@ -129,23 +122,21 @@ enum Work {
     Answer(Vec<u8>),
 }
 
-/// A request of the boot loader to the rest of the gauge.
+/// What the boot loader does to the rest of the gauge.
 pub(super) enum Effect {
-    /// Bytes of data flash, by index.
     Data(Vec<(usize, Vec<u8>)>),
     Leave,
 }
 
-/// The boot loader: its RAM.
 #[derive(Clone, Debug)]
 pub(super) struct Boot {
     buffer: [u8; 0x64],
-    /// How far the buffer was written since the last command.
+    /// Which bytes of the buffer were written since the last command.
     sent: [bool; 0x64],
     sum: u8,
     result: u8,
     working: Option<(Duration, Work)>,
-    /// It was told to ruin the gauge.
+    /// It received a command that ruins a gauge.
     pub(super) ruined: bool,
 }
 
@@ -164,8 +155,8 @@ impl Boot {
         }
     }
 
-    /// Takes a byte. `data` is data flash as it is. The returned effect happens at once; it is also the state that a
-    /// loss of power would leave.
+    /// Takes a byte. `data` is data flash as it is. The effect returned happens at once; a loss of power would leave it
+    /// as well.
     pub(super) fn write(
         &mut self,
         firmware: &mut Firmware,
@@ -212,7 +203,7 @@ impl Boot {
                 (ms(2), Work::Rows(vec![(row, new)]))
             }
             0x02 if row < ROWS => {
-                // Programming clears bits; only an erase sets them.
+                // Programming clears bits; only erasing sets them.
                 let old = firmware.known().now[row];
                 let new = std::array::from_fn(|at| old[at] & self.buffer[4 + at]);
                 (ms(2), Work::Rows(vec![(row, new)]))
@@ -254,7 +245,7 @@ impl Boot {
         if let Work::Rows(new) = &work {
             let rows = firmware.rows_mut();
             for (at, (row, new)) in new.iter().enumerate() {
-                // Half of the words of a row, and half of the rows; the mark is the first to be lost and the last to be there.
+                // Half of the words of a row, and half of the rows; the mark is the first to go and the last to come.
                 for (byte, new) in
                     rows[*row].iter_mut().zip(new).skip(if at % 2 == 0 { ROW / 2 } else { ROW })
                 {
@@ -270,7 +261,7 @@ impl Boot {
         torn
     }
 
-    /// Lets time pass. Returns the effect of a command, if one is done now.
+    /// Lets time pass. Returns the effect of a command that is done now.
     pub(super) fn run(&mut self, firmware: &mut Firmware, now: Duration) -> Option<Option<Effect>> {
         let (_, work) = self.working.take_if(|(until, _)| now >= *until)?;
         self.result = DONE;

@@ -2,9 +2,9 @@
 
 //! Scenarios: what happens to a gauge, and when, written as TOML.
 //!
-//! A scenario turns the knobs of a gauge at times of the battery, so that it is the same at any `speed`, or when so many
-//! transfers or commits have passed. Besides the knobs a step may exchange the pack and put bytes into flash. Chance is
-//! drawn when the file is read, by its seed: the same file and seed make the same steps.
+//! A scenario turns knobs at times of the battery, so that it is the same at any `speed`, or after a number of
+//! transfers or commits. A step may also exchange the pack or put bytes into flash. Random values are drawn when the
+//! file is read: the same file and seed make the same steps.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::path::Path;
@@ -16,7 +16,6 @@ use toml::Value;
 use super::error::{Error, Kind, Result};
 use super::random::Random;
 
-/// The scenarios that come with the simulator, by their names.
 const SHIPPED: &[(&str, &str)] = &[
     ("ebike-ride", include_str!("scenarios/ebike-ride.toml")),
     ("failing-bus", include_str!("scenarios/failing-bus.toml")),
@@ -26,37 +25,33 @@ const SHIPPED: &[(&str, &str)] = &[
     ("swapped-pack", include_str!("scenarios/swapped-pack.toml")),
 ];
 
-/// Largest size of a file.
 const LONGEST: u64 = 1 << 20;
-/// Most single steps that a file may come to.
+/// Largest number of single steps in a file.
 const MOST: usize = 200_000;
-/// How long a scenario may last.
 const LONGEST_TIME: Duration = Duration::from_secs(10 * 366 * 24 * 3600);
-/// Interval at which a value that changes by and by is set, unless the step says another.
+/// Interval of a ramp's steps, unless the step sets its own.
 const EVERY: Duration = Duration::from_secs(60);
 
-/// What exchanges the pack; it comes before all else of its step.
+/// Exchanges the pack, before the rest of its step.
 pub(super) const PACK: &str = "pack";
-/// What puts bytes into flash.
+/// Puts bytes into flash.
 pub(super) const FLASH: &str = "flash";
 
-/// A scenario that was read.
 #[derive(Clone, Debug, Default)]
 pub struct Scenario {
-    /// That of random faults, too.
+    /// Seed of random faults too.
     pub(super) seed: u64,
-    /// By battery time since the beginning.
+    /// By battery time since the start.
     timed: Vec<(Duration, Act)>,
-    /// Those that wait for traffic.
+    /// Steps that wait for traffic.
     counted: Vec<Counted>,
 }
 
-/// What is turned, and to what.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Act {
     pub(super) knob: String,
     pub(super) text: String,
-    /// The step that says so, for messages.
+    /// The step's number, for messages.
     step: usize,
 }
 
@@ -67,14 +62,12 @@ struct Counted {
     acts: Vec<Act>,
 }
 
-/// What is counted since the beginning.
 #[derive(Clone, Copy, Debug)]
 enum Count {
     Transfers(u64),
     Commits(u64),
 }
 
-/// The file.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Script {
@@ -102,7 +95,7 @@ struct Step {
     knobs: BTreeMap<String, Value>,
 }
 
-/// A time such as `90`, `"90s"` or `"1h30m"`.
+/// `90`, `"90s"` or `"1h30m"`.
 #[derive(Clone, Copy)]
 struct Time(Duration);
 
@@ -122,7 +115,6 @@ impl<'de> Deserialize<'de> for Time {
     }
 }
 
-/// Whole numbers, each with its unit.
 fn time(text: &str) -> Option<Duration> {
     let mut rest = text.trim();
     let mut sum = Duration::ZERO;
@@ -150,7 +142,7 @@ pub fn names() -> impl Iterator<Item = &'static str> {
 }
 
 impl Scenario {
-    /// Reads a scenario: one of [`names`], or a file, whose path has a slash. `seed` replaces the file's.
+    /// Reads a scenario: one of [`names`], or a file if the path has a slash. `seed` replaces the file's.
     pub fn read(name: &Path, seed: Option<u64>) -> Result<Self> {
         let subject = name.display().to_string();
         let refuse = |kind, text: String| Error::new(subject.clone(), kind, text);
@@ -184,7 +176,7 @@ impl Scenario {
         random.roll(1);
         let mut new = Self { seed, ..Self::default() };
         let start = acts(&script.start, 0).map_err(|error| bad(format!("[start]: {error}")))?;
-        // What a knob was set to last, for values that change by and by.
+        // The last value of each knob, as the start of ramps.
         let mut last: BTreeMap<String, f64> = BTreeMap::new();
         let note = |act: &Act, last: &mut BTreeMap<String, f64>| {
             if let Ok(value) = act.text.parse() {
@@ -241,7 +233,7 @@ impl Scenario {
                     return Err(bad("every: it must be longer than 0"));
                 }
                 for act in acts {
-                    // Until another step sets the knob, or it is all over.
+                    // Until another step sets the knob, or the scenario ends.
                     let sets = |(.., acts): &&(Duration, usize, &Step, Vec<Act>)| {
                         acts.iter().any(|other| other.knob == act.knob)
                     };
@@ -301,19 +293,18 @@ impl Scenario {
         Ok(new)
     }
 
-    /// All that it ever does, once: what a gauge has to accept.
+    /// Every act once: what a gauge has to accept.
     pub(super) fn acts(&self) -> impl Iterator<Item = &Act> {
         self.timed.iter().map(|(_, act)| act).chain(self.counted.iter().flat_map(|counted| &counted.acts))
     }
 
-    /// How long it lasts, in battery time.
     pub fn length(&self) -> Duration {
         self.timed.last().map_or(Duration::ZERO, |(time, _)| *time)
     }
 }
 
 impl Act {
-    /// Where it is written.
+    /// Where the act is written.
     pub(super) fn place(&self) -> String {
         match self.step {
             0 => "[start]".into(),
@@ -322,7 +313,7 @@ impl Act {
     }
 }
 
-/// The settings of a table, as texts of the knobs; an exchange of the pack comes first.
+/// The settings of a table as texts of knobs; an exchange of the pack comes first.
 fn acts(knobs: &BTreeMap<String, Value>, step: usize) -> Result<Vec<Act>, String> {
     let text = |value: &Value| match value {
         Value::Integer(number) => Some(number.to_string()),
@@ -340,13 +331,13 @@ fn acts(knobs: &BTreeMap<String, Value>, step: usize) -> Result<Vec<Act>, String
     Ok(first)
 }
 
-/// A scenario that is played.
+/// A running scenario.
 #[derive(Debug)]
 pub(super) struct Player {
-    /// Those that are still to come.
+    /// Acts to come.
     timed: VecDeque<(Duration, Act)>,
     counted: Vec<Counted>,
-    /// The host's time at which the speed changed last, the battery time since the beginning then, and the speed.
+    /// Host time of the last change of speed, battery time since the start then, and the speed.
     since: Duration,
     passed: Duration,
     speed: f64,
@@ -359,7 +350,6 @@ impl Player {
         Self { timed: timed.into(), counted, since: now, passed: Duration::ZERO, speed, transfers: 0 }
     }
 
-    /// Notes a change of the speed at that time.
     pub(super) fn set_speed(&mut self, speed: f64, now: Duration) {
         self.passed = self.passed_at(now);
         (self.since, self.speed) = (now, speed);
@@ -373,7 +363,7 @@ impl Player {
         self.transfers += 1;
     }
 
-    /// What is due next until `now`, and when it is.
+    /// The next act due by `now`, and its time.
     pub(super) fn next(&mut self, commits: u64, now: Duration) -> Option<(Duration, Act)> {
         let is_due = |counted: &Counted| match counted.count {
             Count::Transfers(count) => self.transfers >= count,

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! The three security levels, and the keys of two consecutive words that lead from one to the next.
+//! The three security levels, and the two-word keys that lead from one to the next.
 
 use std::time::Duration;
 
@@ -26,46 +26,42 @@ impl Choice for Level {
         &[("sealed", Level::Sealed), ("unsealed", Level::Unsealed), ("full-access", Level::FullAccess)];
 }
 
-/// The level of a gauge, and whether the first half of a key has come.
+/// The level, and the state of a key.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Seal {
     pub(super) level: Level,
     first: Option<Duration>,
-    /// The level before the last change, and when that was.
+    /// The level before the last change, and the time of the change.
     before: Option<(Level, Duration)>,
-    /// The last key was refused.
     pub(super) refused: bool,
 }
 
 impl Seal {
-    /// A level, and no half of a key.
     pub(super) fn new(level: Level) -> Self {
         Self { level, ..Self::default() }
     }
 
-    /// To another level.
     pub(super) fn change(&mut self, level: Level, now: Duration) {
         *self = Self { level, before: Some((self.level, now)), ..Self::default() };
     }
 
-    /// The level that is shown if a change is shown `late`.
+    /// The level shown when changes show `late`.
     pub(super) fn shown(&self, late: Duration, now: Duration) -> Level {
         self.before.filter(|(_, at)| now < *at + late).map_or(self.level, |(before, _)| before)
     }
 
-    /// The first half of a key has come.
     pub(super) fn is_half(&self) -> bool {
         self.first.is_some()
     }
 
-    /// Keeps the level, and forgets the half of a key, after one was wrong, incomplete or not taken.
+    /// Keeps the level, and forgets a half key that was wrong, incomplete or refused.
     pub(super) fn after_refusal(self) -> Self {
         Self { first: None, refused: true, ..self }
     }
 
-    /// Takes a word written to Control(). `keys` are the one to UNSEALED and, if there is such a level, the
-    /// one to FULL ACCESS, with their words in the order they are sent. Without `listening` a first half is
-    /// ignored. Returns whether the level has changed.
+    /// Takes a word of Control(). `keys` lead to UNSEALED and, if there is that level, to FULL ACCESS, with words in
+    /// the order on the wire. A gauge that is not `listening` ignores a first half. Returns whether the level has
+    /// changed.
     pub(super) fn word(&mut self, word: u16, keys: &[[u16; 2]], listening: bool, now: Duration) -> bool {
         let first = self.first.take();
         let (key, next) = match (self.level, keys) {
@@ -90,7 +86,7 @@ pub(super) fn words(stored: [u8; 4]) -> [u16; 2] {
     [u16::from_be_bytes([c, d]), u16::from_be_bytes([a, b])]
 }
 
-/// A key as it is stored: the inverse of [`words`].
+/// The inverse of [`words`].
 pub(super) fn stored(words: [u16; 2]) -> [u8; 4] {
     let [c, d] = words[0].to_be_bytes();
     let [a, b] = words[1].to_be_bytes();

@@ -6,14 +6,13 @@ use std::time::Duration;
 
 use super::knob::Choice;
 
-/// The behaviour of a busy gauge.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Busy {
-    /// It does not acknowledge its address.
+    /// Does not acknowledge its address.
     Nack,
-    /// It holds the clock.
+    /// Holds the clock.
     Stretch,
-    /// It answers as it did before.
+    /// Answers as before.
     Old,
 }
 
@@ -22,42 +21,38 @@ impl Choice for Busy {
         &[("nack", Busy::Nack), ("stretch", Busy::Stretch), ("old", Busy::Old)];
 }
 
-/// The timing of one gauge.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Timing {
     /// From power to the first answer.
     pub(super) power_up: Duration,
-    /// From a reset to the first answer.
     pub(super) reset: Duration,
-    /// The behaviour during a reset. A gauge that answers as before resets at the end of that time.
+    /// A gauge that answers as before resets at the end of that time.
     pub(super) reset_busy: Busy,
-    /// It holds the clock after power has come too, if it does so during a reset. Otherwise it is silent then.
+    /// A gauge that holds the clock during a reset also holds it after power-up; otherwise it is silent then.
     pub(super) power_up_stretches: bool,
-    /// From power to the first Voltage().
     pub(super) first_voltage: Duration,
-    /// Programming a 16-bit word of flash.
+    /// For a 16-bit word of flash.
     pub(super) word: Duration,
-    /// Time that a commit takes before that, to erase the row.
+    /// Erasing the row, before a commit.
     pub(super) commit: Duration,
-    /// From selecting a block or an address until it can be read.
+    /// From selecting a block or an address until it is readable.
     pub(super) load: Duration,
-    /// From selecting a block that a sealed gauge shows until it can be read.
+    /// The same for a block that a sealed gauge shows.
     pub(super) sealed_load: Duration,
-    /// From the checksum of a challenge until the digest can be read.
+    /// From the checksum of a challenge until the digest is readable.
     pub(super) authentication: Duration,
-    /// How long the bus must have been silent for a key to be accepted.
+    /// Silence on the bus before a key is accepted.
     pub(super) key_quiet: Duration,
-    /// How long the bus must have been silent for the key to FULL ACCESS, if that takes longer.
+    /// Silence before the key to FULL ACCESS, if longer.
     pub(super) full_access_quiet: Duration,
-    /// How long the bus must have been silent after a refused key.
+    /// Silence after a refused key.
     pub(super) refused_quiet: Duration,
-    /// How long a gauge that has sealed itself refuses keys.
+    /// How long a self-sealed gauge refuses keys.
     pub(super) lock: Duration,
-    /// From the first answer, or from the detection of a battery, to the first prediction.
+    /// From the first answer, or the detection of a battery, to the first prediction.
     pub(super) initializing: Duration,
     /// How long the first message in FULL SLEEP is held.
     pub(super) waking: Duration,
-    /// Measuring an offset.
     pub(super) calibrating: Duration,
     /// From SET_CFGUPDATE to CONFIG UPDATE, and from the way out to its end.
     pub(super) update_enter: Duration,
@@ -65,7 +60,7 @@ pub(super) struct Timing {
 }
 
 impl Timing {
-    /// The timing of the bq34z100-G1, and of every other part where nothing else is known.
+    /// The timing of the bq34z100-G1, and of other parts where nothing else is known.
     pub(super) const USUAL: Self = Self {
         // SLUSBZ5D 6.3.
         power_up: Duration::from_millis(250),
@@ -96,7 +91,6 @@ impl Timing {
         update_leave: Duration::ZERO,
     };
 
-    /// The timing of the parts with ManufacturerAccessControl().
     pub(super) const MAC: Self = Self {
         power_up: Self::USUAL.reset,
         power_up_stretches: true,
@@ -106,7 +100,6 @@ impl Timing {
         ..Self::USUAL
     };
 
-    /// The time that a knob sets.
     pub(super) fn knob(&mut self, name: &str) -> Option<&mut Duration> {
         Some(match name {
             "load_ms" => &mut self.load,

@@ -1,39 +1,32 @@
 // SPDX-License-Identifier: MIT
 
-//! CONFIG UPDATE (SLUUAC9A 2.4.3): the mode in which a gauge without flash takes new data memory. It begins
-//! some time after the subcommand, ends some time after the way out, and ends by itself if forgotten.
+//! CONFIG UPDATE (SLUUAC9A 2.4.3): the mode in which a gauge without flash takes new data memory. It begins some time
+//! after the subcommand, ends some time after the way out, and ends by itself if forgotten.
 
 use std::time::Duration;
 
-/// The mode ends by itself after this time.
 const FORGOTTEN: Duration = Duration::from_secs(240);
 
-/// How the mode ends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Exit {
-    /// SOFT_RESET and EXIT_RESIM: the gauge makes a new prediction.
+    /// SOFT_RESET and EXIT_RESIM: predicts anew.
     Anew,
     /// EXIT_CFGUPDATE.
     Plain,
-    /// By itself.
     Forgotten,
 }
 
-/// How far the gauge is.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) enum Mode {
     #[default]
     Off,
-    /// The mode begins then.
     Entering(Duration),
-    /// In the mode, until then at the latest.
+    /// Until then at the latest.
     On(Duration),
-    /// The mode ends then.
     Leaving(Duration, Exit),
 }
 
 impl Mode {
-    /// Flags() `[CFGUPMODE]`.
     pub(super) fn shows(self) -> bool {
         matches!(self, Mode::On(_) | Mode::Leaving(..))
     }
@@ -45,8 +38,8 @@ impl Mode {
         }
     }
 
-    /// One of the ways out. Before the mode has begun it has no effect: the mode then begins later, and a
-    /// host that did not wait finds it set.
+    /// A way out. Before the mode has begun it has no effect: the mode then begins later, and a host that did not wait
+    /// finds it set.
     pub(super) fn leave(&mut self, exit: Exit, after: Duration, now: Duration) {
         if let Mode::On(_) = self {
             *self = Mode::Leaving(now + after, exit);

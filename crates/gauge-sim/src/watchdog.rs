@@ -1,26 +1,24 @@
 // SPDX-License-Identifier: MIT
 
-//! The watchdog of a gauge that is polled too fast. The manuals' words are that a host must not issue any standard
-//! command more than twice a second, or the gauge could reset (SLUSBH1C 9.5.4.3, SLUS914A 7.3). Control() and block
-//! access are not limited.
+//! The watchdog of a gauge that is polled too fast. By the manuals a host must not issue any standard command more than
+//! twice a second, or the gauge could reset (SLUSBH1C 9.5.4.3, SLUS914A 7.3). Control() and block access are not
+//! limited.
 
 use std::ops::Range;
 use std::time::Duration;
 
 /// Standard commands, without Control().
 const COMMANDS: Range<u8> = 0x02..0x3A;
-/// How often a command may be issued within a second.
+/// Times per second for each command.
 const ALLOWED: u8 = 2;
-/// Consecutive seconds of too many commands that a gauge survives. No manual has a number; a host that waits for a
-/// flag of CONFIG UPDATE may poll fast for a second or two.
+/// Overloaded seconds in a row that a gauge survives. No manual has a number; a host that waits for a flag of CONFIG
+/// UPDATE may poll fast for a second or two.
 const SURVIVED: u8 = 5;
 
-/// Counts the commands within the present second.
 #[derive(Debug)]
 pub(super) struct Watchdog {
     second: u64,
     counts: [u8; 0x80],
-    /// Consecutive seconds with too many commands.
     strained: u8,
 }
 

@@ -1,55 +1,50 @@
 // SPDX-License-Identifier: MIT
 
-//! The 32-byte window at 0x40 to 0x5F, its checksum, and the registers that select what it shows. It is
-//! separate from flash: after a write the host reads this buffer back, whether anything was stored or not.
+//! The 32-byte window at 0x40 to 0x5F, its checksum, and the registers that select its content. It is separate from
+//! flash: after a write the host reads this buffer back, whether anything was stored or not.
 
 use std::time::Duration;
 
 use super::flash::BLOCK;
 
-/// The content of the window.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) enum Source {
-    /// Nothing: there is no such block.
+    /// There is no such block.
     #[default]
     Nothing,
-    /// A block of flash.
     Flash(u16, u8),
-    /// Challenge and digest.
     Authentication,
 }
 
-/// The content of the window before a block is loaded.
+/// The window before a block is loaded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Before {
     /// The block before, with its checksum.
     Same,
     /// Zeros, with their checksum.
     Blank,
-    /// Zeros, and 0 as the checksum.
+    /// Zeros, with checksum 0.
     Zeros,
 }
 
-/// The window.
 #[derive(Debug, Default)]
 pub(super) struct Window {
-    /// BlockDataControl(), DataFlashClass() and DataFlashBlock().
     pub(super) control: u8,
     pub(super) class: u8,
     pub(super) block: u8,
     pub(super) source: Source,
     pub(super) data: [u8; BLOCK],
-    /// Length of the block. The bytes after it stay 0.
+    /// Bytes after it stay 0.
     length: usize,
-    /// The checksum as loaded or committed, which need not be that of `data`.
+    /// The checksum as loaded or committed, which may not be that of `data`.
     pub(super) sum: u8,
-    /// When the bytes are there, and what is read before.
+    /// The load's end, and what is read before.
     ready: Duration,
     early: ([u8; BLOCK], u8),
 }
 
 impl Window {
-    /// The window after a reset, which shows the field for a challenge if there is one.
+    /// The window after a reset, which shows the challenge field if there is one.
     pub(super) fn new(authentication: bool) -> Self {
         let source = if authentication { Source::Authentication } else { Source::Nothing };
         Self { source, length: BLOCK, sum: 0xFF, ..Self::default() }
@@ -73,25 +68,22 @@ impl Window {
         self.ready = ready;
     }
 
-    /// A byte of the window.
     pub(super) fn read(&self, index: usize, now: Duration) -> u8 {
         if now < self.ready { self.early.0[index] } else { self.data[index] }
     }
 
-    /// The checksum as the host reads it.
     pub(super) fn read_sum(&self, now: Duration) -> u8 {
         if now < self.ready { self.early.1 } else { self.sum }
     }
 
-    /// Changes a byte of the buffer. A byte that comes before the block is loaded is overwritten by it,
-    /// and one beyond the block's end has no place.
+    /// Changes a byte of the buffer. The load overwrites an earlier byte; one beyond the block's end has no place.
     pub(super) fn write(&mut self, index: usize, byte: u8, now: Duration) {
         if now >= self.ready && index < self.length {
             self.data[index] = byte;
         }
     }
 
-    /// The block's own bytes as the buffer has them now.
+    /// The block's bytes as the buffer has them now.
     pub(super) fn bytes(&self) -> &[u8] {
         &self.data[..self.length]
     }

@@ -3,10 +3,10 @@
 //! The BQ27220: its data memory as one-time programmable memory fills it, its subcommands, and the model of a CEDV
 //! gauge.
 //!
-//! Bytes from 0x929F to 0x92BE are those that an owner read from a part as it was shipped (E2E forum, "BQ27220:
-//! Design Capacity"), those up to 0x91CB are printed in SLUUBD4A. Those from 0x920D to 0x9213 and from 0x9282 to 0x9299
-//! are as TI's image for this part writes them. The others are what a configuration tool takes for defaults; voltages over depth of discharge are the bq34110's, which begin with the same value. Registers that no
-//! document describes are as in similar gauges.
+//! An owner read bytes 0x929F to 0x92BE from a part as shipped (E2E forum, "BQ27220: Design Capacity"); SLUUBD4A prints
+//! those up to 0x91CB. Bytes 0x920D to 0x9213 and 0x9282 to 0x9299 are as TI's image for this part writes them. The
+//! others are a configuration tool's defaults; voltages over depth of discharge are the bq34110's, which begin with the
+//! same value. Undocumented registers are as in similar gauges.
 
 use std::time::Duration;
 
@@ -54,7 +54,7 @@ const TIMING: Timing = Timing {
 /// OperationStatus() `[INITCOMP]`.
 const INITCOMP: u16 = 0x0020;
 
-/// The part of data memory whose addresses are known.
+/// Start of the data memory whose addresses are known.
 const BASE: u16 = 0x9180;
 const SIZE: usize = 0x180;
 
@@ -64,7 +64,7 @@ const fn at(address: u16) -> usize {
 
 static IMAGE: Image = &[(DATA_FLASH, &DATA), (PRIVATE, &KEYS)];
 
-/// Keys in the order in which they are sent.
+/// Keys in their order on the wire.
 static KEYS: [u8; 8] = [0x04, 0x14, 0x36, 0x72, 0xFF, 0xFF, 0xFF, 0xFF];
 
 #[rustfmt::skip]
@@ -123,9 +123,9 @@ static DATA: [u8; SIZE] = image_from(BASE, &[
                0x0D, 0xBB, 0x0D, 0x6E, 0x0A, 0x99]),
 ]);
 
-/// Hysteresis of the limits of temperature, in degrees.
+/// Hysteresis of the temperature limits, in degrees.
 const RECOVERY: f64 = 5.0;
-/// A full pack is no longer full at this state of charge, in percent, and an empty one no longer empty above.
+/// State of charge in percent below which a full pack, and above which an empty one, is no longer so.
 const NOT_FULL: f64 = 95.0;
 const NOT_EMPTY: f64 = 5.0;
 /// Two periods of 40 s below Taper Current end a charge (4.4.1).
@@ -194,7 +194,7 @@ struct Cedv {
     ram: Ram,
 }
 
-/// Everything that a reset clears. Cycles too: there is no flash to keep them.
+/// Cycles are in RAM too: there is no flash to keep them.
 #[derive(Default)]
 struct Ram {
     calibration: Calibration,
@@ -202,7 +202,7 @@ struct Ram {
     /// BAT_REMOVE came after the last BAT_INSERT.
     removed: bool,
     snooze: bool,
-    /// The profile that was selected, from 0.
+    /// Selected profile, from 0.
     profile: u16,
     taper_s: f64,
     cycle_mah: f64,
@@ -235,7 +235,6 @@ impl Cedv {
         }
     }
 
-    /// Updates the flags, after the present measurements have lasted for `seconds`.
     fn update(&mut self, seconds: f64) {
         let current = self.battery.current_ma();
         let (cell, percent, degrees) = (self.battery.cell_mv(), self.percent(), self.battery.temperature());
@@ -344,7 +343,7 @@ impl Model for Cedv {
         }
         let measured = self.ram.calibration.step(seconds, current);
         self.update(seconds);
-        // The place of other parts is not that of this one.
+        // This part has it at another place.
         measured.map(|kept| Kept::new(DATA_FLASH, at(0x91B4), &kept.bytes)).into_iter().collect()
     }
 }
@@ -420,7 +419,7 @@ impl MacModel for Cedv {
             0x000E => ram.removed = true,
             0x0013 => ram.snooze = true,
             0x0014 => ram.snooze = false,
-            // What a profile contains is known of the first only.
+            // Only the first profile's content is known.
             0x0015..=0x001A => ram.profile = word - 0x0015,
             0x002D => ram.calibration.mode = !ram.calibration.mode,
             0x0080 | 0x0081 => {}
@@ -434,7 +433,6 @@ impl MacModel for Cedv {
 mod tests {
     use super::*;
 
-    /// The bytes that an owner printed, from 0x929F on.
     #[test]
     fn bytes_are_where_an_owner_read_them() {
         let read = [

@@ -149,7 +149,6 @@ struct Primary {
     ram: Ram,
 }
 
-/// Everything that a reset clears.
 #[derive(Default)]
 struct Ram {
     calibration: Calibration,
@@ -162,11 +161,11 @@ struct Ram {
     /// Largest current since GAUGE_START, in mA.
     pulse_ma: f64,
     measured_z: u16,
-    /// Alerts that are present now, those since BatteryAlert() was read, and the ALERT signal.
+    /// Alerts present now, alerts since BatteryAlert() was read, and the ALERT signal.
     present: u8,
     latched: u8,
     alert: bool,
-    /// For how long the conditions of the alerts have been met.
+    /// How long the conditions of the alerts have been met.
     seconds: [f64; 3],
     written_temperature: Option<[u8; 2]>,
 }
@@ -182,7 +181,6 @@ impl Ram {
     }
 }
 
-/// Cells and capacity.
 fn pack(flash: &Flash) -> (f64, f64) {
     (f64::from(u8_at(flash, 0x4206)).max(1.0), f64::from(i16_at(flash, 0x41FE)).max(1.0))
 }
@@ -234,7 +232,6 @@ impl Primary {
         Kept::new(PRIVATE, 0, &(self.ram.accumulated.round() as i32).to_be_bytes())
     }
 
-    /// Computes and stores the results, after GAUGE_STOP.
     fn finish(&mut self) -> Vec<Kept> {
         self.ram.gauging = Gauging::Done;
         let mut kept = Vec::new();

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT
 
-//! The gauges of the kernel's driver of which only the standard commands are known, each with the map that the driver
-//! of Linux 6.12 has for it, and StateOfHealth() where data sheets have it, behind one battery for all.
+//! Gauges of the kernel's driver that are known by their standard commands only. Each has the map of the driver of
+//! Linux 6.12, and StateOfHealth() where data sheets have it; all share one battery.
 
 use super::flash::Flash;
 use super::gauging::Quantity as Q;
@@ -9,9 +9,7 @@ use super::gauging::{DSG, FC, Map, OT, OTC, OTD, SOC1, SOCF, Settings, UT};
 use super::part::{Part, RegisterPart, Scheme};
 use super::timing::Timing;
 
-/// A register: address, bytes, quantity.
 type Row = (u8, usize, Q);
-/// Conditions and the bits of Flags() that show them.
 type Flags = &'static [(u32, u16)];
 
 const fn named(name: &'static str, part: &'static RegisterPart) -> Part {
@@ -22,7 +20,7 @@ const fn map(registers: &'static [Row], flags: Flags) -> Map {
     Map { settings, registers, flags, cycles: None, lifetime: None, learned: None }
 }
 
-/// A part that answers DEVICE_TYPE and FW_VERSION with these words. The versions are made up where none is known.
+/// A part that answers DEVICE_TYPE and FW_VERSION with these words, made up where no version is known.
 const fn of(registers: &'static [Row], flags: Flags, device_type: u16, firmware: u16) -> RegisterPart {
     RegisterPart { map: map(registers, flags), in_volts: false, control: Some((device_type, firmware)) }
 }
@@ -157,7 +155,7 @@ static BQ27411: &[Row] = &[
     (0x1C, 2, Q::Percent), (0x3C, 2, Q::DesignCapacity),
 ];
 
-/// SLUUA65E has the power of the bq28z610 in cW; the others of this map are taken to be like it.
+/// SLUUA65E has the power of the bq28z610 in cW; the others of this map are assumed to be the same.
 #[rustfmt::skip]
 static BQ27Z561: &[Row] = &[
     (0x06, 2, Q::Temperature), (0x08, 2, Q::Voltage), (0x0A, 2, Q::Flags), (0x10, 2, Q::Remaining), (0x12, 2, Q::Full),
@@ -165,7 +163,7 @@ static BQ27Z561: &[Row] = &[
     (0x2A, 2, Q::CycleCount), (0x2C, 2, Q::Percent), (0x3C, 2, Q::DesignCapacity),
 ];
 
-/// The settings of all these parts: a cell of 1200 mAh, and TI's default thresholds of the bq27500. The reserve keeps
+/// Settings of all these parts: a cell of 1200 mAh, and TI's default thresholds of the bq27500. The reserve keeps
 /// RemainingCapacity() apart from NominalAvailableCapacity().
 fn settings(_: &Flash) -> Settings {
     Settings {
