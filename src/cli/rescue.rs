@@ -53,7 +53,7 @@ const STEP: Duration = Duration::from_millis(250);
 /// programs flash.
 const LOOKS: usize = 8;
 
-/// Bring back a gauge that is left in ROM mode, with its whole firmware file
+/// Restore a gauge that is stuck in ROM mode from a full firmware file
 #[derive(Args, Debug)]
 #[command(after_help = RESCUE, group(ArgGroup::new("gauge").required(true).args(["bus", "sim"])))]
 pub(super) struct Rescue {

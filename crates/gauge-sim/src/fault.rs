@@ -76,6 +76,7 @@ pub(super) struct Plan {
 pub struct FaultWord {
     /// The word.
     pub name: &'static str,
+    /// The numbers after it.
     pub numbers: &'static str,
     /// Describes the fault.
     pub help: &'static str,

@@ -25,6 +25,7 @@ pub(super) const OF_REGISTERS: &[&str] = &[
 /// One file of the folder `sim/`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Knob {
+    /// Name of the file.
     pub name: &'static str,
     /// Describes what the knob shows or does.
     pub help: &'static str,

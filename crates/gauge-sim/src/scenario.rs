@@ -37,6 +37,7 @@ pub(super) const PACK: &str = "pack";
 /// Puts bytes into flash.
 pub(super) const FLASH: &str = "flash";
 
+/// A scenario, ready to be played.
 #[derive(Clone, Debug, Default)]
 pub struct Scenario {
     /// Seed of random faults too.
@@ -298,6 +299,7 @@ impl Scenario {
         self.timed.iter().map(|(_, act)| act).chain(self.counted.iter().flat_map(|counted| &counted.acts))
     }
 
+    /// Duration in battery time.
     pub fn length(&self) -> Duration {
         self.timed.last().map_or(Duration::ZERO, |(time, _)| *time)
     }

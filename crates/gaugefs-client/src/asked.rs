@@ -1,15 +1,16 @@
 // SPDX-License-Identifier: MIT
 
-//! Requests whose answers are known from those of other programs.
+//! Requests to a file of `gauge/` that several programs may make at once. A request's name tells its answer from those
+//! of others.
 
 use std::hash::{BuildHasher, Hasher, RandomState};
 use std::thread;
 use std::time::Duration;
 
-/// How often an answer is asked for that another one takes the place of.
+/// How often a request is repeated after another program's answer.
 pub const TRIES: u32 = 5;
 
-/// The name of a request to a file of `gauge/`, which its answer begins with.
+/// A request's name, with which its answer begins.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Name(u64);
 
@@ -24,12 +25,12 @@ impl Name {
         format!("{request} #{:016x}", self.0)
     }
 
-    /// What an answer says; `None` if it is another request's.
+    /// The answer's text; `None` if it answers another request.
     pub fn answer(self, text: &str) -> Option<&str> {
         text.strip_prefix(&format!("#{:016x}\n", self.0))
     }
 
-    /// Waits for a time that others do not wait for as well.
+    /// Waits for a random time, so that two programs do not collide again.
     pub fn pause(self) {
         thread::sleep(Duration::from_millis(self.0 % 400));
     }

@@ -2,9 +2,9 @@
 
 //! Conditions on the files of a gauge's folder, such as `capacity<20 && status==Discharging`.
 //!
-//! A condition is parsed strictly, and names are those that the tree can have: one that is misspelt would never come
-//! true. Nor would `voltage_now<3.9`, as the file is in microvolts: a number is written with the unit of what it is
-//! compared with. Whether it is true follows from the texts of one poll. A missing value makes no condition true.
+//! A condition is parsed strictly: unknown names are refused, because a misspelt one would never come true. Nor would
+//! `voltage_now<3.9`, because the file is in microvolts: a number needs the unit of its file. The texts of one poll
+//! decide. A missing value makes no condition true.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -15,9 +15,9 @@ use ti_gauge::{text, unit};
 
 use crate::names::{attribute, attributes, files};
 
-/// What decides whether a gauge is missing, instead of its values.
+/// Decides by whether the gauge is missing, not by its values.
 const MISSING: &str = "missing";
-/// The kernel's words for the attributes that have a few. A misspelt one would never come true.
+/// Attributes with a few fixed words. A misspelt one would never come true.
 const WORDS: [(&str, &[&str]); 3] = [
     ("status", &["Charging", "Discharging", "Not charging", "Full", "Unknown"]),
     ("capacity_level", &["Full", "Normal", "Low", "Critical", "Unknown"]),
@@ -38,7 +38,7 @@ const WORDS: [(&str, &[&str]); 3] = [
 /// The files of a gauge's folder, by their names in it.
 pub type Texts = BTreeMap<String, String>;
 
-/// One condition: terms of which all must be true.
+/// A condition: terms that must all be true.
 #[derive(Clone, Debug)]
 pub struct Condition {
     text: String,
@@ -59,18 +59,17 @@ enum Operator {
     AtLeast,
     Equal,
     Unequal,
-    /// The file lists the word.
     Has,
 }
 
 #[derive(Clone, Debug, PartialEq)]
 enum Operand {
-    /// In the unit of the file; and as it was written, for a file that does not hold a number.
+    /// In the unit of the file; the text as written is for files without a number.
     Number(f64, String),
     Text(String),
 }
 
-/// Operators as they are written, a longer one before its beginning.
+/// Operators as written; a longer one comes before its prefix.
 const OPERATORS: [(&str, Operator); 8] = [
     ("<=", Operator::AtMost),
     (">=", Operator::AtLeast),
@@ -83,7 +82,7 @@ const OPERATORS: [(&str, Operator); 8] = [
 ];
 
 impl Condition {
-    /// The files that it compares, without those that are compared twice.
+    /// The files that it compares, each once.
     pub fn names(&self) -> impl Iterator<Item = &str> {
         self.terms.iter().filter_map(|term| match term {
             Term::Compare { name, .. } => Some(name.as_str()),
@@ -91,8 +90,8 @@ impl Condition {
         })
     }
 
-    /// Whether it is true of a gauge with these files, of which `None` is missing. `None` where a missing value leaves
-    /// that open.
+    /// Whether the condition is true for a gauge with these files; `None` as files means that the gauge is missing. The
+    /// result is `None` where a missing value leaves it open.
     pub fn holds(&self, texts: Option<&Texts>) -> Option<bool> {
         let mut all = Some(true);
         for term in &self.terms {
@@ -105,7 +104,7 @@ impl Condition {
         all
     }
 
-    /// The values that it compares, for a message.
+    /// The compared values, for a message.
     pub fn values(&self, texts: Option<&Texts>) -> String {
         let value = |name: &str| match texts.and_then(|texts| texts.get(name)) {
             Some(text) => format!("{name} {text}"),
@@ -183,7 +182,6 @@ impl Term {
     }
 }
 
-/// A decimal or hexadecimal number.
 fn number(text: &str) -> Option<f64> {
     let word = text::unsigned::<u64>(text).map(|word| word as f64);
     word.or_else(|| text.parse().ok().filter(|number: &f64| number.is_finite()))
@@ -232,7 +230,7 @@ fn of_gauge((name, sign): (&str, &str), file: &str, by: Operator, value: &str) -
     if bits().next().is_some() {
         return Err(format!("{name} lists flags; write '{name} has FLAG'"));
     }
-    // Where parts differ in the unit of a register, a number is compared as it is.
+    // Where parts differ in a register's unit, a number is compared as it is.
     let own = if files.iter().all(|file| file.unit == first.unit) { first.unit } else { "" };
     let may_be_text = !unit::is_known(own) && matches!(by, Operator::Equal | Operator::Unequal);
     match measured(name, sign, value, own) {
@@ -242,8 +240,8 @@ fn of_gauge((name, sign): (&str, &str), file: &str, by: Operator, value: &str) -
     }
 }
 
-/// The number that a term compares with, in the unit of its file. A bare one is refused if the file has a unit: people
-/// mean another one. Percent are the exception.
+/// The number of a term in the unit of its file. A number without a unit is refused if the file has one, because people
+/// usually mean another unit; percent are the exception.
 fn measured(name: &str, sign: &str, value: &str, own: &str) -> Result<f64, String> {
     let shown = value.escape_debug();
     let (has_unit, bare) = (unit::is_known(own), number(value));

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! Why a mounted gauge did not do what was asked of it.
+//! Why a mounted gauge did not carry out a request.
 
 use std::path::Path;
 use std::{fmt, io};
@@ -11,28 +11,28 @@ use ti_gauge::text;
 /// A `Result` whose error is [`Error`].
 pub type Result<T, E = Error> = std::result::Result<T, E>;
 
-/// One failure: one line that says what failed, why, and what to do.
+/// A failure as one line: what failed, why, and what to do.
 ///
-/// [`errno`](Self::errno) is that of the file operation, and [`last_error`](Self::last_error) is what the daemon says
-/// about it. [`source`](std::error::Error::source) is the error of the host, or that of a name, a value or a unit.
+/// [`errno`](Self::errno) is that of the file operation, and [`last_error`](Self::last_error) the daemon's explanation.
+/// [`source`](std::error::Error::source) is the error of the host, or that of a name, a value or a unit.
 pub struct Error(Box<Inner>);
 
 struct Inner {
     /// The gauge's folder, a file or a parameter.
     subject: String,
-    /// What could not be done; empty where that is plain.
+    /// What could not be done; empty where that is obvious.
     what: String,
     why: Why,
 }
 
 enum Why {
-    /// A file could not be opened, so the daemon has not heard of it; and what may be said about that beside the errno.
+    /// A file could not be opened, so the daemon has not heard of the request. The hint adds to the errno.
     Unopened { file: String, hint: &'static str, error: io::Error },
-    /// The daemon has refused it, and says why.
+    /// The daemon refused, with its reason.
     Told { text: String, facts: String, error: io::Error },
-    /// The file operation has failed, and nothing else is certain to be about it.
+    /// The file operation failed, and no explanation certainly belongs to it.
     Failed(io::Error),
-    /// What the host has, and a remedy.
+    /// A failure of the host, with a remedy.
     Host { text: String, error: io::Error },
     /// A name, a value or a unit.
     Refused(ti_gauge::error::Error),
@@ -55,43 +55,40 @@ impl Error {
         Self::new(gauge.display().to_string(), Why::Failed(error))
     }
 
-    /// An error of the host, with the remedy.
     pub(crate) fn host(subject: impl Into<String>, errno: Errno, text: impl Into<String>) -> Self {
         Self::new(subject, Why::Host { text: text.into(), error: errno.into() })
     }
 
-    /// What the host said when it was asked to do `what`.
+    /// The host's error for the attempt to `what`.
     pub(crate) fn io(subject: impl Into<String>, what: &str, error: io::Error) -> Self {
         let mut failed = Self::new(subject, Why::Failed(error));
         failed.0.what = what.into();
         failed
     }
 
-    /// Says what it is about.
     pub(crate) fn about(mut self, subject: impl Into<String>) -> Self {
         self.0.subject = subject.into();
         self
     }
 
-    /// Says what could not be done: `nothing was written`. What the daemon says stands for itself.
+    /// Adds what could not be done: `nothing was written`. The daemon's own words stay alone.
     #[must_use]
     pub fn doing(mut self, what: impl Into<String>) -> Self {
         self.0.what = what.into();
         self
     }
 
-    /// The errno that the file operation has answered with. There is none where a name, a value or a unit is refused
-    /// before any file is touched, or where a file is not what it should be.
+    /// The errno of the file operation; `None` where a name, a value or a unit is refused before any file is
+    /// touched, or where a file's content is unexpected.
     pub fn errno(&self) -> Option<i32> {
         self.io_error().and_then(io::Error::raw_os_error)
     }
 
-    /// Whether the errno is one of these.
     pub(crate) fn is(&self, errnos: &[Errno]) -> bool {
         self.errno().is_some_and(|errno| errnos.contains(&Errno::from_raw(errno)))
     }
 
-    /// What `gauge/last_error` says about this failure. An older text there is left out.
+    /// The text of `gauge/last_error` about this failure. Older texts are left out.
     pub fn last_error(&self) -> Option<&str> {
         match &self.0.why {
             Why::Told { text, .. } => Some(text),
@@ -99,7 +96,7 @@ impl Error {
         }
     }
 
-    /// What `gauge/last_error_facts` has on this failure: one JSON object. It is empty if that is not known.
+    /// The JSON object of `gauge/last_error_facts` about this failure. An empty object if nothing is known.
     pub fn facts(&self) -> Option<&str> {
         match &self.0.why {
             Why::Told { facts, .. } => Some(facts),
@@ -107,17 +104,17 @@ impl Error {
         }
     }
 
-    /// Whether a file could not even be opened, so that the daemon has not heard of the request.
+    /// Whether a file could not be opened, so that the daemon has not heard of the request.
     pub fn is_unopened(&self) -> bool {
         matches!(self.0.why, Why::Unopened { .. })
     }
 
-    /// The gauge's folder, the file or the parameter that it is about.
+    /// The gauge's folder, the file or the parameter concerned.
     pub fn subject(&self) -> &str {
         &self.0.subject
     }
 
-    /// What is wrong with a name, a value or a unit.
+    /// The mistake in a name, a value or a unit.
     pub fn refused(&self) -> Option<&ti_gauge::error::Error> {
         match &self.0.why {
             Why::Refused(error) => Some(error),
@@ -134,7 +131,7 @@ impl Error {
         }
     }
 
-    /// Why, without what it is about and what could not be done.
+    /// The reason, without the subject and what could not be done.
     pub fn reason(&self) -> String {
         let desc = |error: &io::Error| match error.raw_os_error() {
             Some(errno) => Errno::from_raw(errno).desc().to_string(),
@@ -148,7 +145,7 @@ impl Error {
         }
     }
 
-    /// The line without what it is about.
+    /// The line without its subject.
     pub fn text(&self) -> String {
         let (what, reason) = (&*self.0.what, self.reason());
         let file = if let Why::Unopened { file, .. } = &self.0.why { &**file } else { "" };
@@ -160,7 +157,7 @@ impl Error {
     }
 }
 
-/// One line without control characters: names of files and processes in it may be anybody's.
+/// One line without control characters: other users choose names of files and processes.
 impl fmt::Display for Error {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let line = match &self.0.why {
@@ -172,7 +169,7 @@ impl fmt::Display for Error {
     }
 }
 
-/// The same line: it is how `main` prints the error that it returns.
+/// The same line: `main` prints the error that it returns in this way.
 impl fmt::Debug for Error {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         fmt::Display::fmt(self, f)

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: MIT
 
-//! One file of a mounted gauge's folder, and why it did not do what was asked of it.
+//! A file of a mounted gauge's folder, and why a request to it failed.
 //!
-//! An error of opening it is the caller's own, and is told as such: the daemon has not heard of it. What the daemon has
-//! refused it explains in `gauge/last_error`. That file is quoted only if it is about this request: an older failure would
-//! be taken for the cause.
+//! An error of opening is the caller's own, because the daemon has not heard of the request. `gauge/last_error`
+//! explains what the daemon refuses. It is quoted only if it is about this request: an older failure would be taken for
+//! the cause.
 
 use std::fs::File;
 use std::io::{self, Write};
@@ -17,13 +17,13 @@ use nix::errno::Errno;
 use crate::error::{Error, Result};
 use crate::place::{EVERY, not_a_gauge, with_path};
 
-/// A file of a gauge's folder is at most so long, whatever has made that folder.
+/// Limit for a file in a gauge's folder, whatever made that folder.
 pub(crate) const LONGEST: u64 = 16 << 20;
 
-/// The file that changes keys, which a mount's group may not.
+/// The file that changes keys. A mount's group may not write to it.
 const KEYS: &str = "gauge/keys";
 
-/// A file of a gauge's folder that is open to be written to.
+/// An open file of a gauge's folder, for writing.
 #[derive(Debug)]
 pub struct GaugeFile {
     gauge: PathBuf,
@@ -32,7 +32,6 @@ pub struct GaugeFile {
 }
 
 impl GaugeFile {
-    /// Opens a file to write to it.
     pub(crate) fn to_write(gauge: &Path, name: &str) -> Result<Self> {
         Self::open(gauge, name, true)
     }
@@ -58,7 +57,7 @@ impl GaugeFile {
         }
     }
 
-    /// Writes a request. One write(2) is one request. Returns how much of it was taken.
+    /// Writes a request: one write(2) is one request. Returns how many bytes were taken.
     pub fn send(&mut self, request: &[u8]) -> Result<usize> {
         self.file.write(request).map_err(|error| self.refused(error))
     }
@@ -67,7 +66,7 @@ impl GaugeFile {
         regular::read_from(&self.file, LONGEST).and_then(regular::text).map_err(|error| self.refused(error))
     }
 
-    /// What the daemon says of an error that it has answered with.
+    /// The daemon's explanation of its error.
     fn refused(&self, error: io::Error) -> Error {
         if is_dead(&error) {
             return not_a_gauge(&self.gauge);
@@ -75,7 +74,7 @@ impl GaugeFile {
         let read = |name: &str| content(&self.gauge.join(name)).unwrap_or_default();
         let told = read(EVERY);
         let time = told.split_once(": ").and_then(|(time, _)| time.parse::<Timestamp>().ok());
-        // It has whole seconds. What is owed is the state of the gauge, however long it has been.
+        // File times have whole seconds. What is owed is never too old.
         let is_new = time.is_some_and(|time| time.as_second() >= self.opened.as_second());
         let is_owed = || is_set(&read(OWED));
         match told.trim() {
@@ -90,33 +89,31 @@ impl GaugeFile {
     }
 }
 
-/// What a program reads of the failure that `gauge/last_error` shows.
+/// The failure in `gauge/last_error` for programs.
 const FACTS: &str = "gauge/last_error_facts";
 
-/// It has 1 while a seal is owed, or a write that is neither done nor undone.
+/// Contains 1 while a seal is owed, or a write that is neither done nor undone.
 pub(crate) const OWED: &str = "gauge/owed";
 
-/// Whether a file of 0 and 1 has 1.
+/// Whether a flag file contains 1.
 pub(crate) fn is_set(flag: &str) -> bool {
     flag.trim() == "1"
 }
 
-/// Whether a call has failed because the daemon of the mount has ended.
+/// Whether the daemon of the mount has ended.
 pub(crate) fn is_dead(error: &io::Error) -> bool {
     [Errno::ENOTCONN, Errno::ECONNABORTED].iter().any(|dead| error.raw_os_error() == Some(*dead as i32))
 }
 
-/// Writes a request to a file of a gauge's folder.
 pub(crate) fn send(gauge: &Path, name: &str, request: &[u8]) -> Result<()> {
     GaugeFile::to_write(gauge, name)?.send(request).map(drop)
 }
 
-/// The text of a file of a gauge's folder.
 pub(crate) fn text(gauge: &Path, name: &str) -> Result<String> {
     GaugeFile::to_read(gauge, name)?.text()
 }
 
-/// The text of a file of a gauge's folder, where nothing is to be said about an error.
+/// Plain text of a file, for callers that report no error.
 pub(crate) fn content(path: &Path) -> io::Result<String> {
     regular::read_text(path, LONGEST)
 }
@@ -154,7 +151,7 @@ mod tests {
             format!("{name}: cannot be settled: gauge/none: No such file or directory"),
         );
         assert_eq!(told("gauge/none"), missing);
-        // What is owed has not become old.
+        // What is owed does not become old.
         file("owed", "1\n");
         assert!(told("gauge/settle").1.ends_with("Z: of somebody else"));
         assert_eq!(told("gauge/none"), missing);

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT
 
-//! Some files of a gauge, read after each poll.
+//! Files of a gauge, read after each poll.
 //!
-//! If a daemon hangs, a read of its files blocks, perhaps for ever. So a thread of their own reads them, and whoever waits
-//! for it is told that it is silent.
+//! If a daemon hangs, a read blocks, perhaps for ever. So a separate thread reads, and its receiver learns that the
+//! daemon is silent.
 
 use std::fs::File;
 use std::io::{self, Read};
@@ -24,19 +24,19 @@ use crate::place;
 use crate::sample::{self, if_readable, of_one_poll, text};
 use crate::watch::{INTERVAL, trouble};
 
-/// What a thread that follows a gauge reports.
+/// A report of a thread that follows a gauge.
 #[derive(Clone, Debug)]
 pub struct Seen {
-    /// The gauge, by its number.
+    /// The gauge's number.
     pub gauge: usize,
-    /// Its files; what is missing of them, or why there are none.
+    /// Its files, without missing ones; or why there are none.
     pub texts: Result<Texts, String>,
 }
 
-/// The attributes of a gauge and other files of its folder.
+/// The attributes of a gauge, and other files of its folder.
 pub fn all(folder: &Path, names: &[String]) -> io::Result<Texts> {
     let mut texts: Texts = sample::attributes(folder)?.into_iter().collect();
-    // The folder of the last file: those of one folder are named one after the other.
+    // The folder of the previous file: files of one folder come one after the other.
     let mut parent: Option<(&str, File)> = None;
     for (path, name) in names.iter().filter_map(|path| Some((path, path.rsplit_once('/')?))) {
         let (inside, name) = name;
@@ -49,17 +49,17 @@ pub fn all(folder: &Path, names: &[String]) -> io::Result<Texts> {
     Ok(texts)
 }
 
-/// The one line of a file in an open folder. The daemon gets three messages for it: each folder of a whole path, the
-/// file's length and a second read would be one more, and there may be a thousand gauges.
+/// The line of a file in an open folder, for three messages to the daemon. A whole path, the file's length and a second
+/// read would each cost one more, and there may be a thousand gauges.
 fn text_in(folder: &File, name: &str) -> io::Result<String> {
     let file = openat(folder, name, OFlag::O_RDONLY | OFlag::O_CLOEXEC, Mode::empty())?;
-    // More than any text of one line has.
+    // Longer than any one-line text.
     let mut bytes = [0; 16384];
     let length = File::from(file).read(&mut bytes)?;
     Ok(String::from_utf8_lossy(&bytes[..length]).trim_end().to_string())
 }
 
-/// Files of one gauge, poll by poll.
+/// Files of a gauge, poll by poll.
 #[derive(Debug)]
 pub struct Follow {
     seen: Receiver<Seen>,
@@ -67,17 +67,17 @@ pub struct Follow {
 }
 
 impl Follow {
-    /// Begins to follow a folder: its attributes, and these other files. They are read in this order, and those of one
-    /// folder best one after the other.
+    /// Starts to follow the attributes of a folder and these other files. Files are read in this order; those of one
+    /// folder should be neighbours.
     pub fn start(folder: &Path, names: Vec<String>) -> Result<Self> {
         let (sender, seen) = mpsc::channel::<Seen>();
         let calling = to_channel(0, folder.to_path_buf(), names, sender)?;
         Ok(Self { seen, calling })
     }
 
-    /// Waits for the next poll, and returns the attributes and the files that are followed; or why there are none: the gauge
-    /// is gone, the mount has ended, or its daemon does not answer, and that again and again while it lasts. `None` after
-    /// the time limit.
+    /// Waits for the next poll, and returns the attributes and followed files. An error says why there are none: the
+    /// gauge is gone, the mount has ended, or its daemon does not answer; the last comes repeatedly while it lasts.
+    /// `None` after the time limit.
     pub fn next(&mut self, limit: Option<Duration>) -> Option<Result<Texts, String>> {
         let end = limit.map(|limit| Instant::now() + limit);
         loop {
@@ -96,7 +96,7 @@ impl Follow {
     }
 }
 
-/// Follows a gauge from a thread of its own, which reports to a channel. It ends with its receiver.
+/// Follows a gauge from a thread that reports to a channel and ends with its receiver.
 pub fn to_channel<T: From<Seen> + Send + 'static>(
     gauge: usize,
     folder: PathBuf,
@@ -118,20 +118,20 @@ pub fn to_channel<T: From<Seen> + Send + 'static>(
 }
 
 impl Gauge {
-    /// Follows files of its folder, poll by poll.
+    /// Follows files of the gauge's folder, poll by poll.
     pub fn follow<Name: Into<String>>(&self, files: impl IntoIterator<Item = Name>) -> Result<Follow> {
         Follow::start(self.folder(), files.into_iter().map(Into::into).collect())
     }
 }
 
-/// Time until the next poll can be read; `None` for a user who may not read the interval.
+/// Time until the next poll is readable; `None` if the user may not read the interval.
 fn next_poll(folder: &Path) -> Option<Duration> {
     let number = |name: &str| text(&folder.join(name)).ok()??.parse::<f64>().ok();
     let left = number("gauge/poll_interval")? - number("gauge/age_ms")? / 1000.0;
     Some(Duration::try_from_secs_f64(left).unwrap_or_default() + sample::SETTLED)
 }
 
-/// The gauges at a path, which is a mount point or a gauge's folder or name; an error after 5 s without an answer.
+/// The gauges at a mount point, or at a gauge's folder or name; an error after 5 s without an answer.
 pub fn gauges_at(path: &Path) -> Result<Vec<PathBuf>> {
     let name = path.display().to_string();
     let path = &Gauge::named(path)?;

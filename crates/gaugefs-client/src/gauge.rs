@@ -28,15 +28,15 @@ use ti_gauge::notation;
 
 /// A mounted gauge, by its folder.
 ///
-/// Each method is a few calls to files of the folder, which the daemon of the mount answers. If that hangs, so do they:
-/// a program that must go on meanwhile calls them with [`within`](crate::within), or lets
-/// [`follow`](Self::follow) and [`Watch`](crate::watch::Watch) read, which have threads of their own.
+/// Each method calls files of the folder, and the daemon of the mount answers. If the daemon hangs, so does the method:
+/// a program that must go on uses [`within`](crate::within), or [`follow`](Self::follow) and
+/// [`Watch`](crate::watch::Watch), which have threads of their own.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Gauge {
     folder: PathBuf,
 }
 
-/// What a person decides about a write that was interrupted.
+/// A person's decision about an interrupted write.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Decision {
     /// Write the old values.
@@ -48,8 +48,8 @@ pub enum Decision {
 }
 
 impl Gauge {
-    /// The mounted gauge at a path: its folder, the mount point of only one gauge, or its name, such as `BAT0`, if no other
-    /// mounted gauge has that name.
+    /// The mounted gauge at a path: its folder, a mount point with one gauge, or a name such as `BAT0` that only one
+    /// mounted gauge has.
     pub fn open(path: impl AsRef<Path>) -> Result<Self> {
         let path = &Self::named(path.as_ref())?;
         let Err(error) = fs::metadata(path.join(EVERY)) else { return Ok(Self::of(path)) };
@@ -72,8 +72,8 @@ impl Gauge {
         }
     }
 
-    /// The folder of the gauge that a name alone means, such as `BAT0`. Any other path is left as it is, and so is the name
-    /// of a file that is there, or of no gauge.
+    /// The folder of a gauge named without a path, such as `BAT0`. Any other path, an existing file's name and an
+    /// unknown name stay as they are.
     pub fn named(path: &Path) -> Result<PathBuf> {
         let mut parts = path.components();
         let is_name = matches!((parts.next(), parts.next()), (Some(Component::Normal(_)), None));
@@ -97,14 +97,14 @@ impl Gauge {
         }
     }
 
-    /// All mounted gauges, of all mounts that this user may read and whose daemons answer in time.
+    /// All mounted gauges in mounts that this user may read and whose daemons answer in time.
     pub fn find() -> Result<Vec<Self>> {
         let (sender, found) = mpsc::channel();
         let mounts = mounts::list();
         for mount in mounts {
             let sender = sender.clone();
             hang::thread(move || {
-                // It cannot be heard any more after some seconds.
+                // After some seconds nobody receives it.
                 let _ = sender.send(Self::below(&mount));
             })?;
         }
@@ -123,17 +123,17 @@ impl Gauge {
         place::gauges_below(mountpoint).unwrap_or_default().iter().map(|folder| Self::of(folder)).collect()
     }
 
-    /// Whether a path is the folder of a mounted gauge.
+    /// Whether a path is a mounted gauge's folder.
     pub fn is_at(path: &Path) -> bool {
         place::is_gauge(path)
     }
 
-    /// The gauge of a folder, which may not be there, or not any more.
+    /// The gauge of a folder, without a check that it exists.
     pub(crate) fn of(folder: &Path) -> Self {
         Self { folder: folder.into() }
     }
 
-    /// Its folder.
+    /// Folder of the gauge.
     pub fn folder(&self) -> &Path {
         &self.folder
     }
@@ -143,16 +143,16 @@ impl Gauge {
         folder_name(&self.folder)
     }
 
-    /// The text of a file of its folder, such as `status` or `gauge/flags`.
+    /// Text of a file in the folder, such as `status` or `gauge/flags`.
     pub fn text(&self, file: &str) -> Result<String> {
         file::text(&self.folder, file)
     }
 
-    /// What a file of its folder says, with its unit: an attribute such as `voltage_now`, or a file of `gauge/` such as
+    /// Value of a file with its unit: an attribute such as `voltage_now`, or a file of `gauge/` such as
     /// `gauge/registers/voltage`.
     pub fn value(&self, file: &str) -> Result<Value> {
         let own = || match file.strip_prefix("gauge/registers/") {
-            // Parts differ in the unit of a register.
+            // Parts differ in a register's unit.
             Some(name) => {
                 let register = |chip: &Chip| chip.registers.iter().find(|row| snake_case(row.name) == name);
                 self.chip().ok().and_then(register).map_or("", |row| row.unit)
@@ -163,7 +163,7 @@ impl Gauge {
         Ok(Value { text: text.trim_end().into(), unit: own() })
     }
 
-    /// All values of one poll. If there was a poll just now, it waits a fraction of a second first.
+    /// All values of one poll. Right after a poll it waits a fraction of a second first.
     pub fn sample(&self) -> Result<Sample> {
         Sample::read(&self.folder).map_err(|error| match is_dead(&error) {
             true => not_a_gauge(&self.folder),
@@ -171,27 +171,27 @@ impl Gauge {
         })
     }
 
-    /// The write that was interrupted and waits for a decision: its parameters with old, new and present values. `None`
-    /// if there is none. Before it shows that, the daemon tries to settle it.
+    /// The interrupted write that waits for a decision: its parameters with old, new and present values; `None` without
+    /// one. The daemon first tries to settle it.
     pub fn unsettled(&self) -> Result<Option<String>> {
         self.examine().map(|(told, owed)| Some(told).filter(|_| owed))
     }
 
-    /// What there is to say about interrupted writes, and whether something is owed.
+    /// A description of interrupted writes, and whether something is owed.
     pub fn examine(&self) -> Result<(String, bool)> {
         let told = self.settling("show")?;
         let owed = self.text(OWED).map_err(|error| error.doing("cannot read whether anything is owed"))?;
         Ok((told, is_set(&owed)))
     }
 
-    /// The last failure, with what is owed first; empty without one.
+    /// The last failure, after what is owed; empty without one.
     pub fn last_error(&self) -> Result<String> {
         Ok(with_path(self.text(EVERY)?.trim(), &self.folder))
     }
 
-    /// Carries out what somebody has decided about the write that was interrupted, and returns what was done. What is
-    /// written is what [`unsettled`](Self::unsettled) has shown. `serial` is the serial number of a pack that is not the
-    /// one the write was begun on.
+    /// Carries out a decision about the interrupted write, and returns what was done. [`unsettled`](Self::unsettled)
+    /// has shown the values that it writes. `serial` is the present pack's serial number, if the write was begun on
+    /// another pack.
     pub fn settle(&self, decision: Decision, serial: Option<&str>) -> Result<String> {
         let word = match decision {
             Decision::Undo => "undo",
@@ -201,7 +201,6 @@ impl Gauge {
         self.settling(&serial.map_or(word.to_string(), |serial| format!("{word} {serial}")))
     }
 
-    /// Writes a word to `gauge/settle` and reads the answer.
     fn settling(&self, word: &str) -> Result<String> {
         const FILE: &str = "gauge/settle";
         self.check_has(FILE, "data flash")?;
@@ -209,14 +208,14 @@ impl Gauge {
         Ok(with_path(&told, &self.folder))
     }
 
-    /// What is kept of what the gauge has learned, after `show`, `restore`, `restore VERSION` or `forget`.
+    /// What the daemon keeps of the gauge's learned values, after `show`, `restore`, `restore VERSION` or `forget`.
     pub fn learned(&self, wish: &str) -> Result<String> {
         const FILE: &str = "gauge/learned";
         self.check_has(FILE, "data memory in RAM")?;
         self.answered(FILE, wish, ["cannot be done", "cannot read what was learned"])
     }
 
-    /// Writes a request to a file, and reads its answer there. Only `show` is written again if the answer is another
+    /// Writes a request to a file, and reads its answer there. Only `show` is repeated if the answer is another
     /// request's.
     fn answered(&self, file: &str, request: &str, failed: [&'static str; 2]) -> Result<String> {
         for _ in 0..TRIES {
@@ -235,7 +234,6 @@ impl Gauge {
         Err(self.answers_another(file, what))
     }
 
-    /// The error about an answer that is another program's.
     fn answers_another(&self, file: &str, what: &str) -> Error {
         let why = format!(
             "{what}it has the answer to another program, which writes it at the same time; look again later"
@@ -248,17 +246,17 @@ impl Gauge {
         self.text(OWED).is_ok_and(|owed| is_set(&owed))
     }
 
-    /// Writes a request to a file of its folder, and waits for the outcome.
+    /// Writes a request to a file of the folder, and waits for the outcome.
     pub fn send(&self, file: &str, request: &[u8]) -> Result<()> {
         file::send(&self.folder, file, request)
     }
 
-    /// Opens a file of its folder to write several requests to it.
+    /// Opens a file of the folder for several requests.
     pub fn open_to_write(&self, file: &str) -> Result<GaugeFile> {
         GaugeFile::to_write(&self.folder, file)
     }
 
-    /// Makes sure that it is a gauge, and that its part has a file, without which it has no `what`.
+    /// Fails unless it is a gauge whose part has this file; a part without it has no `what`.
     pub fn check_has(&self, file: &str, what: &str) -> Result<()> {
         match fs::symlink_metadata(self.folder.join(file)) {
             Ok(_) => Ok(()),
@@ -271,7 +269,7 @@ impl Gauge {
         }
     }
 
-    /// Its part, without a transfer. An error if nothing is known of its data flash.
+    /// The gauge's part, without a transfer. An error if its data flash is unknown.
     pub fn chip(&self) -> Result<&'static Chip> {
         self.check_has("df/index", "data flash")?;
         self.part()
@@ -289,8 +287,8 @@ impl Gauge {
         error.within(&self.folder.display().to_string())
     }
 
-    /// Polls the gauge now, and drops the values that were kept of its data flash: another pack may have taken the place of
-    /// the one that was there at the last poll. A user who may not do that gets the values of the last poll, and their age.
+    /// Polls the gauge now, and drops cached data flash: the pack may have been exchanged since the last poll. A user
+    /// who may not poll gets the values of the last poll, and their age.
     pub fn poll(&self) -> Result<Polled> {
         let refused = match self.send("gauge/refresh", b"1\n") {
             Ok(()) => None,
@@ -305,7 +303,7 @@ impl Gauge {
         Ok(Polled { identity: self.identity(), refused })
     }
 
-    /// Which gauge it is, without a transfer: its part, and its serial number, for parts that show one.
+    /// The part, and the serial number of parts that show one, without a transfer.
     pub fn pack(&self) -> (Option<String>, Option<String>) {
         let model = self.text("model_name").ok().map(|model| model.trim().to_string());
         (model, self.part().ok().and_then(|chip| self.serial(chip)))
@@ -316,7 +314,7 @@ impl Gauge {
         names::serial(chip, |name| self.text(&format!("gauge/registers/{name}")).ok()?.trim().parse().ok())
     }
 
-    /// The part, what distinguishes the pack, and when it was polled.
+    /// The part, what distinguishes the pack, and the time of the poll.
     fn identity(&self) -> String {
         let text = |name: &str| Some(self.text(name).ok()?.trim().to_string());
         let model = text("model_name").unwrap_or("unknown part".into());
@@ -351,7 +349,7 @@ impl Gauge {
         Ok(image)
     }
 
-    /// Its configuration: all parameters, from `df/index`. [`poll`](Self::poll) first, so that they are read anew.
+    /// All parameters, from `df/index`. After [`poll`](Self::poll) they are read anew.
     pub fn configuration(&self) -> Result<Image> {
         let chip = self.chip()?;
         let index = self.text("df/index").map_err(|error| error.doing("its data flash cannot be read"))?;
@@ -366,7 +364,7 @@ impl Gauge {
             .map_err(|error| ti_gauge::error::Error::io(file.display().to_string(), "cannot be read", &error))
     }
 
-    /// What it answers to a subcommand that it answers with a word.
+    /// The word with which the gauge answers a subcommand.
     pub fn ask(&self, code: u16) -> Result<u16> {
         let file = "gauge/control";
         let failed = |error: Error| error.doing("the gauge does not answer the subcommand");
@@ -382,13 +380,13 @@ impl Gauge {
         Err(self.answers_another(file, ""))
     }
 
-    /// Which gauge is there. What is read from now on is of that one for as long as this does not change.
+    /// The gauge that is present. Later readings belong to it as long as this does not change.
     pub fn presence(&self) -> Result<Presence> {
         let text = self.text("gauge/presence")?;
         Ok(Presence(text.trim().to_string()))
     }
 
-    /// Writes changes, all of them or none, as one transaction, to the gauge that was there when they were found.
+    /// Writes changes in one transaction, all of them or none, to the gauge for which they were found.
     pub fn apply(
         &self,
         presence: &Presence,
@@ -412,12 +410,12 @@ impl Gauge {
         lines += "commit\n";
         let failed = |error: Error| error.doing("nothing was written");
         let mut file = self.open_to_write("df/transaction").map_err(failed)?;
-        // One write: what is refused of it is refused as a whole, and leaves no transaction open.
+        // A refused write is refused as a whole, and leaves no transaction open.
         let mut sent = 0;
         while sent < lines.len() {
             sent += file.send(&lines.as_bytes()[sent..]).map_err(|error| {
                 if sent > 0 {
-                    // The first piece has opened it; a commit that failed has ended it already.
+                    // The first piece has opened it; a failed commit has ended it.
                     let _ = file.send(b"abort\n");
                 }
                 failed(error)
@@ -427,11 +425,11 @@ impl Gauge {
     }
 }
 
-/// Which gauge is there, for [`Gauge::apply`].
+/// The present gauge, for [`Gauge::apply`].
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Presence(String);
 
-/// What a poll has shown: which gauge it is, and when it was polled.
+/// The gauge that a poll has shown, and the poll's time.
 #[derive(Clone, Debug)]
 pub struct Polled {
     identity: String,
@@ -439,13 +437,12 @@ pub struct Polled {
 }
 
 impl Polled {
-    /// The errno, if this user may not poll it.
+    /// The errno, if this user may not poll.
     pub fn refused(&self) -> Option<i32> {
         self.refused
     }
 }
 
-/// One line.
 impl fmt::Display for Polled {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(&self.identity)?;
@@ -465,17 +462,14 @@ fn invalid(subject: String, why: String) -> ti_gauge::error::Error {
     ti_gauge::error::Error::new(subject, Cause::Invalid, why)
 }
 
-/// An error about a line of `df/index`.
 fn at_line(line: usize, why: &str) -> ti_gauge::error::Error {
     invalid(format!("df/index: line {line}"), why.into())
 }
 
-/// A word in hexadecimal, with `0x`.
 fn word(text: &str) -> Option<u16> {
     text.starts_with("0x").then(|| text::unsigned(text)).flatten()
 }
 
-/// A configuration, from `df/index`.
 fn read(chip: &'static Chip, firmware: Option<u16>, index: &str) -> ti_gauge::error::Result<Image> {
     let mut image = Image::new(chip, firmware);
     for (number, line) in (1..).zip(index.lines()).skip(1) {

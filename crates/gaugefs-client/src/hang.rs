@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! Daemons that hang: a call into their mount may never return, so it is made by a thread of its own.
+//! Hanging daemons: a call into a mount may never return, so a separate thread makes it.
 
 use std::path::Path;
 use std::sync::mpsc::{self, Sender};
@@ -13,24 +13,23 @@ use nix::sys::statvfs::statvfs;
 
 use crate::error::{Error, Result};
 
-/// A daemon that has not answered for this long hangs.
+/// A daemon hangs if it does not answer for this long.
 pub const PATIENCE: Duration = Duration::from_secs(5);
 
-/// Why there is nothing of a daemon that hangs.
+/// The error for a daemon that hangs.
 pub const SILENT: &str = "its daemon does not answer";
 
-/// Starts a thread that calls into mounts.
 pub(crate) fn thread(work: impl FnOnce() + Send + 'static) -> Result<()> {
     let thread = std::thread::Builder::new().stack_size(256 * 1024).spawn(work);
     thread.map(drop).map_err(|error| Error::io("", "cannot start a thread", error))
 }
 
-/// Since when a thread has been in a call into a mount; `None` while it is in none.
+/// Start of a thread's call into a mount; `None` outside a call.
 #[derive(Clone, Debug, Default)]
 pub struct Calling(Arc<Mutex<Option<Instant>>>);
 
 impl Calling {
-    /// A call begins, or the next one of many.
+    /// A call begins, or the next one in a series.
     pub(crate) fn begin(&self) {
         self.set(Some(Instant::now()));
     }
@@ -44,7 +43,7 @@ impl Calling {
         *self.0.lock().unwrap_or_else(PoisonError::into_inner) = since;
     }
 
-    /// Whether the daemon has not answered for [`PATIENCE`]: true once in each such time.
+    /// Whether the daemon has been silent for [`PATIENCE`]: true once per such time.
     pub fn is_silent(&self) -> bool {
         let mut since = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         let is_silent = since.is_some_and(|since| since.elapsed() >= PATIENCE);
@@ -55,9 +54,8 @@ impl Calling {
     }
 }
 
-/// Looks at a mount again and again from a thread of its own, which reports to a channel: what it sees, and how long it is
-/// until the next look. It ends with its receiver. In between it asks every so often whether the daemon is still there; if
-/// not, it looks at once.
+/// Looks at a mount repeatedly, from a thread that ends with its receiver. `look` returns what it sees, and the time
+/// until the next look. Meanwhile the thread checks that the daemon is there, and otherwise looks at once.
 pub(crate) fn look_again<R, T: From<R> + Send + 'static>(
     mount: &Path,
     every: Duration,
@@ -80,7 +78,7 @@ pub(crate) fn look_again<R, T: From<R> + Send + 'static>(
     Ok(calling)
 }
 
-/// Waits for the next look, while the daemon is there.
+/// Waits for the next look as long as the daemon is there.
 fn rest(mount: &Path, every: Duration, next: Duration, calling: &Calling) {
     let until = Instant::now() + next;
     loop {
@@ -92,8 +90,8 @@ fn rest(mount: &Path, every: Duration, next: Duration, calling: &Calling) {
     }
 }
 
-/// Whether the daemon of a mount answers. Only STATFS is never answered from the kernel's cache, which outlives a daemon that
-/// was killed.
+/// Whether a mount's daemon answers. Only STATFS is never answered from the kernel's cache, which outlives a killed
+/// daemon.
 pub(crate) fn is_served(mount: &Path, calling: &Calling) -> bool {
     calling.begin();
     let answer = statvfs(mount);
@@ -101,12 +99,11 @@ pub(crate) fn is_served(mount: &Path, calling: &Calling) -> bool {
     answer.is_ok()
 }
 
-/// Calls a function from a thread of its own, and waits at most so long for it. A daemon that hangs keeps that thread, and
-/// not the caller.
+/// Calls a function from a separate thread, with a time limit. If a daemon hangs, only that thread stays behind.
 pub fn within<T: Send + 'static>(limit: Duration, call: impl FnOnce() -> T + Send + 'static) -> Result<T> {
     let (sender, answer) = mpsc::channel();
     thread(move || {
-        // It cannot be heard any more after the limit.
+        // Nobody receives it after the limit.
         let _ = sender.send(call());
     })?;
     answer.recv_timeout(limit).map_err(|_| Error::host("", Errno::ETIMEDOUT, SILENT))

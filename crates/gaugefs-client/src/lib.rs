@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: MIT
 
-//! TI fuel gauges that gaugefs has mounted, for programs that read and write them: values with their units, changes poll
-//! by poll, data-flash parameters by their names, and what to do after an interrupted write.
+//! TI fuel gauges that gaugefs has mounted, for programs: values with their units, changes poll by poll, data-flash
+//! parameters by name, and what to do after an interrupted write.
 //!
-//! A [`Gauge`] is the folder of one. All that this library has of it are the files there, so it needs no privilege but
-//! those of the files, and causes no bus traffic where a `cat` of the same file causes none. A value:
+//! A [`Gauge`] is the folder of a gauge. The library uses only the files there, so it needs no privilege besides
+//! theirs, and causes bus traffic only where a `cat` of the same file does. A value:
 //!
 //! ```no_run
 //! use gaugefs_client::Gauge;

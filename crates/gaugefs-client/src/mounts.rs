@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! What is mounted where, without a call to any mounted file system: `/proc/self/mountinfo` says it.
+//! Mounts by `/proc/self/mountinfo`, without a call to any mounted file system.
 
 use std::ffi::OsString;
 use std::io;
@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use gauge_bus::regular;
 
 const TABLE: &str = "/proc/self/mountinfo";
-/// The source of every mount of gaugefs, as mountinfo shows it.
+/// The source of gaugefs mounts in mountinfo.
 pub const SOURCE: &str = "gaugefs";
 
 /// A line of mountinfo.
@@ -22,37 +22,37 @@ pub struct Mount {
     pub kind: String,
     /// What is mounted.
     pub source: String,
-    /// The number of its FUSE connection, if it is a FUSE mount.
+    /// Number of the FUSE connection, for a FUSE mount.
     pub connection: Option<u64>,
-    /// The user who has mounted it, if it is a FUSE mount.
+    /// The user who mounted it, for a FUSE mount.
     pub owner: Option<u32>,
 }
 
 impl Mount {
-    /// Whether it is a gaugefs, dead or alive.
+    /// Whether it is gaugefs, dead or alive.
     pub fn is_gaugefs(&self) -> bool {
         self.source == SOURCE && (self.kind == "fuse" || self.kind.starts_with("fuse."))
     }
 }
 
-/// The mounts of this process, the first one first.
+/// The mounts of this process, oldest first.
 pub fn all() -> io::Result<Vec<Mount>> {
     Ok(parse(&regular::read(Path::new(TABLE), regular::SYSTEM)?).collect())
 }
 
-/// Where gaugefs is mounted.
+/// Mount points of gaugefs.
 pub fn list() -> Vec<PathBuf> {
     let mounts = all().unwrap_or_default().into_iter();
     mounts.filter(Mount::is_gaugefs).map(|mount| mount.path).collect()
 }
 
-/// The mount point of the gaugefs that a path belongs to.
+/// The gaugefs mount point that a path belongs to.
 pub fn of(path: &Path) -> Option<PathBuf> {
     let path = std::path::absolute(path).ok()?;
     containing(all().ok()?, &path).filter(Mount::is_gaugefs).map(|mount| mount.path)
 }
 
-/// Whether a gaugefs is mounted there, dead or alive.
+/// Whether gaugefs is mounted there, dead or alive.
 pub fn is_gaugefs(path: &Path) -> bool {
     topmost(all().unwrap_or_default(), path).is_some_and(|mount| mount.is_gaugefs())
 }
@@ -72,8 +72,7 @@ pub fn containing(mounts: impl IntoIterator<Item = Mount>, path: &Path) -> Optio
 pub fn parse(table: &[u8]) -> impl Iterator<Item = Mount> {
     table.split(|&byte| byte == b'\n').filter_map(|line| {
         let mut fields = line.split(|&byte| byte == b' ');
-        // A file system without a block device has the major number 0, and FUSE names a connection after the
-        // whole number.
+        // File systems without a block device have major number 0, and FUSE names a connection after the whole number.
         let connection =
             fields.nth(2)?.strip_prefix(b"0:").and_then(|minor| str::from_utf8(minor).ok()?.parse().ok());
         let path = unescape(fields.nth(1)?);
@@ -85,7 +84,7 @@ pub fn parse(table: &[u8]) -> impl Iterator<Item = Mount> {
     })
 }
 
-/// In mountinfo space, tab, newline and backslash are written as three octal digits.
+/// mountinfo writes space, tab, newline and backslash as three octal digits.
 fn unescape(field: &[u8]) -> OsString {
     let mut bytes = Vec::with_capacity(field.len());
     let mut rest = field;

@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: MIT
 
-//! The files of a gauge's folder that have a value: their names, and the units of their numbers.
+//! The files of a gauge's folder that have values, and the units of their numbers.
 
 use ti_gauge::chip::{Bit, Chip, Tier, snake_case};
 use ti_gauge::gauge::Statistics;
 
-/// An attribute: a file of the folder itself, with a name of the kernel's ABI.
+/// An attribute: a file of the folder itself, named as in the kernel's ABI.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Attribute {
     /// Its name.
@@ -19,14 +19,14 @@ pub struct Attribute {
 pub enum Kind {
     /// A text, such as `Charging`.
     Text,
-    /// A decimal number in this unit; without a unit if that is empty.
+    /// A decimal number in this unit; empty for no unit.
     Number(&'static str),
     /// A word in four hexadecimal digits, as the kernel's drivers show serial numbers.
     Hex,
 }
 
 impl Attribute {
-    /// The unit of its number; empty if it has none.
+    /// The unit of the number, or an empty text.
     pub fn unit(&self) -> &'static str {
         match self.kind {
             Kind::Number(unit) => unit,
@@ -34,7 +34,7 @@ impl Attribute {
         }
     }
 
-    /// Whether its text is a number in decimal.
+    /// Whether the text is a decimal number.
     pub fn is_number(&self) -> bool {
         matches!(self.kind, Kind::Number(_))
     }
@@ -48,7 +48,6 @@ const fn number(name: &'static str, unit: &'static str) -> Attribute {
     Attribute { name, kind: Kind::Number(unit) }
 }
 
-/// All attributes, in the order in which `uevent` lists them.
 static ATTRIBUTES: &[Attribute] = &[
     text("type"),
     text("status"),
@@ -87,7 +86,7 @@ static ATTRIBUTES: &[Attribute] = &[
     number("manufacture_day", ""),
 ];
 
-/// The files of `gauge/` with a text of their own that every part may have, and the units of their numbers.
+/// Files of `gauge/` that every part may have and that have their own text, with the units of their numbers.
 static FILES: &[(&str, &str)] = &[
     ("control_status", ""),
     ("device_type", ""),
@@ -114,14 +113,14 @@ static FILES: &[(&str, &str)] = &[
     ("last_error_facts", ""),
 ];
 
-/// A file of `gauge/` with a text of its own.
+/// A file of `gauge/` with its own text.
 #[derive(Clone, Debug)]
 pub struct File {
     /// Its path in `gauge/`.
     pub name: String,
-    /// The unit of its number; empty if it has none.
+    /// The unit of the number, or an empty text.
     pub unit: &'static str,
-    /// The names of the bits that one of flags shows.
+    /// Names of bits, for a register of flags.
     pub bits: &'static [Bit],
 }
 
@@ -135,13 +134,13 @@ pub fn attribute(name: &str) -> Option<Attribute> {
     attributes().find(|attribute| attribute.name == name)
 }
 
-/// The files of `gauge/` with a text of their own that every part may have.
+/// The files of `gauge/` with their own texts that every part may have.
 pub fn fixed_files() -> impl Iterator<Item = &'static str> {
     FILES.iter().map(|(name, _)| *name)
 }
 
-/// The files of `gauge/` with a text of their own, on one chip or on any. Where parts differ in the unit of a register,
-/// it is there once for each.
+/// The files of `gauge/` with their own texts, for one chip or for all. A register is listed once per unit where parts
+/// differ.
 pub fn files() -> impl Iterator<Item = File> {
     let plain = |name: String, unit| File { name, unit, bits: &[] };
     let fixed = FILES.iter().map(move |&(name, unit)| plain(name.to_string(), unit));
@@ -161,8 +160,8 @@ pub fn files() -> impl Iterator<Item = File> {
     fixed.chain(counters).chain(of_chips)
 }
 
-/// The unit of the number in a file, by its path in the gauge's folder; empty if it has none. `None` for a file that no
-/// gauge has, and for a register, of which parts differ.
+/// The unit of a file by its path in the gauge's folder, or an empty text. `None` for an unknown file, and for a
+/// register, where parts differ.
 pub(crate) fn unit(file: &str) -> Option<&'static str> {
     match file.strip_prefix("gauge/") {
         Some(name) => FILES.iter().find(|(known, _)| *known == name).map(|(_, unit)| *unit),
@@ -170,7 +169,7 @@ pub(crate) fn unit(file: &str) -> Option<&'static str> {
     }
 }
 
-/// The serial number of a pack, from the register of a part that distinguishes packs.
+/// The serial number of a pack, from the register that distinguishes packs of this part.
 pub(crate) fn serial(chip: &Chip, register: impl FnOnce(&str) -> Option<u16>) -> Option<String> {
     let row = chip.serial_register()?;
     Some(format!("0x{:04x}", register(&snake_case(row.name))?))

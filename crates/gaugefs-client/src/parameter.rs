@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! Parameters by their names, with values as people write them.
+//! Parameters by name, with values as people write them.
 
 use nix::errno::Errno;
 use ti_gauge::chip::{Chip, Kind, Row, Unnamed};
@@ -17,7 +17,7 @@ use crate::value::Value;
 use ti_gauge::notation;
 
 impl Gauge {
-    /// The value of a parameter, by its name or place: `Cell Terminate Voltage`, `80/53`.
+    /// Value of a parameter by name or place: `Cell Terminate Voltage`, `80/53`.
     pub fn parameter(&self, name: &str) -> Result<Value> {
         let chip = self.chip()?;
         let image = self.values(chip, &[row(chip, name)?])?;
@@ -25,20 +25,20 @@ impl Gauge {
         Ok(Value { text: entry.shown(), unit: unit::shown(entry.parameter) })
     }
 
-    /// Writes one parameter, and verifies it: `set("Cell Terminate Voltage", "3100 mV")`. Returns when it is in data flash.
+    /// Writes and verifies a parameter: `set("Cell Terminate Voltage", "3100 mV")`. Returns when it is in data flash.
     pub fn set(&self, name: &str, value: &str) -> Result<()> {
         let mut transaction = self.transaction()?;
         transaction.set(name, value)?;
         transaction.commit().map(drop)
     }
 
-    /// Several parameters that are written together, all of them or none.
+    /// Parameters that are written together, all of them or none.
     pub fn transaction(&self) -> Result<Transaction<'_>> {
         Ok(Transaction::new(self, self.chip()?))
     }
 }
 
-/// Finds a parameter by its name or place; otherwise the error suggests what was probably meant.
+/// Finds a parameter by name or place; the error suggests close names.
 pub fn row(chip: &'static Chip, name: &str) -> Result<Row> {
     chip.find(name).map_err(|unnamed| match unnamed {
         Unnamed::Several(names) => {
@@ -52,7 +52,7 @@ pub fn row(chip: &'static Chip, name: &str) -> Result<Row> {
     })
 }
 
-/// What was probably meant by a name that is none of a parameter.
+/// Suggestions for an unknown name.
 fn meant(chip: &'static Chip, name: &str) -> String {
     const SHOWN: usize = 3;
     let file = |name: &str| format!("the file {name} of the gauge's folder");
@@ -75,18 +75,18 @@ fn meant(chip: &'static Chip, name: &str) -> String {
     }
 }
 
-/// Parameters and the values that they are to have. They are checked as far as that is possible without the gauge.
+/// Parameters and their wanted values, checked as far as possible without the gauge.
 #[derive(Clone, Debug)]
 pub struct Wanted(Image);
 
 impl Wanted {
-    /// Nothing yet, for that part.
+    /// An empty set for a part.
     pub fn new(chip: &'static Chip) -> Self {
         Self(Image::new(chip, None))
     }
 
-    /// Adds a parameter, by its name or place, and its value: a number in its own unit, or with another one, or a date.
-    /// A value that cannot be stored exactly is refused.
+    /// Adds a parameter by name or place, and its value: a number in its own or another unit, or a date. Values that
+    /// cannot be stored exactly are refused.
     pub fn set(&mut self, name: &str, value: &str) -> Result<()> {
         let (subclass, parameter) = row(self.0.chip, name)?;
         let name = self.0.chip.name_of((subclass, parameter));
@@ -116,23 +116,23 @@ impl Wanted {
     }
 }
 
-/// Several parameters of a gauge that are written together, all of them or none.
+/// Parameters of a gauge that are written together, all of them or none.
 #[derive(Clone, Debug)]
 pub struct Transaction<'a> {
     gauge: &'a Gauge,
     wanted: Wanted,
 }
 
-/// A parameter that was changed.
+/// A changed parameter.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Changed {
-    /// Its whole name, as `df/by-name` has it.
+    /// Full name, as in `df/by-name`.
     pub name: String,
-    /// What it was.
+    /// Previous value.
     pub old: String,
-    /// What it is now.
+    /// Present value.
     pub new: String,
-    /// The unit of both.
+    /// Unit of both values.
     pub unit: &'static str,
 }
 
@@ -141,18 +141,18 @@ impl<'a> Transaction<'a> {
         Self { gauge, wanted: Wanted::new(chip) }
     }
 
-    /// Adds a parameter and its value, as [`Wanted::set`] takes them. Nothing is written yet.
+    /// Adds a parameter and its value as in [`Wanted::set`]. Nothing is written yet.
     pub fn set(&mut self, name: &str, value: &str) -> Result<&mut Self> {
         self.wanted.set(name, value)?;
         Ok(self)
     }
 
-    /// Writes what the gauge does not have yet, and verifies it. Returns when it is in data flash, with what has changed.
-    /// After an error nothing has changed, unless the error says something else.
+    /// Writes and verifies what differs in the gauge. Returns the changes when they are in data flash. After an error
+    /// nothing has changed, unless the error says otherwise.
     pub fn commit(self) -> Result<Vec<Changed>> {
         let presence = self.gauge.presence()?;
         let stored = self.gauge.values(self.wanted.0.chip, &self.wanted.rows())?;
-        // Whether unproven ones may be written is the mount's to decide.
+        // The mount decides whether unproven parameters may be written.
         let Changes { changes, .. } = stored.changes(&self.wanted.0, &[], true)?;
         self.gauge.apply(&presence, &changes, &[])?;
         Ok(changes.iter().map(Changed::of).collect())

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! Where gauges are mounted, as far as an error says it.
+//! Where gauges are mounted, and errors about paths.
 
 use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
@@ -13,18 +13,17 @@ use ti_gauge::text;
 use crate::error::Error;
 use crate::mounts;
 
-/// A file that every mounted gauge has, and no supply of the kernel's.
+/// A file that every mounted gauge has, but no supply of the kernel's.
 pub(crate) const EVERY: &str = "gauge/last_error";
 
-/// Error for a path that is not a mounted gauge.
 const NO_GAUGE: &str = "not a mounted gauge";
 
-/// What to do about a mount whose daemon is gone.
+/// The remedy for a mount whose daemon is gone.
 pub fn died(mount: impl fmt::Display) -> String {
     format!("its daemon has died; remove the mount with: gaugefs umount {mount}")
 }
 
-/// What to do about the mount of a path, whose daemon is gone; the mount may be gone as well.
+/// The remedy for the mount of a path whose daemon is gone; the mount may be gone too.
 pub(crate) fn dead(path: &Path) -> String {
     died(shown(mounts::of(path).as_deref().unwrap_or(path)))
 }
@@ -33,7 +32,7 @@ pub(crate) fn shown(path: &Path) -> String {
     text::printable(&path.to_string_lossy())
 }
 
-/// The error about a path that is not the folder of a mounted gauge: what it is, and which path to give.
+/// The error for a path that is not a mounted gauge's folder: what it is, and which path to give.
 pub(crate) fn not_a_gauge(path: &Path) -> Error {
     let name = path.display().to_string();
     let why = match mounts::of(path) {
@@ -77,7 +76,7 @@ pub(crate) fn not_a_gauge(path: &Path) -> Error {
     Error::host(name, Errno::ENOENT, format!("{NO_GAUGE}: {why}"))
 }
 
-/// A message of the daemon, which does not know under which path its gauge is seen here.
+/// A message of the daemon with the path by which this program knows the gauge.
 pub(crate) fn with_path(text: &str, gauge: &Path) -> String {
     let path = shown(gauge);
     let is_plain = path.bytes().all(|byte| byte.is_ascii_alphanumeric() || b"/._+-".contains(&byte));
@@ -85,12 +84,11 @@ pub(crate) fn with_path(text: &str, gauge: &Path) -> String {
     text.replace(" GAUGE ", &format!(" {path} "))
 }
 
-/// Whether a path is the folder of a mounted gauge.
 pub(crate) fn is_gauge(path: &Path) -> bool {
     path.join(EVERY).exists()
 }
 
-/// The folders of the gauges below a mount point. A Mains supply is none, nor is what the mount covers.
+/// Gauge folders below a mount point, without Mains supplies and without the supplies that the mount hides.
 pub(crate) fn gauges_below(mountpoint: &Path) -> io::Result<Vec<PathBuf>> {
     let entries = fs::read_dir(mountpoint)?.flatten().map(|entry| entry.path());
     let mut gauges: Vec<_> = entries.filter(|entry| is_gauge(entry)).collect();
@@ -98,7 +96,7 @@ pub(crate) fn gauges_below(mountpoint: &Path) -> io::Result<Vec<PathBuf>> {
     Ok(gauges)
 }
 
-/// The gauges at a path: itself, or those below it. It is an error if there are none.
+/// The gauge at a path, or the gauges below it; an error without any.
 pub fn gauges_at(path: &Path) -> io::Result<Vec<PathBuf>> {
     match fs::metadata(path.join(EVERY)) {
         Ok(_) => return Ok(vec![path.to_path_buf()]),
@@ -109,7 +107,7 @@ pub fn gauges_at(path: &Path) -> io::Result<Vec<PathBuf>> {
     if gauges.is_empty() { Err(ErrorKind::NotFound.into()) } else { Ok(gauges) }
 }
 
-/// The name of a gauge's folder as the path has it. Symbolic links are not resolved: that may hang.
+/// The last name in a gauge's path. Symbolic links are not resolved: that may hang.
 pub fn last_name(gauge: &Path) -> String {
     gauge.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }

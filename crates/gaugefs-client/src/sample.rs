@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! One sample of a mounted gauge: the contents of its files, all from one poll.
+//! A sample of a mounted gauge: the contents of its files, all from one poll.
 //!
 //! It reads only files that cause no transfer, so no data flash.
 
@@ -17,10 +17,9 @@ use crate::file::content;
 use crate::names::serial;
 use gauge_bus::clock::{Clock, RealClock};
 
-/// After this time the kernel's copies of the attributes are those of the last poll. Polls are at least 0.5 s
-/// apart.
+/// The kernel's copies of the attributes are those of the last poll after this time. Polls are at least 0.5 s apart.
 pub(crate) const SETTLED: Duration = Duration::from_millis(200);
-/// Attempts to read all files between two polls before a mixed sample is accepted.
+/// Attempts to read all files between two polls; then a mixed sample is accepted.
 const TRIES: u32 = 3;
 /// Less than the time between two polls, more than the rounding of an age to milliseconds.
 const SLACK: Duration = Duration::from_millis(100);
@@ -30,15 +29,15 @@ const SLACK: Duration = Duration::from_millis(100);
 pub struct Sample {
     /// The time of the poll; for a gauge that is gone, the time of the sample.
     pub time: Timestamp,
-    /// The time of the poll in the time of a simulated gauge's battery, and how fast that passes.
+    /// The poll's time on a simulated gauge's battery clock, and the clock's speed.
     pub simulated: Option<(Timestamp, f64)>,
-    /// The time of the poll on the monotonic clock, to distinguish polls; `None` while the gauge is gone.
+    /// The poll's time on the monotonic clock, to distinguish polls; `None` while the gauge is gone.
     pub moment: Option<Moment>,
     /// `gauge/age_ms`.
     pub age: Option<Duration>,
     /// The attributes of `uevent`, by their file names.
     pub attributes: Vec<(String, String)>,
-    /// Status registers, and the names of the bits that are set in each.
+    /// Status registers, and the names of their set bits.
     pub words: Vec<(String, String)>,
     /// `gauge/registers`, except those in `words`.
     pub registers: Vec<(String, i64)>,
@@ -50,7 +49,7 @@ pub struct Sample {
     pub last_error: String,
 }
 
-/// The time of a poll, as exactly as its age gives it.
+/// A poll's time, with the precision of its age.
 #[derive(Clone, Copy, Debug)]
 pub struct Moment {
     earliest: Instant,
@@ -63,14 +62,14 @@ impl Moment {
         self.earliest <= other.latest + SLACK && other.earliest <= self.latest + SLACK
     }
 
-    /// A poll so much later, for a history that is made up.
+    /// A poll so much later, for an artificial history.
     pub fn later(self, time: Duration) -> Self {
         Self { earliest: self.earliest + time, latest: self.latest + time }
     }
 }
 
 impl Sample {
-    /// Reads a gauge's folder. If there was a poll just now, it waits a fraction of a second first.
+    /// Reads a gauge's folder. Right after a poll it waits a fraction of a second first.
     pub fn read(folder: &Path) -> io::Result<Self> {
         of_one_poll(folder, |polled| Self::once(folder, polled))
     }
@@ -132,17 +131,17 @@ impl Sample {
         }
     }
 
-    /// An attribute's text.
+    /// Text of an attribute.
     pub fn attribute(&self, name: &str) -> Option<&str> {
         self.attributes.iter().find(|(found, _)| found == name).map(|(_, value)| value.as_str())
     }
 
-    /// An attribute's number.
+    /// Number of an attribute.
     pub fn number(&self, name: &str) -> Option<i64> {
         self.attribute(name)?.parse().ok()
     }
 
-    /// The part and the serial number, as far as they are known.
+    /// The part and the serial number, as far as known.
     pub fn pack(&self) -> (Option<&str>, Option<String>) {
         let model = self.attribute("model_name");
         let register = |name: &str| {
@@ -152,7 +151,7 @@ impl Sample {
         (model, model.and_then(Chip::by_model).and_then(|chip| serial(chip, register)))
     }
 
-    /// Time until the next poll can be read, if the poll interval is known.
+    /// Time until the next poll is readable, if the poll interval is known.
     pub fn next_poll(&self) -> Option<Duration> {
         Some(self.interval?.saturating_sub(self.age?) + SETTLED)
     }
@@ -162,12 +161,12 @@ impl Sample {
         self.attribute("present") == Some("1") && self.moment.is_some()
     }
 
-    /// The time of the poll as its values have it: that of the battery, if it is simulated.
+    /// The poll's time by the clock of its values: the battery's, if simulated.
     pub fn battery_time(&self) -> Timestamp {
         self.simulated.map_or(self.time, |(time, _)| time)
     }
 
-    /// The bits that were set and cleared since an earlier sample, word by word: `+QEN -VOK`.
+    /// Bits set and cleared since an earlier sample, register by register: `+QEN -VOK`.
     pub fn changed_bits<'a>(&'a self, before: &'a Self) -> impl Iterator<Item = (&'a str, String)> + 'a {
         let earlier = |name: &String| before.words.iter().find(|(old, _)| old == name);
         let pairs = self.words.iter().filter_map(move |(name, bits)| Some((name, &earlier(name)?.1, bits)));
@@ -183,7 +182,6 @@ impl Sample {
     }
 }
 
-/// The attributes of `uevent`, by their file names.
 pub(crate) fn attributes(folder: &Path) -> io::Result<Vec<(String, String)>> {
     let uevent = content(&folder.join("uevent"))?;
     let attributes = uevent.lines().filter_map(|line| {
@@ -195,7 +193,7 @@ pub(crate) fn attributes(folder: &Path) -> io::Result<Vec<(String, String)>> {
     Ok(attributes.collect())
 }
 
-/// Reads files of one poll. If there was a poll just now, it waits a fraction of a second first.
+/// Reads files of one poll. Right after a poll it waits a fraction of a second first.
 pub(crate) fn of_one_poll<T>(
     folder: &Path,
     read: impl Fn(Option<(Duration, Moment)>) -> io::Result<T>,
@@ -219,7 +217,7 @@ pub(crate) fn of_one_poll<T>(
     }
 }
 
-/// The age of the values, and the time of their poll.
+/// Age of the values, and the time of their poll.
 fn age(folder: &Path) -> io::Result<Option<(Duration, Moment)>> {
     let before = Instant::now();
     let Some(age) = text(&folder.join("gauge/age_ms"))?.and_then(|text| text.parse().ok()) else {
@@ -231,19 +229,18 @@ fn age(folder: &Path) -> io::Result<Option<(Duration, Moment)>> {
     Ok(moment.map(|(earliest, latest)| (age, Moment { earliest, latest })))
 }
 
-/// The battery time of a poll of a simulated gauge, and its speed.
+/// A poll's time by a simulated gauge's battery, and its speed.
 fn simulated(folder: &Path, polled: Option<Moment>) -> io::Result<Option<(Timestamp, f64)>> {
     let number = |name: &str| -> io::Result<Option<f64>> {
         Ok(text(&folder.join("sim").join(name))?.and_then(|text| text.parse().ok()))
     };
     let Some((clock, speed)) = number("clock")?.zip(number("speed")?) else { return Ok(None) };
-    // It has gone on since the poll.
+    // The battery's clock has gone on since the poll.
     let age = polled.map_or(0.0, |moment| moment.latest.elapsed().as_secs_f64());
     let time = Timestamp::from_millisecond(((clock - age * speed) * 1000.0) as i64);
     Ok(time.ok().map(|time| (time, speed)))
 }
 
-/// The bits that were set and cleared, such as `+QEN -VOK`.
 fn difference(before: &str, after: &str) -> String {
     let (before, after): (Vec<_>, Vec<_>) =
         (before.split_whitespace().collect(), after.split_whitespace().collect());
@@ -252,12 +249,12 @@ fn difference(before: &str, after: &str) -> String {
     set.chain(cleared).collect::<Vec<_>>().join(" ")
 }
 
-/// A file's one line; `None` if the file does not exist now, or this user may not read it.
+/// A file's line; `None` if the file is missing or not readable for this user.
 pub(crate) fn text(path: &Path) -> io::Result<Option<String>> {
     Ok(if_readable(content(path))?.map(|text| text.trim_end().to_string()))
 }
 
-/// `None` for a file that does not exist now, or that this user may not read.
+/// `None` for a file that is missing or not readable for this user.
 pub(crate) fn if_readable<T>(outcome: io::Result<T>) -> io::Result<Option<T>> {
     match outcome {
         Ok(value) => Ok(Some(value)),

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT
 
-//! The power supplies of a mount, the Mains supply included, look by look.
+//! The power supplies of a mount, Mains included, look by look.
 //!
-//! If a daemon hangs, a read of its files blocks, perhaps for ever. So a thread of its own reads them, and [`Calling`] says
-//! that the daemon is silent.
+//! If a daemon hangs, a read blocks, perhaps for ever. So a separate thread reads, and [`Calling`] says that the daemon
+//! is silent.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -22,42 +22,43 @@ use crate::mounts;
 use crate::sample::{attributes, if_readable};
 use crate::watch::trouble;
 
-/// The least time between two looks. Polls are at least as far apart.
+/// Shortest time between two looks. Polls are at least as far apart.
 const PAUSE: Duration = Duration::from_millis(500);
-/// Looks take at most this part of a processor's time, and about as much of the daemon's: there may be a thousand gauges.
+/// Looks take at most one part in so many of a processor's time, and about as much of the daemon's: there may be a
+/// thousand gauges.
 const SHARE: u32 = 20;
 
-/// What a thread that follows a mount reports.
+/// A report of a thread that follows a mount.
 #[derive(Clone, Debug)]
 pub struct Look {
-    /// The attributes in the `uevent` of each supply, by its name; or why there are none.
+    /// The `uevent` attributes of each supply by name; or why there are none.
     pub supplies: Result<BTreeMap<String, Texts>, String>,
 }
 
-/// Follows the supplies of a mount from a thread of its own, which reports to a channel. It ends with its receiver.
+/// Follows the supplies of a mount from a thread that reports to a channel and ends with its receiver.
 pub fn to_channel<T: From<Look> + Send + 'static>(mountpoint: PathBuf, to: Sender<T>) -> Result<Calling> {
     let mount = mountpoint.clone();
     let look = move |calling: &Calling| {
         let before = processor_time();
         let supplies = supplies_at(&mountpoint, calling).map_err(|error| trouble(&mountpoint, &error));
-        // The time that it took is no measure of its cost: the daemon may have hung.
+        // Elapsed time would not show the cost: the daemon may have hung.
         let next = PAUSE.max(processor_time().saturating_sub(before) * (SHARE - 1));
         (Look { supplies }, next)
     };
     look_again(&mount, PAUSE, look, to)
 }
 
-/// The processor's time that this thread has had.
+/// This thread's processor time.
 fn processor_time() -> Duration {
     clock_gettime(ClockId::CLOCK_THREAD_CPUTIME_ID).map(Duration::from).unwrap_or_default()
 }
 
-/// The supplies of the mount. Those of the kernel that show through it are symbolic links, and are left out.
+/// The supplies of the mount. The kernel's own supplies show as symbolic links, and are left out.
 fn supplies_at(mountpoint: &Path, calling: &Calling) -> io::Result<BTreeMap<String, Texts>> {
     if !mounts::is_gaugefs(mountpoint) {
         return Err(ErrorKind::NotFound.into());
     }
-    // Only STATFS is never answered from the kernel's cache, which outlives a daemon that was killed.
+    // Only STATFS is never answered from the kernel's cache, which outlives a killed daemon.
     statvfs(mountpoint)?;
     let mut supplies = BTreeMap::new();
     for entry in fs::read_dir(mountpoint)? {

@@ -1,35 +1,35 @@
 // SPDX-License-Identifier: MIT
 
-//! What a file of a gauge says, with its unit.
+//! Values of a gauge's files, with their units.
 
 use std::fmt;
 
 use ti_gauge::{quantity, text, unit};
 
-/// A value as a file has it, and its unit.
+/// A file's text, and its unit.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Value {
     /// The text, without its line end.
     pub text: String,
-    /// The unit of the number in it, such as `uV`, `mA` or `0.1°C`; empty if it has none.
+    /// The unit of the number, such as `uV`, `mA` or `0.1°C`; empty without one.
     pub unit: &'static str,
 }
 
 impl Value {
-    /// The number in its own unit; `None` if it is none.
+    /// The number in the file's unit; `None` for a text.
     pub fn number(&self) -> Option<f64> {
         let word = text::unsigned::<u64>(&self.text).map(|word| word as f64);
         word.or_else(|| self.text.parse().ok().filter(|number: &f64| number.is_finite()))
     }
 
-    /// The number in another unit of the same quantity, such as `V`; `None` if it is none, or of another quantity.
+    /// The number in another unit of the same quantity, such as `V`; `None` for a text or another quantity.
     pub fn in_unit(&self, other: &str) -> Option<f64> {
         let one = unit::measured(&format!("1{other}"), self.unit)?;
         Some(self.number()? / one)
     }
 }
 
-/// The text, and its unit behind a space.
+/// The text, a space and the unit.
 impl fmt::Display for Value {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(&quantity::with_unit(&self.text, self.unit))

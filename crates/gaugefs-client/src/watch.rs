@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT
 
-//! Samples mounted gauges repeatedly, in one thread per mount.
+//! Samples mounted gauges repeatedly, with one thread per mount.
 //!
-//! If a daemon hangs, a read of its files blocks, perhaps for ever. So only these threads read them; their
-//! owner notices that a mount has stopped reporting.
+//! If a daemon hangs, a read blocks, perhaps for ever. So only these threads read; their owner notices that a mount has
+//! stopped reporting.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -23,12 +23,12 @@ use crate::mounts;
 use crate::place::{dead, gauges_at};
 use crate::sample::Sample;
 
-/// TI's name for the subclass with the values that a gauge has learned.
+/// TI's subclass of learned values.
 const STATE: &str = "State";
-/// Time between two samples if the time of the next poll is not known.
+/// Sampling interval where the next poll's time is unknown.
 pub const INTERVAL: Duration = Duration::from_secs(1);
 
-/// What a thread can be asked to do.
+/// A request to a thread.
 pub enum Order {
     /// Poll this gauge now, through `gauge/refresh`.
     Refresh(PathBuf),
@@ -38,21 +38,21 @@ pub enum Order {
     ReadLimits(PathBuf),
 }
 
-/// What a thread reports.
+/// A report of a thread.
 pub struct Report {
     /// The mount, as an index of [`Watch::roots`].
     pub root: usize,
-    /// A gauge's folder; the root itself if there is no gauge in it.
+    /// A gauge's folder, or the root itself if it has no gauge.
     pub gauge: PathBuf,
-    /// What was seen of it.
+    /// The news.
     pub seen: Seen,
 }
 
-/// The contents of a report.
+/// The news in a report.
 pub enum Seen {
     /// The values of a poll.
     Sample(Box<Sample>),
-    /// There is no sample, for this reason.
+    /// Why there is no sample.
     Trouble(String),
     /// The outcome of [`Order::ReadLearned`].
     Learned(Result<Vec<Learned>, String>),
@@ -62,34 +62,34 @@ pub enum Seen {
     Refused(String),
 }
 
-/// One parameter that the gauge itself rewrites.
+/// A parameter that the gauge itself rewrites.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Learned {
     /// TI's name.
     pub name: &'static str,
     /// Its text.
     pub value: String,
-    /// The unit of its number; empty if it has none.
+    /// The unit of the number; empty without one.
     pub unit: &'static str,
 }
 
-/// The threads and the channels to them.
+/// The threads, and the channels to them.
 pub struct Watch {
-    /// What is watched: mount points, or the folder that the user named.
+    /// Mount points, or the folder that the user named.
     pub roots: Vec<PathBuf>,
     orders: Vec<Sender<Order>>,
-    /// Where the reports of all threads arrive.
+    /// The reports of all threads.
     pub reports: Receiver<Report>,
     sender: Sender<Report>,
-    /// The calls of each thread into its mount, in the order of `roots`.
+    /// Each thread's call into its mount, in the order of `roots`.
     calls: Vec<Calling>,
     every: Option<Duration>,
     named: bool,
 }
 
 impl Watch {
-    /// Watches a mount point or a gauge by its folder or name, or else every gaugefs that is mounted. Without an interval,
-    /// it takes one sample after each poll.
+    /// Watches a mount point, or a gauge by folder or name, or every gaugefs mount. Without an interval, it takes one
+    /// sample per poll.
     pub fn start(named: Option<&Path>, every: Option<Duration>) -> Result<Self> {
         let (sender, reports) = mpsc::channel();
         let (roots, orders, calls) = (Vec::new(), Vec::new(), Vec::new());
@@ -109,15 +109,15 @@ impl Watch {
         Ok(watch)
     }
 
-    /// The next report within a time limit. A mount that does not answer for too long is reported as that, and again
-    /// each time after as long.
+    /// The next report within a time limit. A mount that stays silent is reported each time
+    /// [`PATIENCE`](crate::follow::PATIENCE) passes.
     pub fn next(&self, limit: Duration) -> Option<Report> {
         let end = Instant::now() + limit;
         loop {
             let left = end.saturating_duration_since(Instant::now());
             match self.reports.recv_timeout(left.min(INTERVAL)) {
                 Ok(report) => return Some(report),
-                // It cannot be disconnected: there is a sender here.
+                // It cannot be disconnected: a sender is here.
                 Err(_) => {
                     if let Some(root) = self.calls.iter().position(Calling::is_silent) {
                         let seen = Seen::Trouble(SILENT.into());
@@ -155,14 +155,14 @@ impl Watch {
         Ok(())
     }
 
-    /// Gives an order. Its result is a report.
+    /// Gives an order. Its result comes as a report.
     pub fn order(&self, root: usize, order: Order) {
         // It cannot fail: the threads end only with the watch.
         let _ = self.orders[root].send(order);
     }
 }
 
-/// Takes samples and follows orders until the reports have no receiver.
+/// Samples and follows orders until the reports have no receiver.
 fn watch(
     root: usize,
     path: &Path,
@@ -178,7 +178,7 @@ fn watch(
         let listening = match gauges_at(path) {
             Ok(gauges) => gauges.iter().all(|gauge| {
                 let sample = Sample::read(gauge);
-                // There may be many, each of which takes a moment.
+                // There may be many, and each takes a moment.
                 calling.begin();
                 let seen = match sample {
                     Ok(sample) => {
@@ -218,7 +218,7 @@ fn watch(
     }
 }
 
-/// Waits for an order until the next poll, while the daemon is there.
+/// Waits for an order until the next poll, as long as the daemon is there.
 fn order(
     orders: &Receiver<Order>,
     next: Duration,
@@ -246,8 +246,8 @@ pub(crate) fn trouble(root: &Path, error: &io::Error) -> String {
     }
 }
 
-/// The parameters that show the state of learning: those that a gauge rewrites in TI's subclass State.
-/// Parameters whose address is uncertain are left out.
+/// The parameters that show learning: those that a gauge rewrites in TI's subclass State. Parameters with an uncertain
+/// address are left out.
 pub fn learned_parameters(model: &str) -> Vec<(&'static Subclass, &'static Parameter, String)> {
     let Some(chip) = Chip::by_model(model) else { return Vec::new() };
     let states = chip.subclasses.iter().filter(|subclass| subclass.name == STATE);
@@ -266,13 +266,13 @@ fn model_name(gauge: &Path) -> String {
     model.unwrap_or_default().into()
 }
 
-/// The thresholds of learning. A sealed gauge is not unsealed for them.
+/// The thresholds of learning, if the gauge is unsealed already.
 fn limits(gauge: &Path) -> Option<Limits> {
     let seal = content(&gauge.join("gauge/seal")).ok()?;
     (seal.trim() != "sealed").then(|| of_flash(gauge, &model_name(gauge)))
 }
 
-/// Reads the thresholds of a gauge from data flash; those that cannot be read are the manual's.
+/// The thresholds of a gauge from data flash, or the manual's where they cannot be read.
 fn of_flash(gauge: &Path, model: &str) -> Limits {
     let mut limits = Limits::default();
     let Some(chip) = Chip::by_model(model) else { return limits };
@@ -294,7 +294,7 @@ fn of_flash(gauge: &Path, model: &str) -> Limits {
     limits
 }
 
-/// Reads the learned parameters. They are in one subclass, so a sealed gauge is unsealed only once.
+/// Reads the learned parameters. They share a subclass, so a sealed gauge is unsealed only once.
 fn learned(gauge: &Path) -> Result<Vec<Learned>, String> {
     let rows = learned_parameters(&model_name(gauge));
     if rows.is_empty() {

@@ -5,8 +5,8 @@
 use crate::error::{Cause, Error, Result};
 use ti_gauge::chip::Chip;
 
-/// Makes sure that a gauge of that name and CHEM_ID, which `ask` asks a subcommand, has the chemistry of an image for ROM
-/// mode, which an import cannot write. `told` is how a person vouches for it. Returns a line that says so.
+/// Checks that a gauge by name and CHEM_ID, asked through `ask`, has the chemistry of an image for ROM mode, because an
+/// import cannot write that. With `told` a person vouches for it. Returns a line that says so.
 pub fn check(
     name: &str,
     chip: &Chip,
@@ -14,7 +14,7 @@ pub fn check(
     (chem_id, told): (&str, &str),
     ask: impl FnOnce(u16) -> Result<u16>,
 ) -> Result<String> {
-    /// Set if the gauge's data of the chemistry does not have the sum that is stored with it.
+    /// Set if the chemistry's data does not match its stored sum.
     const DIFFERS: u16 = 0x8000;
     let chem_id = match chem_id {
         "" => "CHEM_ID unknown".to_string(),

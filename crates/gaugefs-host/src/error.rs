@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! Errors of the program: the core's, with an errno, and those of the host.
+//! Errors of the program: the core's, with an errno, and the host's.
 
 use std::borrow::Cow;
 use std::path::Path;
@@ -18,18 +18,18 @@ use ti_gauge::text;
 /// A `Result` whose error is [`Error`].
 pub type Result<T, E = Error> = std::result::Result<T, E>;
 
-/// A path in a message. Where another user has chosen it, such as a mount point, it may contain line ends.
+/// A path in a message. Another user's path, such as a mount point, may contain line ends.
 pub fn shown(path: &Path) -> String {
     text::printable(&path.to_string_lossy())
 }
 
-/// One failure: one line that a technician can act on, and the errno that a file operation answers with.
+/// A failure as one line that a technician can act on, with the errno for a file operation.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Error {
     inner: ti_gauge::error::Error,
-    /// What the daemon of a mount knows of it.
+    /// The mount daemon's details of it.
     told: Option<Box<Details>>,
-    /// What else is wrong with the same file.
+    /// Further mistakes in the same file.
     others: Vec<ti_gauge::error::Error>,
 }
 
@@ -44,23 +44,23 @@ impl Error {
         ti_gauge::error::Error::of(subject, reason).into()
     }
 
-    /// An error of the host: a file, a folder, a mount; with the remedy.
+    /// An error of the host, such as a file, a folder or a mount, with its remedy.
     pub fn host(subject: impl Into<String>, errno: Errno, text: impl Into<String>) -> Self {
         ti_gauge::error::Error::host(subject, errno.into(), text).into()
     }
 
-    /// What the host said when it was asked to do `what`.
+    /// The host's error for the attempt to `what`.
     pub fn io(subject: impl Into<String>, what: &str, error: &io::Error) -> Self {
         ti_gauge::error::Error::io(subject, what, error).into()
     }
 
-    /// Notes whether it is about what is owed, unless that is known already.
+    /// Notes whether the error concerns what is owed, unless that is known already.
     #[must_use]
     pub fn owing(self, owed: bool) -> Self {
         Self { inner: self.inner.owing(owed), ..self }
     }
 
-    /// Adds the step it happened in, unless one is known already.
+    /// Adds the step in which it happened, unless one is known already.
     #[must_use]
     pub fn at(self, step: Step) -> Self {
         Self { inner: self.inner.at(step), ..self }
@@ -79,7 +79,7 @@ impl Error {
         Self { inner: self.inner.within(subject), told: self.told, others }
     }
 
-    /// What is wrong with a file: the first mistake, and those that a person is told of as well.
+    /// The mistakes in a file: the first one, and those that a person is also told.
     pub fn of_file(faults: &Faults) -> Option<Self> {
         let mut all = faults.iter().cloned();
         let mut first = Self::from(all.next()?);
@@ -91,7 +91,7 @@ impl Error {
         Some(first)
     }
 
-    /// All lines that a person is told, of which the error itself is the first.
+    /// All lines for a person; the first is the error itself.
     pub fn lines(&self) -> impl Iterator<Item = String> {
         let others = self.others.iter().map(|other| text::printable(&other.to_string()));
         std::iter::once(self.to_string()).chain(others)
@@ -102,12 +102,12 @@ impl Error {
         self.inner.cause()
     }
 
-    /// The line without what it is about and the step.
+    /// The line without subject and step.
     pub fn reason(&self) -> &Reason {
         self.inner.reason()
     }
 
-    /// Whether the access has left something to do, or was refused because of what an earlier one has left.
+    /// Whether the access has left something to do, or was refused because an earlier one did.
     pub fn is_owed(&self) -> bool {
         self.inner.is_owed()
     }
@@ -117,18 +117,18 @@ impl Error {
         self.inner.step()
     }
 
-    /// The errno that a file operation answers with.
+    /// The errno for a file operation.
     pub fn errno(&self) -> Errno {
         Errno::from_raw(self.inner.errno())
     }
 
-    /// What a program is told of it.
+    /// The facts for a program.
     pub fn details(&self) -> Details {
         self.told.as_deref().cloned().unwrap_or_else(|| Details::of(&self.inner))
     }
 }
 
-/// An error's facts as an object of `--json`. What is not known is left out.
+/// An error's facts as an object of `--json`, without what is unknown.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 #[serde(transparent)]
 pub struct Details(Map<String, Value>);
@@ -140,7 +140,7 @@ impl Details {
         Self(std::iter::once(errno).chain(facts).map(|(name, value)| (name.into(), value)).collect())
     }
 
-    /// What a daemon has told of a failure, if it is the one of a file operation that was answered with `errno`.
+    /// A daemon's details of a failure, if they belong to a file operation with this `errno`.
     fn told(text: &str, errno: Option<i32>) -> Option<Self> {
         let fields: Map<_, _> = serde_json::from_str(text).ok()?;
         let is_its = fields.get("errno")?.as_str()? == format!("{:?}", Errno::from_raw(errno?));
@@ -148,14 +148,13 @@ impl Details {
     }
 }
 
-/// One line.
 impl fmt::Display for Details {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(&serde_json::to_string(&self.0).map_err(|_| fmt::Error)?)
     }
 }
 
-/// The fields with a value, a limit or a reading, which may have decimals.
+/// Fields with a value, a limit or a reading; they may have decimals.
 const NUMBERS: [&str; 6] = ["value", "least", "greatest", "spread", "before", "after"];
 
 fn json(name: &str, fact: Fact) -> Value {
@@ -175,7 +174,7 @@ fn json(name: &str, fact: Fact) -> Value {
     }
 }
 
-/// One line without control characters: names of files and processes in it may be anybody's.
+/// One line without control characters: other users choose names of files and processes.
 impl fmt::Display for Error {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(&text::printable(&self.inner.to_string()))

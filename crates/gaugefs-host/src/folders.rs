@@ -1,17 +1,17 @@
 // SPDX-License-Identifier: MIT
 
-//! The folders in which gaugefs keeps files of its own: for locks, and for journals and backups.
+//! Folders for gaugefs's own files: locks, journals and backups.
 //!
-//! None of them is in a folder that other users share, such as `/tmp`: whoever makes it first there keeps
-//! everybody else out.
+//! None of them is in a folder shared with other users, such as `/tmp`: the first user to create it there would keep
+//! all others out.
 
 use std::path::PathBuf;
 
 use nix::unistd::{User, geteuid};
 
-/// Folders for the locks of root's daemons and of the services.
+/// Lock folders of root's daemons and of the services.
 pub const SYSTEM_LOCKS: [&str; 2] = [RUN, STATE];
-/// Root's folder for locks, in which the services are mounted.
+/// Root's lock folder, which also has the services' mounts.
 pub const RUN: &str = "/run/gaugefs";
 /// The account of the services (`udev/sysusers.conf`).
 const SERVICE: &str = "gaugefs";
@@ -20,8 +20,7 @@ pub const CONFIGURATION: &str = "/etc/gaugefs";
 /// The system's folder for journals and backups.
 const STATE: &str = "/var/lib/gaugefs";
 
-/// The folder for locks: root's, the user's runtime folder, or the one for [`state`]. `None` for an account
-/// without any.
+/// The lock folder: root's, the user's runtime folder, or the one for [`state`]. `None` for an account without any.
 pub fn locks() -> Option<PathBuf> {
     if geteuid().is_root() {
         return Some(RUN.into());
@@ -29,7 +28,7 @@ pub fn locks() -> Option<PathBuf> {
     named("XDG_RUNTIME_DIR").map(|runtime| runtime.join("gaugefs")).or_else(state)
 }
 
-/// The folder for journals and backups: the system's, or the user's own. `None` for an account without a home.
+/// The folder for journals and backups: the system's or the user's own. `None` for an account without a home.
 pub fn state() -> Option<PathBuf> {
     if geteuid().is_root() {
         return Some(STATE.into());
@@ -39,14 +38,13 @@ pub fn state() -> Option<PathBuf> {
     named("XDG_STATE_HOME").or_else(home).map(|state| state.join("gaugefs"))
 }
 
-/// The account of the services, whose folders root uses as well. `None` for other users, who trust only themselves and
-/// root.
+/// The services' account, whose folders root uses too. `None` for other users, who trust only themselves and root.
 pub fn service() -> Option<u32> {
     let account = || User::from_name(SERVICE).ok().flatten().map(|user| user.uid.as_raw());
     geteuid().is_root().then(account).flatten()
 }
 
-/// The folder that an environment variable names.
+/// The folder in an environment variable.
 fn named(variable: &str) -> Option<PathBuf> {
     std::env::var_os(variable).map(PathBuf::from).filter(|path| path.is_absolute())
 }

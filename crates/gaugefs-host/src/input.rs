@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! Files that a person names on a command line, of which `-` is standard input.
+//! Files named on a command line; `-` is standard input.
 
 use std::io;
 use std::path::Path;
@@ -11,19 +11,18 @@ use ti_gauge::image::{self, Image, Reading};
 
 use crate::error::{Error, Result};
 
-/// What stands for standard input in place of a file.
 const STANDARD_INPUT: &str = "-";
 
 /// A configuration file, read once for any number of gauges.
 pub struct Source {
-    /// What to call it in messages.
+    /// The file's name in messages.
     pub name: String,
     /// Its content.
     pub bytes: Vec<u8>,
 }
 
 impl Source {
-    /// Reads a file, or standard input where the path is `-`.
+    /// Reads a file, or standard input for `-`.
     pub fn read(path: &Path) -> Result<Self> {
         Self::of(name(path), read_file(path, image::LONGEST))
     }
@@ -33,8 +32,8 @@ impl Source {
         Ok(Self { name, bytes })
     }
 
-    /// What is in it. `chip` is what it is for where it does not say so itself. An image that holds firmware as well is
-    /// refused, unless only its data flash is asked for.
+    /// Decodes the content. `chip` is the default for content that names no chip. An image with firmware is refused,
+    /// unless only its data flash is wanted.
     pub fn image(&self, chip: Option<&'static Chip>, data_flash: bool) -> Result<Image> {
         let reading = self.examine(chip, data_flash);
         match Error::of_file(&reading.faults) {
@@ -43,7 +42,7 @@ impl Source {
         }
     }
 
-    /// Reads what is in it as far as it goes, and lists all mistakes.
+    /// Decodes the content as far as possible, and lists all mistakes.
     pub fn examine(&self, chip: Option<&'static Chip>, data_flash: bool) -> Reading {
         let mut reading = Image::examine(&self.name, &self.bytes, chip);
         if let Some(Err(error)) = reading.image.as_ref().map(|image| image.check_firmware(data_flash)) {
@@ -54,7 +53,7 @@ impl Source {
     }
 }
 
-/// The bytes of a file, or of standard input where the path is `-`.
+/// The bytes of a file, or of standard input for `-`.
 pub fn read_file(path: &Path, limit: u64) -> io::Result<Vec<u8>> {
     match path == Path::new(STANDARD_INPUT) {
         true => regular::read_from(io::stdin().lock(), limit),
@@ -62,7 +61,7 @@ pub fn read_file(path: &Path, limit: u64) -> io::Result<Vec<u8>> {
     }
 }
 
-/// What to call a file in messages.
+/// The name of a file in messages.
 pub fn name(path: &Path) -> String {
     match path == Path::new(STANDARD_INPUT) {
         true => "standard input".into(),

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: MIT
 
-//! What the commands of gaugefs have in common: an [error](error::Error) with the errno that a file operation answers
-//! with, the checked way to [standard output and standard error](output), the [files](input) and
-//! [programs](program) that a person names, the [folders] of gaugefs's own, and the [signs](sign) of a production line.
+//! What gaugefs's commands share: an [error](error::Error) with the errno for a file operation, the checked way to
+//! [standard output and standard error](output), [files](input) and [programs](program) that a person names, gaugefs's
+//! own [folders], and the [signs](sign) of a production line.
 //!
-//! It is not meant for other programs: `gaugefs-client` is.
+//! It is not meant for other programs: they use `gaugefs-client`.
 //!
 //! ```
 //! use std::time::Duration;
@@ -34,7 +34,7 @@ pub mod program;
 pub mod sign;
 pub mod signals;
 
-/// A time of a command line or a configuration file: in seconds, or with a unit such as `2min`.
+/// A time from a command line or a configuration file: in seconds, or with a unit such as `2min`.
 pub fn seconds(text: &str, (least, most): (f64, f64)) -> Result<Duration, String> {
     let seconds = text.parse().ok().or_else(|| unit::measured(text, "s"));
     match seconds.filter(|seconds| (least..=most).contains(seconds)) {

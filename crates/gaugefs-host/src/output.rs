@@ -1,13 +1,13 @@
 // SPDX-License-Identifier: MIT
 
-//! The only way to standard output and to standard error.
+//! The only way to standard output and standard error.
 //!
-//! Every write to standard output is checked: what was to be printed and could not be written is a failure of the
-//! command. A reader that has closed the pipe has what it wanted, so nothing more is written, and that is no failure.
-//! Standard error is where failures are told, so a failure to write there is not told anywhere.
+//! Every write to standard output is checked: a command fails if it could not print everything. A reader that has
+//! closed the pipe has what it wanted, so nothing more is written, and that is no failure. Standard error reports
+//! failures, so a failure to write there cannot be reported.
 //!
-//! Texts for a person, and JSON, pass through the sanitizer here: names of files, processes and alerts may be anybody's,
-//! and must not control the terminal.
+//! Texts for a person, and JSON, pass through the sanitizer here: other users choose names of files, processes and
+//! alerts, which must not control the terminal.
 
 #![expect(clippy::disallowed_methods, reason = "this is the module that the others use instead")]
 
@@ -40,7 +40,7 @@ pub fn print(text: &str) -> Result<()> {
 /// Prints a value as one line of JSON.
 pub fn print_json(value: &impl Serialize) -> Result<()> {
     let json = serde_json::to_string(value).expect("keys are strings, so it cannot fail");
-    // Such a character can only be in a string of it.
+    // Such a character can only be in a string.
     let escaped = json.chars().fold(String::with_capacity(json.len() + 1), |mut line, letter| {
         match text::is_plain(letter) {
             true => line.push(letter),
@@ -51,9 +51,9 @@ pub fn print_json(value: &impl Serialize) -> Result<()> {
     print_file((escaped + "\n").as_bytes())
 }
 
-/// Prints the content of a file as it is.
+/// Prints a file's content unchanged.
 pub fn print_file(bytes: &[u8]) -> Result<()> {
-    // A panic while it was held has left at most half a line behind.
+    // A panic while this was held has left at most half a line behind.
     let _turn = TURN.lock();
     if is_closed() {
         return Ok(());
@@ -67,8 +67,8 @@ pub fn print_file(bytes: &[u8]) -> Result<()> {
     Ok(())
 }
 
-/// Writes a file that a person has named, as a whole, or leaves what is there: see [`regular::replace`]. `-` and the
-/// names of standard output are standard output.
+/// Replaces a file that a person named, as a whole or not at all: see [`regular::replace`]. `-` and the names of
+/// standard output are standard output.
 pub fn write_file(path: &Path, bytes: &[u8], how: Replace) -> Result<()> {
     match is_standard_output(path) {
         true => print_file(bytes),
@@ -76,7 +76,7 @@ pub fn write_file(path: &Path, bytes: &[u8], how: Replace) -> Result<()> {
     }
 }
 
-/// Whether [`write_file`] would be allowed, before the work for it is done.
+/// Checks that [`write_file`] would be allowed, before the work for it is done.
 pub fn check_file(path: &Path, how: Replace) -> Result<()> {
     match is_standard_output(path) {
         true => Ok(()),
@@ -97,13 +97,13 @@ fn cannot_write(path: &Path, error: &io::Error) -> Error {
     Error::host(path.display().to_string(), errno, "it is there already")
 }
 
-/// Whether a write has found that the reader of standard output has closed the pipe.
+/// Whether a write found that the reader of standard output has closed the pipe.
 pub fn is_closed() -> bool {
     CLOSED.load(Ordering::SeqCst)
 }
 
-/// Whether the reader of standard output is gone, also if nothing was written since: a command that prints until it is
-/// stopped ends.
+/// Whether the reader of standard output is gone, also if nothing was written since. Commands that print until stopped
+/// then end.
 pub fn is_unread() -> bool {
     let out = io::stdout();
     let mut polled = [PollFd::new(out.as_fd(), PollFlags::empty())];
@@ -116,27 +116,27 @@ pub fn say(line: impl Display) {
     print_error(&format!("gaugefs: {}\n", text::printable(&line.to_string())));
 }
 
-/// Prints an error to standard error: of a file all that is wrong with it.
+/// Prints an error to standard error, with all mistakes of a file.
 pub fn say_error(error: &Error) {
     error.lines().for_each(say);
 }
 
-/// Prints a text to standard error as it is.
+/// Prints a text to standard error unchanged.
 pub fn print_error(text: &str) {
     let _ = write_all(io::stderr().as_fd(), text.as_bytes());
 }
 
-/// Whether a person sees what is printed.
+/// Whether standard output is a terminal.
 pub fn is_terminal() -> bool {
     io::stdout().is_terminal()
 }
 
-/// Whether a person sees standard error.
+/// Whether standard error is a terminal.
 pub fn errors_are_seen() -> bool {
     io::stderr().is_terminal()
 }
 
-/// Writes to a descriptor itself. The standard library takes one that is not open for writing for one that takes all.
+/// Writes to the descriptor itself. The standard library hides that a descriptor is not open for writing.
 fn write_all(to: BorrowedFd<'_>, mut bytes: &[u8]) -> nix::Result<()> {
     while !bytes.is_empty() {
         match write(to, bytes) {

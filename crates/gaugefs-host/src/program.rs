@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! A program that a person has named and that is run later, perhaps when it is too late to correct the name.
+//! Programs that a person names now and gaugefs runs later, when the name can no longer be corrected.
 
 use std::env;
 use std::fs::File;
@@ -13,10 +13,10 @@ use nix::unistd::{AccessFlags, access};
 
 use crate::error::{Error, Result};
 
-/// Longest first line of a script that the kernel looks at.
+/// Longest first line of a script that the kernel reads.
 const FIRST_LINE: usize = 256;
 
-/// Whether a program can be started, as far as that can be seen without running it: its name and its arguments.
+/// Checks that a program can be started, as far as possible without running it: its name and its arguments.
 pub fn check(words: &[String]) -> Result<()> {
     let Some(program) = words.first() else { return Ok(()) };
     let refused = |errno, why: String| Err(Error::host(program, errno, why));
@@ -37,7 +37,7 @@ pub fn check(words: &[String]) -> Result<()> {
     }
 }
 
-/// The file of a program: one in the folders of PATH, unless its name has a `/`.
+/// A program's file: in the folders of PATH, unless its name has a `/`.
 fn find(program: &str) -> Option<PathBuf> {
     if program.contains('/') {
         return Some(PathBuf::from(program)).filter(|path| path.exists());
@@ -47,7 +47,7 @@ fn find(program: &str) -> Option<PathBuf> {
     found.iter().find(runs).or_else(|| found.iter().find(|path| path.is_file())).cloned()
 }
 
-/// Why there is no such program, and what was probably meant.
+/// Why there is no such program, and a suggestion.
 fn missing(words: &[String]) -> String {
     let program = &words[0];
     let parts: Vec<_> = program.split_whitespace().collect();
@@ -73,12 +73,12 @@ fn missing(words: &[String]) -> String {
     }
 }
 
-/// Whether a text has what only a shell understands.
+/// Whether only a shell understands the text.
 fn is_for_shell(text: &str) -> bool {
     text.starts_with('~') || text.contains(['|', '&', ';', '<', '>', '$', '`', '\'', '"', '*'])
 }
 
-/// What the first line of a script names.
+/// The interpreter in a script's first line.
 fn interpreter(path: &Path) -> Option<PathBuf> {
     let mut start = [0; FIRST_LINE];
     let length = regular::open_linked(File::options().read(true), path).ok()?.read(&mut start).ok()?;

@@ -1,24 +1,24 @@
 // SPDX-License-Identifier: MIT
 
-//! What a slot of a production line shows: the station says it, and the screen draws it.
+//! What a slot of a production line shows. The station sets it, and the screen draws it.
 
 /// What a slot shows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Sign {
-    /// A pack may be connected.
+    /// Connect a pack.
     Connect,
-    /// Something is scanned or typed for it now.
+    /// Scan or type something for the pack.
     Scan,
-    /// Somebody has to look at it, and to do what the line says.
+    /// Do what the line says.
     Look,
-    /// It waits for another slot.
+    /// The slot waits for another one.
     Wait,
-    /// The pack must not be removed.
+    /// Do not remove the pack.
     Busy,
-    /// The pack has passed, and may be taken off.
+    /// Passed: take the pack off.
     Pass,
-    /// It has not.
+    /// Failed.
     Fail,
-    /// No pack is begun here any more.
+    /// No more packs start here.
     Over,
 }

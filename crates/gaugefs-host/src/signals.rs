@@ -9,7 +9,7 @@ use nix::sys::signal::{SigSet, Signal};
 
 use crate::error::{Error, Result};
 
-/// The signals that end a program. A hangup that it was started to ignore, as nohup does, is not among them.
+/// The signals that end a program, without a hangup that it was started to ignore, as by nohup.
 pub fn ends() -> Vec<Signal> {
     let status = regular::read_text(Path::new("/proc/self/status"), regular::SYSTEM).unwrap_or_default();
     let mut ends = vec![Signal::SIGTERM, Signal::SIGINT];
@@ -17,16 +17,16 @@ pub fn ends() -> Vec<Signal> {
     ends
 }
 
-/// Blocks these signals, for a thread that waits for them. To be called before any other thread is started: the others inherit
-/// them as blocked, so that only that one receives them.
+/// Blocks these signals for a thread that waits for them. Call it before other threads start: they inherit the block,
+/// so that only the waiting thread receives the signals.
 pub fn block() -> Result<SigSet> {
-    // A blocked signal is delivered to who waits for it even if it is ignored.
+    // A blocked signal is delivered to a waiting thread even if it is ignored.
     let signals = ends().into_iter().collect::<SigSet>();
     signals.thread_block().map_err(|errno| Error::io("signals", "cannot block them", &errno.into()))?;
     Ok(signals)
 }
 
-/// Whether the status of a process in /proc says that it ignores a signal.
+/// Whether a process ignores a signal, by its status in /proc.
 fn ignores(status: &str, signal: Signal) -> bool {
     let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
     let mask = mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok());

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! Numbers as they are shown.
+//! Numbers for display.
 
 /// An integer in units of 10^-`places` as an exact decimal with at least `least` places.
 pub(super) fn decimal(value: i64, places: usize, least: usize) -> String {

@@ -1,10 +1,9 @@
 // SPDX-License-Identifier: MIT
 
-//! `gaugefs events`: tells programs that listen to udev what changes in a mount, as nobody else does: to the kernel a FUSE
-//! mount is no device.
+//! `gaugefs events`: sends the udev events of a mount, because to the kernel a FUSE mount is no device.
 //!
-//! It is a program of its own, apart from the daemon, which has no privilege. All it has of a gauge are the files of the
-//! mount, and all that gets from there into a message is the name of a supply.
+//! It is a program apart from the daemon, and has no privilege. It uses only files of the mount, and only the names of
+//! supplies get from there into a message.
 
 use std::collections::BTreeMap;
 use std::io;
@@ -47,18 +46,18 @@ Examples:
   systemctl enable --now gaugefs-events.service     beside gaugefs.service
   gaugefs events";
 
-/// Where the paths of devices begin.
+/// Root of device paths.
 const SYS: &str = "/sys";
-/// The least time between two messages about a supply, unless the second one is that it is gone. It is short enough that what
-/// changes right after a message is told within a second, too.
+/// Shortest time between two messages about a supply, unless the second one removes it. A change right after a message
+/// is so still told within a second.
 const PACE: Duration = Duration::from_millis(500);
-/// After this time without news a supply is told again, for who has been started since. It is told as `change`, which
-/// UPower takes for `add` where it does not know the supply; what it does know it would complain about if it were added.
+/// A supply without news is told again after this time, for listeners that started since. UPower takes `change` for
+/// `add` if it does not know the supply; about a second `add` it would complain.
 const REPEAT: Duration = Duration::from_secs(10);
-/// The attributes whose change is news.
+/// Attributes whose changes are told.
 const NEWS: [&str; 6] = ["status", "capacity", "capacity_level", "present", "health", "online"];
 
-/// Tell UPower and other listeners of udev what changes in a mount
+/// Send udev events for mounted gauges, so that UPower updates at once
 #[derive(Args, Debug)]
 #[command(after_help = EVENTS)]
 pub struct Events {
@@ -71,7 +70,7 @@ impl Events {
     pub(super) fn run(self) -> Result<ExitCode> {
         let listeners = Listeners::open(&self.mountpoint)?;
         let (sender, events) = mpsc::channel();
-        // Before there is another thread, which would get the signal.
+        // Before another thread exists that could get the signal.
         await_end(sender.clone())?;
         let calling = supplies::to_channel(self.mountpoint.clone(), sender).map_err(Error::from)?;
         let (mountpoint, told, trouble) = (self.mountpoint, Told::default(), String::new());
@@ -79,7 +78,6 @@ impl Events {
     }
 }
 
-/// What the main thread waits for.
 enum Event {
     Look(Look),
     /// A signal that ends the process.
@@ -92,7 +90,6 @@ impl From<Look> for Event {
     }
 }
 
-/// Reports the signals that end the process.
 fn await_end(sender: Sender<Event>) -> Result<()> {
     let ends = signals::block()?;
     let wait = move || {
@@ -104,12 +101,12 @@ fn await_end(sender: Sender<Event>) -> Result<()> {
     thread.map(drop).map_err(|error| Error::io("", "cannot start a thread", &error))
 }
 
-/// The socket to the programs that listen.
+/// The socket to the listeners.
 struct Listeners {
     socket: OwnedFd,
-    /// The path of the mount point below `/sys`.
+    /// The mount point's path below `/sys`.
     folder: String,
-    /// Messages that have been sent.
+    /// Messages sent.
     count: u64,
 }
 
@@ -149,13 +146,13 @@ impl Listeners {
     }
 }
 
-/// The mount and what the listeners know of it.
+/// The mount, and what its listeners know.
 struct Telling {
     mountpoint: PathBuf,
     calling: Calling,
     listeners: Listeners,
     told: Told,
-    /// Why there are no supplies, as it was printed last.
+    /// The reason for having no supplies that was printed last.
     trouble: String,
 }
 
@@ -204,22 +201,22 @@ impl Telling {
     }
 }
 
-/// What is news of a supply.
+/// The attributes of [`NEWS`].
 type State = [Option<String>; NEWS.len()];
 
-/// A supply of which something has been told, or is to be.
+/// A supply that was told, or is to be told.
 #[derive(Default)]
 struct Supply {
-    /// As it was seen last; `None` while it is gone.
+    /// `None` while it is gone.
     seen: Option<State>,
-    /// As it was told last.
+    /// What listeners know; `None` for a removed supply.
     told: Option<State>,
-    /// When that was.
+    /// The time of the last message.
     at: Option<Instant>,
 }
 
 impl Supply {
-    /// What is to be told of it, and when; at once without a time.
+    /// The next message, and its time; at once without a time.
     fn next(&self) -> Option<(Action, Option<Instant>)> {
         let after = |pause| self.at.map(|at| at + pause);
         match (&self.seen, &self.told) {
@@ -232,14 +229,13 @@ impl Supply {
     }
 }
 
-/// What the listeners know.
 #[derive(Default)]
 struct Told {
     supplies: BTreeMap<String, Supply>,
 }
 
 impl Told {
-    /// Takes a look at the mount in.
+    /// Takes a look at the mount.
     fn see(&mut self, supplies: &BTreeMap<String, Texts>) {
         for supply in self.supplies.values_mut() {
             supply.seen = None;
@@ -262,19 +258,19 @@ impl Told {
                 }
                 _ => {}
             }
-            // One that has just gone may come back, not sooner than it may be told.
+            // A supply that has just gone may come back, but not before it may be told.
             supply.seen.is_some() || supply.at.is_some_and(|at| now < at + PACE)
         });
         messages
     }
 
-    /// When the next message is due, as far as that is known.
+    /// The time of the next message, as far as known.
     fn next(&self) -> Option<Instant> {
         self.supplies.values().filter_map(|supply| supply.next()?.1).min()
     }
 }
 
-/// Whether a name may be in a message, where it is a part of a path: it is the daemon that has chosen it.
+/// Whether a name is safe as a part of a path in a message: the daemon has chosen it.
 fn is_plain(name: &str) -> bool {
     name.bytes().all(|byte| byte.is_ascii_alphanumeric() || b"._+-".contains(&byte))
 }
@@ -290,8 +286,8 @@ mod tests {
         supplies.iter().map(|(name, of)| (name.to_string(), texts(of))).collect()
     }
 
-    /// Looks at a battery with these states, and what is told: `add`, `change` and `remove` as `+`, `~` and `-`, each with its
-    /// time in milliseconds.
+    /// Looks at a battery in these states, and shows the messages: `add`, `change` and `remove` as `+`, `~` and `-`,
+    /// with their times in milliseconds.
     fn told(looks: &[(u64, Option<&str>)], end: u64) -> String {
         let (start, mut told, mut lines) = (Instant::now(), Told::default(), Vec::new());
         for ms in 0..=end {
@@ -324,7 +320,7 @@ mod tests {
 
     #[test]
     fn regression_what_changed_right_after_a_message_was_told_later_than_a_second() {
-        // `change` is repeated after 10 s. A look sees the news half a second after it has come at the latest.
+        // `change` is repeated after 10 s. A look sees news within half a second.
         for since in [1, 50, 250, 499] {
             let at = 10_000 + since;
             assert_eq!(told(&[(0, Some("a")), (at, Some("b"))], 11_000), "+0 ~10000 ~10500", "{since}");

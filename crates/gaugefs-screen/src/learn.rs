@@ -51,7 +51,6 @@ pub struct Learn {
     json: bool,
 }
 
-/// A state, for --json.
 #[derive(Serialize)]
 struct Row<'a> {
     time: String,
@@ -69,12 +68,12 @@ struct Row<'a> {
     bits: &'a str,
     qualified: bool,
     since: String,
-    /// It was so before the first poll that was watched.
+    /// It was so before the first watched poll.
     since_before: bool,
     why: Option<String>,
 }
 
-/// What was printed last.
+/// The last printed state.
 struct Watched {
     cycle: Cycle,
     moment: Option<Moment>,
@@ -151,7 +150,7 @@ impl Watched {
     }
 }
 
-/// Whether more has changed than measured values.
+/// Whether more than measured values has changed.
 fn differ(before: &State, now: &State) -> bool {
     let kind = |state: &State| {
         (

@@ -8,19 +8,19 @@ use gaugefs_client::sample::Sample;
 use ti_gauge::chip::{Chip, Role, snake_case};
 use ti_gauge::learning::{Bits, Cycle, Learns, Limits, Reading, State};
 
-/// The chip that a sample is from.
+/// The chip of a sample.
 pub(super) fn chip(sample: &Sample) -> Option<&'static Chip> {
     let model = sample.attribute("model_name")?;
     Chip::by_model(model)
 }
 
-/// A cycle of the part that a sample is from; `None` if no learning cycle of it is known.
+/// A cycle for a sample's part; `None` if its learning cycle is unknown.
 pub(super) fn cycle(sample: &Sample) -> Option<Cycle> {
     Some(Cycle::new(Learns::of(chip(sample)?)?, Limits::default()))
 }
 
-/// What a sample says about learning. Registers are used and not attributes: these may be scaled, and the
-/// thresholds of data flash are not.
+/// A sample's facts about learning. Registers are used because attributes may be scaled, and data flash's thresholds
+/// are not.
 pub(super) fn reading(sample: &Sample) -> Option<Reading> {
     let chip = chip(sample).filter(|_| sample.present())?;
     let register =
@@ -45,12 +45,11 @@ fn seconds(time: Timestamp) -> f64 {
     time.as_millisecond() as f64 / 1000.0
 }
 
-/// The line of a state, with times in UTC.
+/// The line of a state, with UTC times.
 pub(super) fn line(state: &State) -> String {
     state.line(clock)
 }
 
-/// A time in UTC.
 pub(super) fn clock(seconds: f64) -> String {
     Timestamp::from_second(seconds as i64).unwrap_or_default().to_string()
 }

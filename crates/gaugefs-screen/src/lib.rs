@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: MIT
 
-//! The commands of gaugefs that show, record and watch mounted gauges: `top`, `learn`, `log`, `plot`, `wait`,
-//! `metrics` and `events`, with their options, what `watch` does, and the [screen](mod@line) of a production line. The
-//! program `gaugefs` has them if its feature `screen` is on.
+//! The commands of gaugefs that show, record and watch mounted gauges: `top`, `learn`, `log`, `plot`, `wait`, `metrics`
+//! and `events`, with their options, what `watch` does, and the [screen](mod@line) of a production line. The program
+//! `gaugefs` has them with its feature `screen`.
 //!
-//! All that they have of a gauge is `gaugefs-client`.
+//! They use gauges only through `gaugefs-client`.
 //!
 //! ```
 //! use clap::Parser;
@@ -59,7 +59,7 @@ pub enum Command {
 }
 
 impl Command {
-    /// Carries it out.
+    /// Runs the command.
     pub fn run(self) -> Result<ExitCode> {
         match self {
             Self::Top(top) => top.run(),
@@ -73,7 +73,7 @@ impl Command {
     }
 }
 
-/// The names of the columns of a history.
+/// Names of a history's columns.
 pub fn columns() -> impl Iterator<Item = &'static str> {
     log::columns::names()
 }

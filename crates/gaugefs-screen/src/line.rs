@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT
 
-//! The screen of a production line, `gaugefs program --screen`: a large field for each slot, what is asked for, and counters.
-//! It is readable from two metres away on a terminal of 80 columns and 24 lines, and on a serial console without colours.
+//! The screen of a production line, `gaugefs program --screen`: a large field per slot, a question, and counters. It is
+//! readable from two metres on a terminal of 80 columns and 24 lines, and on a serial console without colours.
 
 use std::collections::VecDeque;
 use std::io::{self, IsTerminal};
@@ -20,25 +20,25 @@ use gaugefs_host::sign::Sign;
 mod draw;
 mod terminal;
 
-/// How long a wait for a line takes until it is seen that the station ends.
+/// Interval of checks for the station's end while waiting for a line.
 const LOOK: Duration = Duration::from_millis(200);
-/// Outcomes that are kept for the screen.
+/// Outcomes kept for the screen.
 const LAST: usize = 50;
-/// Longest line that is typed, in characters.
+/// Longest typed line, in characters.
 const LONGEST: usize = 200;
 
-/// A slot and what it shows.
+/// A slot and its state.
 struct Field {
     name: String,
     sign: Sign,
     text: String,
 }
 
-/// What the screen shows.
+/// The content of the screen.
 struct Model {
     title: String,
     fields: Vec<Field>,
-    /// What is asked for, and what has been typed so far.
+    /// The question, and the text typed so far.
     asked: Option<String>,
     typed: String,
     /// The last line was not empty, and no key has followed.
@@ -46,14 +46,14 @@ struct Model {
     totals: String,
     last: VecDeque<String>,
     colour: bool,
-    /// Line drawing characters are there.
+    /// The terminal has line drawing characters.
     unicode: bool,
-    /// Which part of a text is shown that has no room as a whole.
+    /// Counts the parts shown of texts that are too long.
     turn: usize,
     changed: bool,
 }
 
-/// The screen of a line, drawn by a thread of its own. Clones are the same screen.
+/// The screen of a line, drawn by a separate thread. Clones are the same screen.
 #[derive(Clone)]
 pub struct Board {
     model: Arc<Mutex<Model>>,
@@ -61,15 +61,14 @@ pub struct Board {
     stops: Arc<AtomicBool>,
 }
 
-/// A screen that is shown; the terminal is as it was when this has ended.
+/// A visible screen. Its end restores the terminal.
 pub struct Shown {
     ends: Arc<AtomicBool>,
     drawn: Option<JoinHandle<Result<()>>>,
 }
 
 impl Board {
-    /// Shows the screen of these slots. Ctrl-C sets `stops`, and ends the process if that was set before, after
-    /// `leaves`.
+    /// Shows the screen of these slots. Ctrl-C sets `stops`; a second one runs `leaves` and ends the process.
     pub fn show(
         title: String,
         slots: &[String],
@@ -112,14 +111,14 @@ impl Board {
         model
     }
 
-    /// What a slot shows from now on.
+    /// Sets what a slot shows.
     pub fn sign(&self, slot: &str, sign: Sign, text: &str) {
         if let Some(field) = self.model().fields.iter_mut().find(|field| field.name == slot) {
             (field.sign, field.text) = (sign, text.into());
         }
     }
 
-    /// Shows a line below the slots, where the latest ones are.
+    /// Shows a line below the slots, with the latest ones.
     pub fn say(&self, line: &str) {
         let last = &mut self.model().last;
         last.push_front(line.into());
@@ -131,10 +130,10 @@ impl Board {
         self.model().totals = line;
     }
 
-    /// Asks for a line, which is typed or scanned. `None` if the station ends.
+    /// Asks for a typed or scanned line. `None` if the station ends.
     pub fn ask(&self, what: &str) -> Option<String> {
         let lines = self.lines.lock().unwrap_or_else(PoisonError::into_inner);
-        // What was scanned before it was asked for was for nobody.
+        // Nobody asked for what was scanned before.
         while lines.try_recv().is_ok() {}
         (self.model().asked, self.model().typed) = (Some(what.into()), String::new());
         let line = loop {
@@ -166,12 +165,11 @@ impl Shown {
 
 impl Drop for Shown {
     fn drop(&mut self) {
-        // What it would say, nobody could read.
+        // Nobody could read its message.
         let _ = self.finish();
     }
 }
 
-/// What a key does.
 #[derive(Debug, PartialEq, Eq)]
 enum Key {
     Letter(char),
@@ -198,7 +196,7 @@ impl Model {
         }
     }
 
-    /// Takes a key in. Keys do nothing while nothing is asked for.
+    /// Handles a key. Keys do nothing without a question.
     fn key(&mut self, key: Key) -> Option<String> {
         self.asked.as_ref()?;
         self.changed = true;
@@ -208,7 +206,7 @@ impl Model {
             Key::Letter(_) => {}
             Key::Back => drop(self.typed.pop()),
             Key::Clear => self.typed.clear(),
-            // The line feed of a scanner that ends its lines with two characters is no answer to the next question.
+            // A scanner may end its lines with two characters; the line feed must not answer the next question.
             Key::Enter if self.typed.is_empty() && std::mem::take(&mut self.has_answered) => {}
             Key::Enter => {
                 self.has_answered = !self.typed.is_empty();
@@ -257,7 +255,7 @@ mod tests {
         terminal.backend().buffer().clone()
     }
 
-    /// Only a screen on which something has no room at all goes on by itself.
+    /// Only a screen without room for a text changes by itself.
     fn has_parts(has_parts: bool, model: &Model) {
         assert!(!has_parts || model.fields.iter().any(|field| field.text.len() > 40));
     }
@@ -315,7 +313,7 @@ mod tests {
         model.asked = None;
         let shown = text(&drawn(&model, 80, 24));
         assert!(shown.split_whitespace().collect::<Vec<_>>().join(" ").ends_with(reason), "{shown}");
-        // And the words of the others are as large as they were.
+        // The words of the others are as large as before.
         assert_eq!(shown.matches('[').count(), 1, "{shown}");
     }
 
@@ -323,7 +321,7 @@ mod tests {
                           the new divider, and it should be 13878 to 16962 mV: is the divider right, and the number of \
                           cells?; the old value was restored and verified";
 
-    /// The text of the field with that name, put together from its lines and its parts.
+    /// The whole text of the named field, from its lines and parts.
     fn text_of(model: &mut Model, name: &str, width: u16, height: u16) -> String {
         let mut whole = String::new();
         for turn in 0.. {
@@ -364,7 +362,7 @@ mod tests {
             assert_eq!(text_of(&mut model, "FOURTH", width, height), REASON);
             assert_eq!(text_of(&mut model, "S1", width, height), REASON.replace("FOURTH", "S1"));
         }
-        // One of usual length has its sign, and as it has room beside that, the others keep their words.
+        // A text of usual length gets a sign and room beside it; the others keep their words.
         let mut model = model(&names[..4], false);
         let (reason, _) = REASON.split_once(": is the divider").expect("a question");
         model.fields[3].text = reason.into();
@@ -407,7 +405,7 @@ mod tests {
         assert_eq!(model.key(Key::Enter).as_deref(), Some("SN0012"));
         // The second question is there already.
         assert_eq!(model.key(Key::Enter), None);
-        // What somebody presses is an empty line, which is told.
+        // A person's Enter is an empty line.
         assert_eq!(model.key(Key::Enter).as_deref(), Some(""));
         assert_eq!(model.key(Key::Enter).as_deref(), Some(""));
         for key in [Key::Letter('7'), Key::Back] {

@@ -44,9 +44,9 @@ Examples:
   gaugefs log --columns voltage,true_fcc,events /run/gauges/BAT0 -o cycle.csv
   gaugefs log --interval 60 --count 1440 /run/gauges > day.csv";
 
-/// Changes between two rows that are listed; the others are counted.
+/// Listed changes between two rows; more are counted.
 const MOST_EVENTS: usize = 50;
-/// A row may be this early, because the next poll may be a long time away.
+/// A row may be this early, because the next poll may be far away.
 const EARLY: Duration = Duration::from_millis(250);
 
 /// Record the history of mounted gauges as CSV
@@ -73,22 +73,21 @@ fn name(gauge: &Path) -> String {
     gauge.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// A gauge that has been seen, and its last row.
+/// A known gauge and its last row.
 struct Known {
     gauge: PathBuf,
-    /// The last sample, and when it was taken.
+    /// The last sample and its time.
     seen: Sample,
     seen_at: Instant,
-    /// When the last row was written, and the poll that it is of.
+    /// The time of the last row, and its poll.
     written: Instant,
     moment: Option<Moment>,
-    /// What has changed since the last row.
+    /// Changes since the last row.
     events: Events,
     cycle: Option<Cycle>,
     learning: String,
 }
 
-/// Changes since a row.
 #[derive(Default)]
 struct Events {
     texts: Vec<String>,
@@ -100,7 +99,7 @@ impl Events {
         if self.texts.len() < MOST_EVENTS { self.texts.push(text) } else { self.more += 1 }
     }
 
-    /// Adds what is different in the next sample.
+    /// Adds the differences of the next sample.
     fn compare(&mut self, before: &Sample, now: &Sample) {
         if before.status() != now.status() {
             self.add(format!("{} -> {}", before.status(), now.status()));
@@ -108,7 +107,7 @@ impl Events {
         now.changed_bits(before).for_each(|(_, bits)| self.add(bits));
     }
 
-    /// Takes the notes, leaving the list empty.
+    /// Takes the notes and empties the list.
     fn take(&mut self) -> String {
         let Self { mut texts, more } = std::mem::take(self);
         if more > 0 {
@@ -132,11 +131,11 @@ impl Known {
         }
     }
 
-    /// Takes the next sample in.
+    /// Takes the next sample.
     fn take(&mut self, mut sample: Sample) {
         self.events.compare(&self.seen, &sample);
         let polled = sample.moment.zip(self.seen.moment);
-        // The first sample has been seen already, by `new`, and not by the cycle.
+        // `new` has seen the first sample already, but the cycle has not.
         let is_new = self.cycle.is_none() || !polled.is_some_and(|(now, before)| now.is_same_poll(before));
         sample.time = sample.battery_time();
         if self.cycle.is_none() {
@@ -148,7 +147,7 @@ impl Known {
         (self.seen, self.seen_at) = (sample, Instant::now());
     }
 
-    /// Notes that the mount has ended. A simulated gauge's time is as far from the host's as before.
+    /// Notes that the mount has ended. A simulated gauge's time keeps its distance to the host's.
     fn lose(&mut self) {
         let mut absent = Sample::absent();
         if self.seen.simulated.is_some() {
@@ -200,7 +199,7 @@ impl Log {
         Ok(ExitCode::SUCCESS)
     }
 
-    /// Writes a row if the sample is new; returns whether it did.
+    /// Writes a row for a new sample; returns whether it did.
     fn sample(&self, out: &mut Out, known: &mut Vec<Known>, gauge: PathBuf, sample: Sample) -> Result<bool> {
         let found = known.iter().position(|known| known.gauge == gauge);
         let at = found.unwrap_or_else(|| {
@@ -211,7 +210,7 @@ impl Log {
         let moment = sample.moment;
         known.take(sample);
         let writes = if found.is_none() {
-            // A continued file may have this poll already.
+            // A continued file may contain this poll.
             !out.has(&known.gauge, &known.seen)
         } else {
             let is_new = match (known.moment, moment) {
@@ -248,20 +247,19 @@ fn ends(mut file: &File) -> io::Result<Vec<u8>> {
     Ok(text)
 }
 
-/// The output.
 struct Out {
     name: String,
-    /// Standard output if there is none.
+    /// `None` for standard output.
     file: Option<File>,
     columns: Vec<Column>,
     /// The header is written before the first row.
     needs_header: bool,
-    /// Gauge and time of the last rows of a continued file.
+    /// Gauge and time of a continued file's last rows.
     before: Vec<(String, Timestamp)>,
 }
 
 impl Out {
-    /// Opens the output. An existing file is continued with its columns, which must be those that are wanted.
+    /// Opens the output. An existing file is continued if its columns are the wanted ones.
     fn open(path: Option<&PathBuf>, wanted: &[String]) -> Result<Self> {
         let mut columns = if wanted.is_empty() { columns::usual() } else { Column::choose(wanted)? };
         let Some(path) = path.filter(|path| !output::is_standard_output(path)) else {
@@ -308,15 +306,14 @@ impl Out {
         Ok(out)
     }
 
-    /// Whether a continued file has this poll already.
+    /// Whether a continued file contains this poll.
     fn has(&self, gauge: &Path, sample: &Sample) -> bool {
-        // The time of a poll is not exact, and less so where time passes faster.
+        // A poll's time is inexact, more so with a faster clock.
         let speed = sample.simulated.map_or(1.0, |(_, speed)| speed.max(1.0));
         let near = |other: Timestamp| sample.time.duration_since(other).abs().as_secs_f64() < 0.25 * speed;
         self.before.iter().any(|(found, at)| *found == name(gauge) && near(*at))
     }
 
-    /// Writes the row of a gauge.
     fn write(&mut self, known: &mut Known) -> Result<()> {
         if std::mem::take(&mut self.needs_header) {
             let titles = self.columns.iter().map(|column| column.title.clone());
@@ -340,7 +337,7 @@ impl Out {
         self.line(&line)
     }
 
-    /// Writes a whole row at once, so that a reader of the file never sees half a row.
+    /// Writes a whole row at once, so that a reader never sees half a row.
     fn line(&mut self, line: &[u8]) -> Result<()> {
         match &mut self.file {
             None => print_file(line),
@@ -355,7 +352,7 @@ impl Out {
 mod tests {
     use super::*;
 
-    /// What a gauge, a folder or a user of another mount supplies.
+    /// Hostile values from a gauge, a folder or another mount's user.
     const HOSTILE: [&str; 8] = [
         "a,b",
         "say \"no\"",

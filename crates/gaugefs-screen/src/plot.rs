@@ -80,12 +80,11 @@ fn history(file: &Path, columns: &[String]) -> Result<table::History> {
     table::read(&text, columns).map_err(|error| error.within(&name))
 }
 
-/// The usual quantities of all gauges of a file.
+/// The usual quantities of all gauges in a file.
 pub(super) fn recorded(file: &Path) -> Result<Vec<Series>> {
     Ok(history(file, &[])?.panels.into_iter().flat_map(|panel| panel.series).collect())
 }
 
-/// The limits of a column.
 #[derive(Clone, Debug, PartialEq)]
 struct Limit {
     column: String,

@@ -2,11 +2,9 @@
 
 //! Reduces a line to the points that a picture can show.
 
-/// A time and a value.
 pub(super) type Point = (f64, f64);
 
-/// Keeps at most three points in each column: the smallest, the largest and the last, so that no peak is
-/// lost.
+/// Keeps at most three points per column: the smallest, the largest and the last, so that no peak is lost.
 pub(super) fn thin(line: &[Point], from: f64, span: f64, columns: usize) -> Vec<Point> {
     let mut thinned = Vec::new();
     let mut column: Option<Column> = None;

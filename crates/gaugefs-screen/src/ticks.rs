@@ -7,7 +7,7 @@ use jiff::Timestamp;
 /// A position on an axis and its label.
 pub(super) type Tick = (f64, String);
 
-/// Possible steps of a time axis, in seconds. Longer steps are whole days.
+/// Steps of a time axis, in seconds. Longer steps are whole days.
 const STEPS: [f64; 21] = [
     0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 15.0, 30.0, 60.0, 120.0, 300.0, 600.0, 900.0, 1800.0, 3600.0, 7200.0,
     10_800.0, 21_600.0, 43_200.0, DAY,
@@ -16,7 +16,7 @@ const DAY: f64 = 86_400.0;
 
 /// Round bounds around values, at least `least` apart, with about `most` steps between them.
 pub(super) fn numbers(low: f64, high: f64, least: f64, most: usize) -> (f64, f64, Vec<Tick>) {
-    // A value that never changes is in the middle.
+    // A constant value is in the middle.
     let spread = (high - low).max(least);
     let middle = (low + high) / 2.0;
     let (low, high) = (middle - spread / 2.0, middle + spread / 2.0);
@@ -33,7 +33,7 @@ pub(super) fn numbers(low: f64, high: f64, least: f64, most: usize) -> (f64, f64
     (first as f64 * step, last as f64 * step, ticks.map(|value| (value, label(value))).collect())
 }
 
-/// The round step with which `most` steps cover a time span.
+/// The round step that divides a time span into `most` steps.
 fn step(span: f64, most: usize) -> f64 {
     let raw = span / most.max(1) as f64;
     STEPS.into_iter().find(|step| *step >= raw).unwrap_or((raw / DAY).ceil() * DAY)
@@ -61,7 +61,7 @@ pub(super) fn durations(span: f64, most: usize) -> Vec<Tick> {
     lasting(span, step(span, most))
 }
 
-/// At most `most` round durations of a step of which the span is a multiple. If no round step is, only the ends are left.
+/// At most `most` round durations of a step that divides the span. If no round step does, only the ends are left.
 pub(super) fn divisions(span: f64, most: usize) -> Vec<Tick> {
     let divides = |step: &f64| span % step == 0.0 && span / step <= most as f64;
     lasting(span, STEPS.into_iter().find(divides).unwrap_or(span))
@@ -87,7 +87,7 @@ fn lasting(span: f64, step: f64) -> Vec<Tick> {
     (0..=last).map(|at| at as f64 * step).map(|seconds| (seconds, label(seconds))).collect()
 }
 
-/// Formats a time in UTC, as strftime(3) does.
+/// A time in UTC, in strftime(3) format.
 pub(super) fn utc(seconds: f64, format: &str) -> String {
     let time = Timestamp::from_millisecond((seconds * 1000.0).round() as i64).unwrap_or_default();
     time.strftime(format).to_string()

@@ -101,7 +101,7 @@ impl Top {
                 watch.find_mounts()?;
             }
             let Some(report) = report else { continue };
-            // What is wrong with a mount is wrong with each gauge that was there.
+            // A mount's trouble is the trouble of each gauge that was there.
             let is_root = watch.roots.contains(&report.gauge);
             let below: Vec<PathBuf> = printed
                 .iter()
@@ -162,7 +162,7 @@ impl Top {
     }
 }
 
-/// One sample of a gauge; attributes have the kernel's names and units.
+/// A sample of a gauge; attributes have the kernel's names and units.
 #[derive(Serialize)]
 struct Line<'a> {
     time: String,

@@ -62,7 +62,7 @@ impl Wait {
         let mut follow = Follow::start(gauge, names)?;
         let (mut first, mut told) = (true, false);
         loop {
-            // One look is taken, even if there is no time to wait.
+            // At least one look is taken, even without time to wait.
             let left = self.timeout.map(|limit| limit.saturating_sub(begun.elapsed()));
             let left = left.filter(|_| !std::mem::replace(&mut first, false));
             let (texts, why) = match follow.next(left) {
@@ -76,7 +76,7 @@ impl Wait {
             if self.timeout.is_some_and(|limit| begun.elapsed() >= limit) {
                 return Ok(TOO_LATE.into());
             }
-            // Whoever waits for a value that is not there may have misunderstood something.
+            // A condition on a missing value may be a misunderstanding.
             if self.condition.holds(texts.as_ref()).is_none() && !std::mem::replace(&mut told, true) {
                 let why = why.unwrap_or_else(|| self.condition.values(texts.as_ref()));
                 say(format_args!("{name}: {why}; waiting"));

@@ -1,10 +1,8 @@
 // SPDX-License-Identifier: MIT
 
-//! Breaks a text into lines.
-
 use std::mem::take;
 
-/// The lines of a text that are at most so wide. A word that is wider is broken.
+/// The lines of a text at this width. Longer words are broken.
 pub(super) fn wrapped(text: &str, width: usize) -> Vec<String> {
     let (width, count) = (width.max(1), |line: &str| line.chars().count());
     let (mut lines, mut line) = (Vec::new(), String::new());

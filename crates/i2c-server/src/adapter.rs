@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! The bus: the targets on it, one transfer at a time, and the time that it takes.
+//! The bus: its targets, one transfer at a time, and the time that a transfer takes.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -12,7 +12,7 @@ use rustix::io::Errno;
 
 use crate::message::{M_RD, Message};
 
-/// Something that answers at an address.
+/// A device at an address.
 pub trait Target: Send {
     /// One transfer: START, `write`, then, if `read` is not empty, a repeated START and as many bytes from the target, STOP.
     /// If `write` is empty, only the read; if both are, the address alone is sent.
@@ -22,14 +22,14 @@ pub trait Target: Send {
     fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), Errno>;
 }
 
-/// A bus with its targets, which all clients share.
+/// A bus with its targets, shared by all clients.
 #[derive(Default)]
 pub struct Adapter {
     targets: Mutex<BTreeMap<u16, Box<dyn Target>>>,
     pace: Option<Pace>,
 }
 
-/// How long a bit takes, and a way to wait.
+/// The duration of a bit, and a way to wait.
 struct Pace {
     hertz: u32,
     sleep: Box<dyn Fn(Duration) + Send + Sync>,
@@ -42,19 +42,19 @@ impl fmt::Debug for Adapter {
 }
 
 impl Adapter {
-    /// A bus without targets, on which a transfer takes no time.
+    /// A bus without targets, where transfers take no time.
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// Adds a target at a 7-bit address, in place of one that is there.
+    /// Adds a target at a 7-bit address, or replaces the one there.
     #[must_use]
     pub fn with(self, address: u8, target: impl Target + 'static) -> Self {
         self.lock().insert(address.into(), Box::new(target));
         self
     }
 
-    /// Lets a transfer take the time that its bits take at this clock.
+    /// Gives transfers the time of their bits at this clock.
     #[must_use]
     pub fn paced(self, hertz: u32, sleep: impl Fn(Duration) + Send + Sync + 'static) -> Self {
         Self { pace: Some(Pace { hertz, sleep: Box::new(sleep) }), ..self }
@@ -65,7 +65,7 @@ impl Adapter {
         self.targets.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Sends the messages, and puts what is read into them. The bus is held until the last one.
+    /// Sends messages and fills in what is read. The bus is held until the last one.
     pub(crate) fn transfer(&self, messages: &mut [Message]) -> Result<(), Errno> {
         if messages.iter().any(|message| message.flags & !M_RD != 0) {
             return Err(Errno::OPNOTSUPP);
@@ -96,14 +96,14 @@ impl Adapter {
         Ok(())
     }
 
-    /// Waits for as long as the messages were on the wire. Nothing follows an address that is not acknowledged.
+    /// Waits while the messages are on the wire. Nothing follows an address that is not acknowledged.
     fn spend(&self, sent: &[Message], outcome: Result<(), Errno>) {
         let Some(pace) = &self.pace else { return };
         let bytes = match outcome {
             Err(Errno::NXIO) => 1,
             _ => sent.iter().map(|message| 1 + message.data.len()).sum(),
         };
-        // Nine bits for each byte, and one for each START and for STOP.
+        // Nine bits per byte, and one for each START and for STOP.
         let bits = bytes * 9 + sent.len() + 1;
         (pace.sleep)(Duration::from_secs(bits as u64) / pace.hertz.max(1));
     }

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! One open file of the device.
+//! An open file of the device.
 
 use rustix::io::Errno;
 
@@ -9,7 +9,7 @@ use crate::message::{MAX_LENGTH, Memory, Message};
 use crate::request::{Request, Width};
 use crate::smbus::FUNCTIONS;
 
-/// One open file: the address and the modes that its user has set.
+/// An open file: the address and modes that its user has set.
 #[derive(Clone, Debug, Default)]
 pub struct Client {
     address: u16,
@@ -17,7 +17,7 @@ pub struct Client {
     pec: bool,
 }
 
-/// What a call gives back: its result, and what goes into the caller's memory.
+/// A call's result, and what goes into the caller's memory.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Outcome {
     /// What ioctl(2) returns.
@@ -27,7 +27,7 @@ pub struct Outcome {
 }
 
 impl Client {
-    /// Answers an ioctl, with what it reads from the caller's memory and writes there.
+    /// Answers an ioctl, reading and writing the caller's memory.
     pub fn ioctl(
         &mut self,
         adapter: &Adapter,
@@ -41,7 +41,7 @@ impl Client {
         Ok(outcome.result)
     }
 
-    /// Carries out a decoded ioctl, without the caller's memory.
+    /// Carries out a decoded ioctl without the caller's memory.
     pub fn run(&mut self, adapter: &Adapter, request: Request) -> Result<Outcome, Errno> {
         let put = |at: u64, bytes: Vec<u8>| Outcome { result: 0, writes: vec![(at, bytes)] };
         match request {
@@ -88,7 +88,7 @@ impl Client {
         Ok(data.len())
     }
 
-    /// The address; this bus has none of 10 bits.
+    /// The address; this bus has no 10-bit ones.
     fn target(&self) -> Result<u16, Errno> {
         if self.ten_bit { Err(Errno::OPNOTSUPP) } else { Ok(self.address) }
     }

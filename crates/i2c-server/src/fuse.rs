@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: MIT
 
-//! The requests of FUSE and CUSE for a file that is a bus (`linux/fuse.h`).
+//! FUSE and CUSE requests for a file that is a bus (`linux/fuse.h`).
 //!
-//! The argument of an ioctl is an address in the memory of the calling program. Where that cannot be read, the kernel brings
-//! what it points to: that is named in an answer, and comes with the request when it is repeated (FUSE_IOCTL_RETRY), which a
-//! device of CUSE may ask for.
+//! An ioctl's argument is an address in the calling program's memory. Where that memory is not readable, an answer
+//! names what is needed, and the kernel repeats the request with it (FUSE_IOCTL_RETRY). Only CUSE devices may ask for
+//! that.
 
 use rustix::io::Errno;
 
@@ -32,65 +32,62 @@ const BATCH_FORGET: u32 = 42;
 pub const HEAD: usize = 40;
 /// Length of `fuse_write_in`.
 pub const WRITE_IN: usize = 40;
-/// Length of `fuse_ioctl_in`.
 const IOCTL_IN: usize = 32;
-/// What the kernel passes on with an ioctl, at most: the 32 pages of a request.
+/// Most data that the kernel passes with an ioctl: the 32 pages of a request.
 pub const IOCTL_DATA: usize = 32 * 4096;
-/// FOPEN_DIRECT_IO and FOPEN_NONSEEKABLE.
 const OPEN_FLAGS: u32 = 1 | 4;
-/// FUSE_IOCTL_32BIT.
 const IOCTL_32BIT: u32 = 1 << 3;
 
-/// What a request asks for.
+/// The purpose of a request.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Call {
-    /// Nothing that is answered.
+    /// A request without an answer.
     Nothing,
-    /// To open the file.
+    /// Opens the file.
     Open,
-    /// To close it; which one it is, as [`opened`] has said.
+    /// Closes the file with the handle given by [`opened`].
     Close(u64),
-    /// Something of an open file; which one it is.
+    /// A job for the open file with this handle.
     Job(u64, Job),
-    /// What [`plain`] answers, by its number.
+    /// Another request by number, for [`plain`].
     Other(u32),
 }
 
-/// What a program asks of its open file.
+/// A job of an open file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Job {
     /// ioctl(2).
     Ioctl {
-        /// The process.
+        /// The calling process.
         caller: u32,
-        /// Its width.
+        /// Width of the process.
         width: Width,
-        /// The number of the ioctl.
+        /// Number of the ioctl.
         command: u32,
-        /// Its argument.
+        /// Argument of the ioctl.
         argument: u64,
-        /// What the kernel has brought of the caller's memory.
+        /// The caller's memory that the kernel sent along.
         came: Vec<u8>,
-        /// How many bytes it takes back there.
+        /// How many bytes the kernel takes back.
         room: usize,
     },
-    /// read(2), of so many bytes.
+    /// read(2) of so many bytes.
     Read(usize),
     /// write(2).
     Write(Vec<u8>),
 }
 
-/// A field of a request. What the kernel has not sent reads as 0.
+/// A field of 32 bits; bytes that the kernel has not sent read as 0.
 pub fn u32_at(bytes: &[u8], at: usize) -> u32 {
     bytes.get(at..).and_then(|rest| rest.first_chunk()).map_or(0, |field| u32::from_ne_bytes(*field))
 }
 
-/// A field of 64 bits, likewise.
+/// A field of 64 bits; bytes that the kernel has not sent read as 0.
 pub fn u64_at(bytes: &[u8], at: usize) -> u64 {
     bytes.get(at..).and_then(|rest| rest.first_chunk()).map_or(0, |field| u64::from_ne_bytes(*field))
 }
 
-/// The number by which a request is answered, and what it asks for.
+/// The request's number for the answer, and its purpose.
 pub fn parse(request: &[u8]) -> (u64, Call) {
     let (code, unique, body) =
         (u32_at(request, 4), u64_at(request, 8), request.get(HEAD..).unwrap_or_default());
@@ -123,13 +120,14 @@ pub fn parse(request: &[u8]) -> (u64, Call) {
     (unique, call)
 }
 
-/// The body of an answer to [`Call::Open`]: what the file is called from now on.
+/// The body of an answer to [`Call::Open`], with the file's handle.
 pub fn opened(handle: u64) -> Vec<u8> {
     [&handle.to_ne_bytes()[..], &OPEN_FLAGS.to_ne_bytes(), &[0; 4]].concat()
 }
 
 impl Job {
-    /// Carries it out: the body of the answer. Without the memory of the caller the kernel is asked for it.
+    /// Carries out a job and returns the answer's body. Without access to the caller's memory, the answer asks the
+    /// kernel for it.
     pub fn run(
         self,
         client: &mut Client,
@@ -154,7 +152,7 @@ impl Job {
     }
 }
 
-/// An answer as the kernel takes it.
+/// An answer in the kernel's format.
 pub fn message(unique: u64, outcome: Result<Vec<u8>, Errno>) -> Vec<u8> {
     let (error, body) = match outcome {
         Ok(body) => (0, body),
@@ -167,11 +165,11 @@ pub fn message(unique: u64, outcome: Result<Vec<u8>, Errno>) -> Vec<u8> {
     message
 }
 
-/// Answers a request that has nothing to do with the bus, for a file of that user and group.
+/// Answers a request unrelated to the bus, for a file of this user and group.
 pub fn plain(code: u32, owner: (u32, u32)) -> Result<Vec<u8>, Errno> {
     match code {
         GETATTR | SETATTR => {
-            // How long it holds, then inode, size, blocks and times with their nanoseconds.
+            // Validity, then inode, size, blocks, and times with nanoseconds.
             let mut attributes = vec![0; 16 + 60];
             attributes[16..24].copy_from_slice(&1_u64.to_ne_bytes());
             let fields = [0o100_600, 1, owner.0, owner.1, 0, 4096, 0];
@@ -189,12 +187,13 @@ pub fn plain(code: u32, owner: (u32, u32)) -> Result<Vec<u8>, Errno> {
     }
 }
 
-/// The body of an answer to an ioctl: `fuse_ioctl_out`, and what goes into the caller's memory.
+/// The body of an ioctl's answer: `fuse_ioctl_out`, and what goes into the caller's memory.
 fn done(result: i32, data: &[u8]) -> Vec<u8> {
     [&result.to_ne_bytes()[..], &[0; 12], data].concat()
 }
 
-/// Answers an ioctl whose memory the kernel brings. Nothing is sent before all of it is there, and room for the answer.
+/// Answers an ioctl whose memory comes with the request. Nothing is sent on the bus before all of it is there, and room
+/// for the answer.
 fn asked(
     client: &mut Client,
     adapter: &Adapter,
@@ -215,13 +214,13 @@ fn asked(
     Ok(done(outcome.result, &data))
 }
 
-/// The memory of the caller as far as it came with the request.
+/// The part of the caller's memory that came with the request.
 struct Asked<'a> {
     came: &'a [u8],
     at: usize,
-    /// All that is needed of it so far: addresses and lengths.
+    /// Everything needed so far: addresses and lengths.
     needed: Vec<(u64, usize)>,
-    /// Something of that has not come.
+    /// Some of it has not come.
     lacks: bool,
 }
 
@@ -232,7 +231,7 @@ impl<'a> Asked<'a> {
 }
 
 impl Memory for Asked<'_> {
-    /// What has not come reads as zeros, so that as much as can be known by now is asked for at once.
+    /// Missing memory reads as zeros, so that one answer can ask for all that is known to be needed.
     fn read(&mut self, at: u64, to: &mut [u8]) -> Result<(), Errno> {
         self.needed.push((at, to.len()));
         match self.came.get(self.at..self.at + to.len()) {
@@ -254,8 +253,8 @@ impl Memory for Asked<'_> {
     }
 }
 
-/// The body of an answer that asks for the caller's memory: `fuse_ioctl_out` with FUSE_IOCTL_RETRY, and what is to come
-/// with the request and to go with its answer.
+/// The body of an answer that asks for the caller's memory: `fuse_ioctl_out` with FUSE_IOCTL_RETRY, then the memory to
+/// come with the request and to go with its answer.
 fn retry(needed: &[(u64, usize)], answers: &[(u64, usize)]) -> Vec<u8> {
     const RETRY: u32 = 1 << 2;
     let head = [0, RETRY, needed.len() as u32, answers.len() as u32];

@@ -9,10 +9,10 @@
 //!
 //! [`usb`] answers the kernel instead, which makes an adapter of it to which its own drivers bind.
 //!
-//! It opens no device. Whoever carries the calls, a FUSE file for instance ([`fuse`] reads its requests), gives their arguments to a [`Client`], one for
-//! each open file, and access to the memory of the calling process as a [`Memory`]. All clients share one [`Adapter`].
-//! Whatever a client sends, the others are not disturbed: an argument is read as a whole before anything is sent, and the
-//! bus is held for no longer than the transfer takes.
+//! It opens no device. Its caller, such as a FUSE file ([`fuse`] reads its requests), passes the arguments of each call to
+//! the open file's [`Client`], and access to the calling process's memory as a [`Memory`]. All clients share one
+//! [`Adapter`]. No client can disturb the others: an argument is read as a whole before anything is sent, and the bus is
+//! held for no longer than the transfer takes.
 //!
 //! ```
 //! use i2c_server::{Adapter, Client, Errno, Memory, Target, Width, command};

@@ -1,22 +1,21 @@
 // SPDX-License-Identifier: MIT
 
-//! The messages of a transfer, and the memory that they come from and go to.
+//! The messages of a transfer, and the memory of their caller.
 
 use rustix::io::Errno;
 
-/// Most bytes of one message, and of one read or write.
+/// Longest message, read and write.
 pub const MAX_LENGTH: usize = 8192;
 
-/// A message that is read from the target: `I2C_M_RD`.
 pub(crate) const M_RD: u16 = 0x0001;
-/// Most bytes of an SMBus block.
+/// Longest SMBus block.
 pub(crate) const BLOCK: usize = 32;
 
-/// The memory of the process that makes a call.
+/// The memory of a calling process.
 pub trait Memory {
-    /// Copies from the address. EFAULT if not all of it can be read.
+    /// Copies from the address, or fails with EFAULT if some of it is unreadable.
     fn read(&mut self, at: u64, to: &mut [u8]) -> Result<(), Errno>;
-    /// Copies to the address. EFAULT if not all of it can be written.
+    /// Copies to the address, or fails with EFAULT if some of it is not writable.
     fn write(&mut self, at: u64, from: &[u8]) -> Result<(), Errno>;
 }
 
@@ -27,9 +26,9 @@ pub struct Message {
     pub address: u16,
     /// Flags of `linux/i2c.h`.
     pub flags: u16,
-    /// The bytes to write, or as many as are to be read.
+    /// The bytes to write, or room for the bytes to read.
     pub data: Vec<u8>,
-    /// Where the caller wants the bytes that are read.
+    /// The caller's address for the bytes that are read.
     pub destination: u64,
 }
 

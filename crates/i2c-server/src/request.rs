@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! The argument of an ioctl: read from the caller's memory, checked and decoded. Nothing here reaches a bus.
+//! An ioctl's argument: read from the caller's memory, checked and decoded. Nothing here reaches a bus.
 
 use rustix::io::Errno;
 
@@ -24,7 +24,6 @@ pub mod command {
     pub const I2C_SMBUS: u32 = 0x0720;
 }
 
-/// The target sends the length of its message: `I2C_M_RECV_LEN`.
 const M_RECV_LEN: u16 = 0x0400;
 
 /// Bits of the caller's pointers and of its `unsigned long`.
@@ -44,7 +43,6 @@ impl Width {
         }
     }
 
-    /// A pointer at the beginning of these bytes.
     fn pointer(self, bytes: &[u8]) -> u64 {
         match self {
             Self::Bits32 => u32(bytes).into(),
@@ -64,7 +62,7 @@ fn u32(bytes: &[u8]) -> u32 {
 /// A decoded ioctl.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Request {
-    /// I2C_SLAVE or I2C_SLAVE_FORCE: no driver is bound to an address here, so they do the same.
+    /// I2C_SLAVE or I2C_SLAVE_FORCE: without bound drivers they do the same.
     Address(u64),
     /// I2C_TENBIT.
     TenBit(bool),
@@ -72,16 +70,17 @@ pub enum Request {
     Pec(bool),
     /// I2C_RETRIES and I2C_TIMEOUT.
     Accepted,
-    /// I2C_FUNCS, and where its answer goes.
+    /// I2C_FUNCS, and the place of its answer.
     Functions(u64, Width),
     /// I2C_RDWR.
     Messages(Vec<Message>),
-    /// I2C_SMBUS: the transaction, and where the caller has its data.
+    /// I2C_SMBUS: the transaction, and the address of the caller's data.
     Smbus(Transaction, u64),
 }
 
 impl Request {
-    /// Where in the caller's memory its answer goes, and how many bytes: the addresses of [`Outcome::writes`], in their order.
+    /// Places of the answer in the caller's memory, and their lengths: the addresses of [`Outcome::writes`] in their
+    /// order.
     ///
     /// [`Outcome::writes`]: crate::Outcome::writes
     pub fn answers(&self) -> Vec<(u64, usize)> {
@@ -98,7 +97,7 @@ impl Request {
         }
     }
 
-    /// Decodes the number and the argument of an ioctl. The checks are the kernel's, in its order.
+    /// Decodes the number and the argument of an ioctl, with the kernel's checks in its order.
     pub fn decode(command: u32, argument: u64, width: Width, memory: &mut dyn Memory) -> Result<Self, Errno> {
         // A program of 32 bits cannot pass more.
         let argument = if width == Width::Bits32 { argument & u64::from(u32::MAX) } else { argument };
@@ -142,7 +141,7 @@ fn messages(argument: u64, width: Width, memory: &mut dyn Memory) -> Result<Vec<
         }
         let destination = width.pointer(&raw[8..]);
         let mut data = vec![0; length];
-        // Like the kernel, which copies the buffer of a read, too.
+        // As in the kernel, which also copies the buffer of a read.
         if length > 0 {
             memory.read(destination, &mut data)?;
         }

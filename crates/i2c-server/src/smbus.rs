@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! SMBus transactions, as the kernel emulates them with I2C messages (`i2c_smbus_xfer_emulated`).
+//! SMBus transactions, emulated with I2C messages as in the kernel (`i2c_smbus_xfer_emulated`).
 
 use rustix::io::Errno;
 
@@ -11,7 +11,7 @@ use crate::message::{BLOCK, Memory, Message};
 /// packet error codes.
 pub const FUNCTIONS: u64 = 0x0000_0001 | 0x0000_0008 | 0x00ff_0000 | 0x0200_0000 | 0x0c00_0000;
 
-/// The size of a transaction's data: I2C_SMBUS_QUICK and those after it.
+/// A transaction's size field: I2C_SMBUS_QUICK and those after it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Kind {
     Quick,
@@ -30,7 +30,7 @@ pub struct Transaction {
     kind: Kind,
     is_read: bool,
     command: u8,
-    /// `union i2c_smbus_data`, as far as the kind uses it.
+    /// The part of `union i2c_smbus_data` that the kind uses.
     data: Vec<u8>,
 }
 
@@ -76,7 +76,7 @@ impl Transaction {
             if !is_read || is_call || size == 8 {
                 memory.read(data, &mut bytes)?;
             }
-            // An I2C block of the old kind is read with its whole length.
+            // The old kind of I2C block is read with its whole length.
             if size == BROKEN && is_read {
                 bytes[0] = BLOCK as u8;
             }
@@ -84,7 +84,7 @@ impl Transaction {
         Ok(Self { kind, is_read, command, data: bytes })
     }
 
-    /// How many bytes it gives the caller, if any.
+    /// Length of the data for the caller.
     pub(crate) fn answer(&self) -> Option<usize> {
         let has = match self.kind {
             Kind::Quick | Kind::Block | Kind::BlockProcessCall => false,
@@ -94,7 +94,7 @@ impl Transaction {
         has.then_some(self.data.len())
     }
 
-    /// Carries it out. The result is the data for the caller, if there are any.
+    /// Carries out the transaction. Returns the data for the caller.
     pub(crate) fn run(
         mut self,
         adapter: &Adapter,
@@ -105,7 +105,7 @@ impl Transaction {
             length @ 1..=32 => Ok(usize::from(length)),
             _ => Err(Errno::INVAL),
         };
-        // What is written after the command, and how many bytes are read.
+        // Bytes written after the command, and number of bytes read.
         let (written, read): (&[u8], usize) = match (self.kind, self.is_read) {
             (Kind::Quick, _) => return self.quick(adapter, address),
             (Kind::Block, true) | (Kind::BlockProcessCall, _) => return Err(Errno::OPNOTSUPP),
@@ -118,7 +118,7 @@ impl Transaction {
             (Kind::I2cBlock, true) => (&[], block()?),
             (Kind::I2cBlock, false) => (&self.data[1..=block()?], 0),
         };
-        // Words of SMBus are little-endian on the wire, and of the machine in the union.
+        // SMBus words are little-endian on the wire, and native in the union.
         let is_word = matches!(self.kind, Kind::WordData | Kind::ProcessCall);
         let written = if is_word && !written.is_empty() { swapped(written) } else { written.to_vec() };
         let pec = pec && self.kind != Kind::I2cBlock;
@@ -149,7 +149,7 @@ impl Transaction {
         Ok(Some(self.data))
     }
 
-    /// The direction is all the data that it has.
+    /// Its only data is the direction.
     fn quick(&self, adapter: &Adapter, address: u16) -> Result<Option<Vec<u8>>, Errno> {
         let message =
             if self.is_read { Message::read(address, 0) } else { Message::write(address, Vec::new()) };
@@ -157,14 +157,14 @@ impl Transaction {
     }
 }
 
-/// A little-endian word as one of the machine, or the other way round.
+/// Converts between a little-endian and a native word.
 fn swapped(word: &[u8]) -> Vec<u8> {
     let word: [u8; 2] = word.try_into().unwrap_or_default();
     u16::from_le_bytes(word).to_ne_bytes().to_vec()
 }
 
-/// Continues a packet error code by a message: a CRC-8 with the polynomial x^8 + x^2 + x + 1 over address and data. Over a
-/// message that ends with its code it is 0.
+/// Continues a packet error code over a message: a CRC-8 with the polynomial x^8 + x^2 + x + 1 over address and data.
+/// It is 0 over a message that ends with its code.
 fn code(code: u8, message: &Message) -> u8 {
     let address = (message.address as u8) << 1 | u8::from(message.is_read());
     std::iter::once(&address).chain(&message.data).fold(code, |code, byte| {

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: MIT
 
-//! An adapter for the kernel: an i2c-tiny-usb, as USB/IP carries it.
+//! An adapter for the kernel: an i2c-tiny-usb over USB/IP.
 //!
-//! The kernel's `vhci_hcd` takes the other end of a socket for a USB device (`Documentation/usb/usbip_protocol.rst`), here an
-//! i2c-tiny-usb, whose driver in the kernel makes an adapter of it (`drivers/i2c/busses/i2c-tiny-usb.c`). All requests are
-//! control transfers. Only root may plug the socket in; serving it takes no right.
+//! The kernel's `vhci_hcd` accepts a socket as a USB device (`Documentation/usb/usbip_protocol.rst`), here an
+//! i2c-tiny-usb, for which the kernel's driver makes an adapter (`drivers/i2c/busses/i2c-tiny-usb.c`). All requests are
+//! control transfers. Only root may plug the socket in; serving it takes no privilege.
 
 use std::io::{Error, ErrorKind, Read, Result, Write};
 
@@ -16,10 +16,10 @@ use crate::message::{MAX_LENGTH, Message};
 use crate::request::{MAX_MESSAGES, Request};
 use crate::smbus::FUNCTIONS;
 
-/// USB_SPEED_FULL, the speed at which the device is plugged in.
+/// USB_SPEED_FULL, the device's speed.
 pub const SPEED: u32 = 2;
 
-/// Vendor and product of an i2c-tiny-usb, by which its driver knows it.
+/// Vendor and product by which the kernel's driver knows an i2c-tiny-usb.
 const IDS: [u8; 4] = [0x03, 0x04, 0x31, 0xc6];
 /// Number, text: vendor, product, serial number.
 const STRINGS: [&str; 3] = ["gaugefs", "simulated I2C bus", "1"];
@@ -28,18 +28,17 @@ const SUBMIT: u32 = 1;
 const UNLINK: u32 = 2;
 const RET_SUBMIT: u32 = 3;
 const RET_UNLINK: u32 = 4;
-/// Length of each head.
 const HEAD: usize = 48;
-/// Most bytes of a control transfer, as its length has 16 bits.
+/// Longest control transfer: its length has 16 bits.
 const LONGEST: usize = 0xffff;
 
 fn u32_at(bytes: &[u8], at: usize) -> u32 {
     bytes.get(at..).and_then(|rest| rest.first_chunk()).map_or(0, |field| u32::from_be_bytes(*field))
 }
 
-/// Answers the kernel at the other end of a socket until it lets go of the device.
+/// Serves the kernel at the other end of a socket until it releases the device.
 ///
-/// An error is the socket's, or `InvalidData` for what is no request of USB/IP, after which nothing can be understood.
+/// An error is the socket's, or `InvalidData` for anything but a USB/IP request, after which nothing can be understood.
 pub fn serve(mut socket: impl Read + Write, adapter: &Adapter) -> Result<()> {
     let wrong = |what: &str| Err(Error::new(ErrorKind::InvalidData, what));
     let mut device = Device::default();
@@ -62,7 +61,7 @@ pub fn serve(mut socket: impl Read + Write, adapter: &Adapter) -> Result<()> {
                 let mut data = vec![0; if is_in { 0 } else { length }];
                 socket.read_exact(&mut data)?;
                 let setup = Setup::new(head[40..].first_chunk().expect("eight bytes"));
-                // There is no endpoint but that of control transfers.
+                // Control transfers have the only endpoint.
                 let outcome = if endpoint == 0 { device.control(adapter, &setup, &data) } else { Err(Stall) };
                 match outcome {
                     Ok(bytes) if is_in => {
@@ -74,7 +73,7 @@ pub fn serve(mut socket: impl Read + Write, adapter: &Adapter) -> Result<()> {
                     Err(Stall) => (RET_SUBMIT, -Errno::PIPE.raw_os_error(), 0),
                 }
             }
-            // Every request has been answered before the next one is read.
+            // Every request is answered before the next one is read.
             UNLINK => (RET_UNLINK, 0, 0),
             _ => return wrong("it sends what is no request of USB/IP"),
         };
@@ -92,7 +91,6 @@ pub fn serve(mut socket: impl Read + Write, adapter: &Adapter) -> Result<()> {
     }
 }
 
-/// The setup of a control transfer.
 struct Setup {
     kind: u8,
     request: u8,
@@ -108,17 +106,16 @@ impl Setup {
     }
 }
 
-/// A request is not understood, or not possible.
+/// An unknown or impossible request.
 #[derive(Debug, PartialEq, Eq)]
 struct Stall;
 
-/// The USB device: an i2c-tiny-usb.
 #[derive(Default)]
 struct Device {
     client: Client,
-    /// Writes of a transfer that is not complete yet.
+    /// Writes of an incomplete transfer.
     waiting: Vec<Message>,
-    /// What GET_STATUS answers: of the last message.
+    /// GET_STATUS: the last message's.
     status: Status,
 }
 
@@ -132,7 +129,7 @@ enum Status {
 }
 
 impl Device {
-    /// Carries out a control transfer: what is to be read, if anything is.
+    /// Carries out a control transfer. Returns what is read.
     fn control(
         &mut self,
         adapter: &Adapter,
@@ -154,7 +151,7 @@ impl Device {
         const GET_FUNC: u8 = 1;
         const SET_DELAY: u8 = 2;
         const GET_STATUS: u8 = 3;
-        /// With the two bits of the first and of the last message of a transfer.
+        /// Plus two bits for the first and the last message of a transfer.
         const I2C_IO: u8 = 4;
         const FIRST: u8 = 1;
         const LAST: u8 = 2;
@@ -173,7 +170,7 @@ impl Device {
         }
     }
 
-    /// A message of a transfer. Writes wait for what belongs to them; a read is sent with them, as a repeated START.
+    /// A message of a transfer. Writes wait for the rest of it; a read is sent with them, as a repeated START.
     fn message(
         &mut self,
         adapter: &Adapter,
@@ -181,11 +178,11 @@ impl Device {
         data: &[u8],
         is_last: bool,
     ) -> std::result::Result<Vec<u8>, Stall> {
-        /// I2C_M_DMA_SAFE, which i2c-dev sets: it is about the kernel's own memory.
+        /// I2C_M_DMA_SAFE, set by i2c-dev, concerns the kernel's own memory.
         const DMA_SAFE: u16 = 0x0200;
         let (is_read, flags) = (setup.value & 1 != 0, setup.value & !DMA_SAFE);
         let data = if is_read { vec![0; setup.length] } else { data.to_vec() };
-        // A transfer has 42 messages at most; a driver of the kernel may send longer ones than a program.
+        // At most 42 messages; a kernel driver may send longer ones than a program.
         if data.len() > MAX_LENGTH || self.waiting.len() > MAX_MESSAGES {
             self.waiting.clear();
             return Err(Stall);
@@ -198,7 +195,7 @@ impl Device {
         let outcome = self.client.run(adapter, Request::Messages(std::mem::take(&mut self.waiting)));
         match outcome {
             Ok(mut outcome) => Ok(outcome.writes.pop().map(|(_, bytes)| bytes).unwrap_or_default()),
-            // The driver reads as many bytes as it has asked for, and then the status.
+            // The driver reads as many bytes as it asked for, and then the status.
             Err(Errno::NXIO) => {
                 self.status = Status::Refused;
                 Ok(vec![0; if is_read { setup.length } else { 0 }])
@@ -229,7 +226,7 @@ fn descriptor(value: u16) -> std::result::Result<Vec<u8>, Stall> {
     const DEVICE: u8 = 1;
     const CONFIGURATION: u8 = 2;
     const STRING: u8 = 3;
-    /// English of the United States.
+    /// English (United States).
     const LANGUAGE: [u8; 2] = [0x09, 0x04];
     let [number, kind] = value.to_le_bytes();
     match (kind, number) {
@@ -277,7 +274,7 @@ mod tests {
         }
     }
 
-    /// The kernel's side of the socket.
+    /// Kernel end of the socket.
     struct Kernel {
         socket: UnixStream,
         server: JoinHandle<Result<()>>,
@@ -343,14 +340,14 @@ mod tests {
         let mut kernel = Kernel::new();
         let (status, device) = kernel.get(0x80, 6, 0x0100, 0, 64);
         assert_eq!((status, device.len(), &device[8..12]), (0, 18, &IDS[..]));
-        // As much as is asked for.
+        // As much as requested.
         assert_eq!(kernel.get(0x80, 6, 0x0200, 0, 9), (0, vec![9, 2, 18, 0, 1, 1, 0, 0x80, 50]));
         assert_eq!(kernel.get(0x80, 6, 0x0200, 0, 255).1.len(), 18);
         assert_eq!(kernel.get(0x80, 6, 0x0300, 0, 255).1, [4, 3, 9, 4]);
         assert_eq!(kernel.get(0x80, 6, 0x0301, 0, 255).1, b"\x10\x03g\0a\0u\0g\0e\0f\0s\0");
         assert_eq!(kernel.get(0x80, 6, 0x0304, 0, 255), (-Errno::PIPE.raw_os_error(), vec![]));
         assert_eq!(kernel.get(0xc0, 1, 0, 0, 4).1, (FUNCTIONS as u32).to_le_bytes());
-        // Another endpoint is not there.
+        // There is no other endpoint.
         kernel.send(SUBMIT, [1, 1, 8], [0; 8], &[]);
         assert_eq!(kernel.answer(RET_SUBMIT, true), (-Errno::PIPE.raw_os_error(), vec![]));
         kernel.send(UNLINK, [0, 0, 0], [0; 8], &[]);
@@ -372,16 +369,16 @@ mod tests {
         // As i2c-dev marks its buffers.
         assert_eq!(kernel.put(5, 0x0200, 0x55, &[0x09]), 0);
         assert_eq!(kernel.get(0xc0, 6, 0x0201, 0x55, 2), (0, vec![0x09, 0x09]));
-        // Nobody is there.
+        // Without a target.
         assert_eq!(kernel.put(5, 0, 0x54, &[0x08]), 0);
         assert_eq!(kernel.get(0xc0, 6, 1, 0x54, 2), (0, vec![0, 0]));
         assert_eq!(kernel.status(), 2);
         assert_eq!(kernel.put(7, 0, 0x54, &[]), 0);
         assert_eq!(kernel.status(), 2);
-        // What was begun and not ended is not sent with the next one.
+        // A transfer without an end is not sent with the next one.
         assert_eq!(kernel.put(5, 0, 0x55, &[0x66]), 0);
         assert_eq!(kernel.get(0xc0, 7, 1, 0x55, 1), (0, vec![0x09]));
-        // Flags that are not offered, and more than a message holds.
+        // Unsupported flags, and more than a message holds.
         assert_eq!(kernel.put(7, 0x10, 0x55, &[1]), -Errno::PIPE.raw_os_error());
         assert_eq!(kernel.put(7, 0, 0x55, &[1; MAX_LENGTH + 1]), -Errno::PIPE.raw_os_error());
         kernel.ends().expect("it ends");
@@ -397,7 +394,7 @@ mod tests {
         assert!(
             kernel.ends().expect_err("refused").to_string().contains("more than a control transfer holds")
         );
-        // Whatever the setup is, there is one answer.
+        // Every setup gets one answer.
         let mut kernel = Kernel::new();
         for number in 0..=u16::MAX {
             let [low, high] = number.to_le_bytes();

@@ -63,7 +63,7 @@ static SCHEME: BlockPart = BlockPart {
         cell_divider: Some(5000),
     }),
     authentication: Some((112, 8)),
-    // Manufacturer block A and lifetime data, of which the second can be written (7.3.6.17).
+    // Manufacturer block A, and lifetime data, which can be written (7.3.6.17).
     sealed_blocks: &[(1, 58), (4, 59)],
     sealed_writes: Some(59),
     battery_insert: None,

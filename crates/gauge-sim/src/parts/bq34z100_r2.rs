@@ -62,7 +62,7 @@ static SCHEME: BlockPart = BlockPart {
     data_memory: None,
     gate: Some(Gate { limit: (68, 0), divider: Some(((104, 14), (64, 0, 0x0800))), cell_divider: None }),
     authentication: Some((112, 8)),
-    // Manufacturer block A and lifetime data, of which the second can be written (7.3.6.17).
+    // Manufacturer block A, and lifetime data, which can be written (7.3.6.17).
     sealed_blocks: &[(1, 58), (4, 59)],
     sealed_writes: Some(59),
     battery_insert: None,

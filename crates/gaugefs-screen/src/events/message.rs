@@ -1,15 +1,15 @@
 // SPDX-License-Identifier: MIT
 
-//! The messages that systemd-udevd sends to programs that listen with libudev: a header, then the properties of the device,
-//! each ended by a NUL.
+//! Messages of systemd-udevd to listeners with libudev: a header, then the device's properties, each with a NUL at its
+//! end.
 //!
-//! Source: systemd, `src/libsystemd/sd-device/device-monitor.c`, `monitor_netlink_header`. A listener has the kernel drop
-//! what it has not asked for, by the hashes in the header.
+//! Source: systemd, `src/libsystemd/sd-device/device-monitor.c`, `monitor_netlink_header`. The hashes in the header let
+//! the kernel drop what a listener has not asked for.
 
 use std::time::Duration;
 
-/// The group of [`NETLINK_KOBJECT_UEVENT`](nix::sys::socket::SockProtocol) that these listeners join, as a bit; that of the
-/// kernel's own messages, which udevd hears, is 1.
+/// The group of [`NETLINK_KOBJECT_UEVENT`](nix::sys::socket::SockProtocol) that these listeners join, as a bit; udevd
+/// hears the kernel's own messages in group 1.
 pub(super) const GROUP: u32 = 2;
 
 const PREFIX: &[u8; 8] = b"libudev\0";
@@ -17,7 +17,6 @@ const MAGIC: u32 = 0xfeed_cafe;
 const HEADER: u32 = 40;
 const SUBSYSTEM: &str = "power_supply";
 
-/// What has happened to a device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Action {
     Add,
@@ -35,8 +34,8 @@ impl Action {
     }
 }
 
-/// Says what has happened to a power supply. Its path begins below `/sys`, and the sequence number is above 0: libudev
-/// drops other messages. The time is that since the machine started.
+/// A message about a power supply. Its path begins below `/sys`. The sequence number is above 0, because libudev drops
+/// other messages. The time is that since the machine started.
 pub(super) fn message(action: Action, devpath: &str, name: &str, sequence: u64, uptime: Duration) -> Vec<u8> {
     let properties = format!(
         "ACTION={}\0DEVPATH={devpath}\0SUBSYSTEM={SUBSYSTEM}\0SEQNUM={sequence}\0POWER_SUPPLY_NAME={name}\0\
@@ -47,18 +46,18 @@ pub(super) fn message(action: Action, devpath: &str, name: &str, sequence: u64, 
     let length = u32::try_from(properties.len()).expect("a path is shorter");
     let mut message = PREFIX.to_vec();
     message.extend(MAGIC.to_be_bytes());
-    // Length of the header, where the properties begin, and their length.
+    // Length of the header, offset of the properties, and their length.
     for number in [HEADER, HEADER, length] {
         message.extend(number.to_ne_bytes());
     }
     message.extend(murmur_hash_2(SUBSYSTEM.as_bytes()).to_be_bytes());
-    // The hash of DEVTYPE and the Bloom filter of tags: a power supply has neither.
+    // Hash of DEVTYPE and Bloom filter of tags: a power supply has neither.
     message.extend([0; 12]);
     message.extend(properties.as_bytes());
     message
 }
 
-/// Austin Appleby's MurmurHash2 with the seed 0.
+/// Austin Appleby's MurmurHash2 with seed 0.
 fn murmur_hash_2(text: &[u8]) -> u32 {
     const M: u32 = 0x5bd1_e995;
     let (words, rest) = text.as_chunks::<4>();
@@ -93,9 +92,8 @@ mod tests {
         assert_eq!(message(Action::Add, path, "BAT0", 7, Duration::from_millis(1500)), expected);
     }
 
-    /// Values of libudev for subsystems of each length modulo 4.
-    /// What `udevadm monitor --udev --subsystem-match=...` puts into the filter of its socket, for subsystems of each length
-    /// modulo 4.
+    /// Hashes that `udevadm monitor --udev --subsystem-match=...` puts into its socket's filter, for names of each
+    /// length modulo 4.
     const HASHES: [(&str, u32); 4] = [
         ("power_supply", 0xb1ac_bcca),
         ("block", 0xf003_1db7),

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! Draws the fields. A state has a word, a sign beside it and a colour, so that any one of them is enough.
+//! Draws the fields. A state has a word, a sign and a colour, so that each alone is enough.
 
 use ratatui::Frame;
 use ratatui::layout::{Constraint, Layout, Rect};
@@ -13,17 +13,17 @@ use super::super::wrap::wrapped;
 use super::{Field, Model};
 use gaugefs_host::sign::Sign;
 
-/// A field at least so wide has its word and its sign in large letters.
+/// A field of this width has its word and sign in large letters.
 const WIDE: u16 = 34;
-/// Lines of a large word, and of a field that has one.
+/// Lines of a large word, and of a field with one.
 const LARGE: u16 = 5;
 const HIGH: u16 = LARGE + FRAME + 1;
-/// Lines and columns of a frame.
 const FRAME: u16 = 2;
-/// Columns of a sign with a text beside it.
+/// Columns of a sign with text beside it.
 const BESIDE: u16 = 8;
 
-// Of the 240 colours that no theme of a terminal changes: with the sixteen others, a text may be as bright as what is behind it.
+// From the 240 colours that no terminal theme changes: among the sixteen others, text may be as bright as its
+// background.
 const BLACK: Color = Color::Indexed(16);
 const WHITE: Color = Color::Indexed(231);
 const RED: Color = Color::Indexed(160);
@@ -42,12 +42,12 @@ const ASCII: border::Set<'static> = border::Set {
     horizontal_bottom: "-",
 };
 
-/// A terminal of so many lines has room for a message of two.
+/// A terminal of this height has room for a message of two lines.
 const TALL: u16 = 24;
-/// Lines of a question, with what has been typed. While nothing is asked for, the message has them as well.
+/// Lines of a question with the typed text. Without a question, the message has them.
 const QUESTION: u16 = 2;
 
-/// Draws everything. Returns whether a text is shown part by part, so that the screen has to go on with the next one.
+/// Draws everything. Returns whether a text is shown in parts, so that the next part must follow.
 pub(super) fn screen(frame: &mut Frame<'_>, model: &Model) -> bool {
     let message = if frame.area().height < TALL { 1 } else { 2 };
     let question = if model.asked.is_some() { QUESTION } else { 0 };
@@ -86,7 +86,7 @@ pub(super) fn screen(frame: &mut Frame<'_>, model: &Model) -> bool {
     has_parts
 }
 
-/// The end of a text, if it is too long.
+/// The end of a text that is too long.
 fn end(text: &str, width: usize) -> String {
     text.chars().skip(text.chars().count().saturating_sub(width)).collect()
 }
@@ -95,11 +95,11 @@ fn bold() -> Style {
     Style::new().add_modifier(Modifier::BOLD)
 }
 
-/// What fields need, the best first: width and height of one with large words, with two lines of text, and with none.
+/// Needs of fields, best first: width and height with large words, with two lines of text, and without text.
 const SIZES: [(u16, u16); 4] = [(WIDE, HIGH), (WIDE, 4), (NARROW, 4), (NARROW, 2)];
 const NARROW: u16 = 16;
 
-/// The areas of the fields: as few columns as leave room for the best, and rows that are as high as their texts need.
+/// Areas of the fields: as few columns as leave room for the best, and rows as high as their texts need.
 fn areas(area: Rect, fields: &[Field]) -> Vec<Rect> {
     let count = fields.len();
     let most = |width| usize::from(area.width / width).max(1);
@@ -116,7 +116,7 @@ fn areas(area: Rect, fields: &[Field]) -> Vec<Rect> {
     lines.iter().flat_map(split).collect()
 }
 
-/// The heights of rows: the same, unless one needs more and others need less.
+/// Heights of rows: equal, unless one needs more and others need less.
 fn heights(total: u16, needed: &[u16]) -> Vec<u16> {
     let rows = needed.len().max(1) as u16;
     let mut heights: Vec<u16> =
@@ -138,12 +138,11 @@ enum Place {
     Below,
     /// Beside the sign; the word is in the frame.
     Beside,
-    /// Alone.
     Alone,
 }
 
 impl Place {
-    /// The best that has room for all of the text. If none has, the text is shown part by part where most fits.
+    /// The best place with room for the whole text. Otherwise the text is shown in parts where most of it fits.
     fn of(text: &str, inner: Rect) -> (Self, Vec<String>) {
         let places = [
             (Self::Below, WIDE - FRAME, 0, LARGE),
@@ -163,7 +162,7 @@ impl Place {
     }
 }
 
-/// Draws a field. Returns whether its text is shown part by part.
+/// Draws a field. Returns whether its text is shown in parts.
 fn draw(frame: &mut Frame<'_>, model: &Model, field: &Field, area: Rect) -> bool {
     let look = look(field.sign);
     let style = match (model.colour, look.colour) {
@@ -178,7 +177,7 @@ fn draw(frame: &mut Frame<'_>, model: &Model, field: &Field, area: Rect) -> bool
     let block = Block::bordered().border_set(set).style(style);
     let inner = block.inner(area);
     let (place, lines) = Place::of(&field.text, inner);
-    // A field without room for anything else has a frame.
+    // The smallest field has only a frame.
     let word = if place == Place::Below { String::new() } else { format!("[{}] ", look.word) };
     let parts = lines.len().div_ceil(usize::from(inner.height).max(1));
     let part = model.turn % parts.max(1);
@@ -208,11 +207,11 @@ fn draw(frame: &mut Frame<'_>, model: &Model, field: &Field, area: Rect) -> bool
     parts > 1
 }
 
-/// How a state looks.
+/// The look of a state.
 struct Look {
     word: &'static str,
     shape: [&'static str; 5],
-    /// Of the letters and behind them.
+    /// Colours of the letters and their background.
     colour: Option<(Color, Color)>,
 }
 
@@ -238,7 +237,7 @@ fn large(look: &Look) -> [String; 5] {
     })
 }
 
-/// A letter of the words, five by five.
+/// A letter of five by five.
 fn letter_of(letter: char) -> [&'static str; 5] {
     match letter {
         'A' => [" ### ", "#   #", "#####", "#   #", "#   #"],
@@ -269,7 +268,7 @@ mod tests {
 
     use super::*;
 
-    /// By the Web Content Accessibility Guidelines 2.2, which ask for 4.5 where a text is small.
+    /// By the Web Content Accessibility Guidelines 2.2, which ask for 4.5 with small text.
     fn contrast(one: Color, other: Color) -> f64 {
         let light = |colour: String| {
             let part = |at: usize| u8::from_str_radix(&colour[at..at + 2], 16).expect("a colour");
@@ -289,7 +288,7 @@ mod tests {
         for sign in ALL {
             let (ink, paper) = look(sign).colour.unwrap_or((Color::Reset, Color::Reset));
             assert!(contrast(ink, paper) >= 4.5, "{sign:?}: {:.1}", contrast(ink, paper));
-            // A theme makes what it likes of the sixteen others.
+            // A theme may change the sixteen others.
             let is_fixed = |colour| matches!(colour, Color::Reset | Color::Indexed(16..=231));
             assert!(is_fixed(ink) && is_fixed(paper), "{sign:?}");
         }

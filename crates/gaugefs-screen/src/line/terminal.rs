@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! Draws the screen of a line to the terminal, and takes its keys.
+//! Draws the screen of a line on the terminal, and reads its keys.
 
 #![expect(clippy::disallowed_methods, reason = "ratatui draws on standard output, and reports what fails")]
 
@@ -22,12 +22,12 @@ use super::{Board, Key, draw};
 use crate::top::terminal::{STEP, failed};
 use gaugefs_host::error::Result;
 
-/// How long a part of a text is shown.
+/// Time for each part of a text.
 const TURN: Duration = Duration::from_secs(4);
-/// The size of a serial console, which tells none.
+/// The size of a serial console, which reports none.
 const SERIAL: Rect = Rect { x: 0, y: 0, width: 80, height: 24 };
 
-/// Shows a board until `ends`, from a thread of its own.
+/// Shows a board until `ends`, from a separate thread.
 pub(super) fn start(
     board: Board,
     lines: Sender<String>,
@@ -48,7 +48,7 @@ pub(super) fn start(
             }
         };
         let outcome = show(terminal, &board, &lines, &ends, leaves);
-        // A terminal that is gone may also fail while it is drawn to, and nobody would hear a question.
+        // A lost terminal may also fail while it is drawn, and nobody would see a question.
         if outcome.is_err() {
             board.stops.store(true, Ordering::SeqCst);
         }
@@ -92,7 +92,7 @@ fn show(
             return Ok(());
         }
         if is_gone() {
-            // The packs under way are finished; nobody can read what becomes of them but in the record.
+            // The packs under way are finished; their results are only in the record.
             board.stops.store(true, Ordering::SeqCst);
             return Ok(());
         }
@@ -122,15 +122,13 @@ fn show(
     }
 }
 
-/// Whether the terminal has been closed.
 fn is_gone() -> bool {
     let stdin = io::stdin();
-    // Only a hangup or an error is looked for.
+    // Only a hangup or an error counts.
     let mut terminal = [PollFd::new(stdin.as_fd(), PollFlags::empty())];
     poll(&mut terminal, PollTimeout::ZERO).is_ok_and(|count| count > 0)
 }
 
-/// What was typed.
 enum Typed {
     Key(Key),
     Stop,
@@ -141,7 +139,7 @@ fn key_of(key: KeyEvent) -> Option<Typed> {
     Some(match key.code {
         KeyCode::Char('c') if is_control => Typed::Stop,
         KeyCode::Char('u') if is_control => Typed::Key(Key::Clear),
-        // Scanners send what they call Enter as either of them.
+        // Scanners send either of them as Enter.
         KeyCode::Char('j' | 'm') if is_control => Typed::Key(Key::Enter),
         KeyCode::Char(_) if is_control => return None,
         KeyCode::Char(letter) => Typed::Key(Key::Letter(letter)),

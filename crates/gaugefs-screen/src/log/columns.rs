@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! The columns of a history: which there are, and what each holds.
+//! The columns of a history and their contents.
 
 use ti_gauge::chip::{Chip, Tier, snake_case};
 
@@ -8,24 +8,22 @@ use super::super::decimal::decimal;
 use gaugefs_client::sample::Sample;
 use gaugefs_host::error::{Cause, Error, Result};
 
-/// The columns that every row begins with.
+/// The first columns of every row.
 pub(super) const FIRST: [&str; 2] = ["time (UTC)", "gauge"];
-/// What is added to the unit of a register that is not read with every poll.
+/// Added to the unit of a register that not every poll reads.
 const SLOW: &str = "every 10th poll";
 
-/// What a row is made of.
+/// The contents of a row.
 pub(super) struct Facts<'a> {
     pub(super) sample: &'a Sample,
-    /// What has changed since the row before.
+    /// Changes since the previous row.
     pub(super) events: &'a str,
-    /// The line of the learning cycle.
     pub(super) learning: &'a str,
 }
 
-/// A column.
 #[derive(Clone, Debug)]
 pub(super) struct Column {
-    /// What the first line calls it: its name and unit.
+    /// Name and unit, for the first line.
     pub(super) title: String,
     value: Value,
 }
@@ -35,14 +33,13 @@ enum Value {
     Of(fn(&Sample) -> Option<String>),
     /// A register, by its file in `gauge/registers`.
     Register(String),
-    /// The names of the bits that are set in a register, by its file in `gauge`.
+    /// The set bits of a register, by its file in `gauge`.
     Bits(String),
     Events,
     Learning,
 }
 
-/// A column with a value of its own: its name, its unit, whether it is one by default, and its text for a gauge that is
-/// present.
+/// A column with its own value: name, unit, whether it is a default column, and its text for a present gauge.
 type Known = (&'static str, &'static str, bool, fn(&Sample) -> Option<String>);
 
 const KNOWN: [Known; 15] = [
@@ -62,19 +59,19 @@ const KNOWN: [Known; 15] = [
         Some(words.join(" ").trim().to_string())
     }),
     ("part", "", true, |sample| Some(sample.attribute("model_name")?.to_string())),
-    // As every command writes it, and takes it.
+    // In the form that every command writes and accepts.
     ("serial number", "", true, |sample| Some(format!("0x{}", sample.attribute("serial_number")?))),
     ("seal", "", false, |sample| sample.seal.clone()),
 ];
 
-/// The names of the columns that every part may have.
+/// Names of the columns that every part may have.
 pub(crate) fn names() -> impl Iterator<Item = &'static str> {
     KNOWN.iter().map(|known| known.0).chain([PASSED_CHARGE, EVENTS, LEARNING])
 }
 
 const EVENTS: &str = "events";
 const LEARNING: &str = "learning";
-/// A register that is a column by default.
+/// A register that is a default column.
 const PASSED_CHARGE: &str = "passed charge";
 
 fn millionths(sample: &Sample, name: &str) -> Option<String> {
@@ -85,7 +82,7 @@ fn plain(sample: &Sample, name: &str) -> Option<String> {
     sample.number(name).map(|value| value.to_string())
 }
 
-/// Splits `voltage (V)` into name and unit. What a unit is followed by says how often the value is read.
+/// Splits `voltage (V)` into name and unit. Text after the unit says how often the value is read.
 pub(crate) fn split(title: &str) -> (&str, &str) {
     let parts = title.strip_suffix(')').and_then(|title| title.split_once(" ("));
     let (name, unit) = parts.unwrap_or((title, ""));
@@ -103,7 +100,7 @@ fn title(name: &str, unit: &str, slow: bool) -> String {
 }
 
 impl Column {
-    /// The column of that name, which may be written as the file of a register is: `true_fcc`.
+    /// The column of a name, also written as a register's file: `true_fcc`.
     fn named(name: &str) -> Option<Self> {
         let name = &*name.trim().replace('_', " ");
         if let Some((name, unit, _, value)) = KNOWN.iter().find(|known| known.0 == name) {
@@ -112,14 +109,14 @@ impl Column {
         let value = match name {
             EVENTS => Value::Events,
             LEARNING => Value::Learning,
-            // It is read by a subcommand, so it is in no table of registers.
+            // A subcommand reads it, so it is in no table of registers.
             "control status" => Value::Bits("control_status".into()),
             _ => return Self::register(name),
         };
         Some(Self { title: name.into(), value })
     }
 
-    /// A register that a mount of some part shows.
+    /// A register that some part's mount shows.
     fn register(name: &str) -> Option<Self> {
         let registers = || {
             let all = Chip::all().flat_map(|chip| chip.registers).filter(|row| row.tier != Tier::Window);
@@ -131,13 +128,12 @@ impl Column {
             let title = title(name, "", registers().any(|row| row.tier == Tier::Slow));
             return Some(Self { title, value: Value::Bits(file) });
         }
-        // Where parts differ, no unit is right for all.
+        // No unit is right for all where parts differ.
         let unit = if registers().all(|row| row.unit == first.unit) { first.unit } else { "" };
         let title = title(name, unit, registers().any(|row| row.tier == Tier::Slow));
         Some(Self { title, value: Value::Register(file) })
     }
 
-    /// The columns of these names.
     pub(super) fn choose(names: &[String]) -> Result<Vec<Self>> {
         let mut columns: Vec<Self> = Vec::new();
         for name in names {
@@ -151,7 +147,7 @@ impl Column {
         Ok(columns)
     }
 
-    /// The columns of a file that exists, by its first line; `None` if `gaugefs log` did not write it.
+    /// The columns of an existing file, by its first line; `None` if `gaugefs log` did not write it.
     pub(super) fn of_file<'a>(titles: impl Iterator<Item = &'a str>) -> Option<Vec<Self>> {
         let mut titles = titles;
         if !FIRST.iter().all(|first| titles.next() == Some(*first)) {
@@ -165,7 +161,7 @@ impl Column {
         split(&self.title).0
     }
 
-    /// Its text for a gauge; empty if the gauge is absent or has no such value.
+    /// The text for a gauge; empty if the gauge is absent or has no such value.
     pub(super) fn text(&self, facts: &Facts<'_>) -> String {
         let sample = facts.sample;
         let find = |name: &str| {
@@ -187,7 +183,6 @@ impl Column {
     }
 }
 
-/// The columns without `--columns`.
 pub(super) fn usual() -> Vec<Column> {
     let known = KNOWN.iter().filter(|known| known.2).map(|known| known.0);
     known.chain([PASSED_CHARGE, EVENTS]).filter_map(Column::named).collect()
@@ -223,11 +218,11 @@ mod tests {
         assert_eq!(title("voltage").as_deref(), Some("voltage (V)"));
         assert_eq!(title("learned_status").as_deref(), Some("learned status (every 10th poll)"));
         assert_eq!(title("control_status").as_deref(), Some("control status"));
-        // The window of block access is no register that a mount shows.
+        // A mount does not show the window of block access as registers.
         assert_eq!(title("block_data_checksum"), None);
     }
 
-    /// Also those that version 0.1.0 wrote.
+    /// Also with the columns of version 0.1.0.
     #[test]
     fn a_file_is_continued_with_its_columns() {
         let old = "time (UTC),gauge,status,voltage (V),passed charge (mAh),bits";

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! The layout: a title, a strip with the status of each gauge, and panels one below the other, with one time axis.
+//! The layout: a title, a strip with each gauge's status, and panels with a common time axis.
 
 use std::borrow::Cow;
 use std::collections::HashSet;
@@ -11,22 +11,22 @@ use super::Limit;
 use super::table::{Flow, Gauge, History, Panel};
 use gaugefs_host::error::{Cause, Error, Result};
 
-/// Size of letters, and an upper bound for their average width.
+/// Font size, and an upper bound for the average width of letters.
 pub(super) const SIZE: f64 = 12.0;
 const LETTER: f64 = 7.2;
 const MARGIN: f64 = 16.0;
-/// Space for the title, for a line below it, and for the strip of one gauge.
+/// Space for the title, for a line below it, and for a gauge's strip.
 const HEAD: f64 = 28.0;
 const FACTS: f64 = 16.0;
 const STRIP: f64 = 14.0;
-/// Space above each panel for its title, below the last one for clock and elapsed time, and for a line of the legend.
+/// Space for a panel's title above it, for clock and elapsed time below the last panel, and for a line of the legend.
 const TITLE: f64 = 34.0;
 const TIMES: f64 = 48.0;
 const LEGEND: f64 = 20.0;
-/// A panel's default height, and its minimum.
+/// Default and minimum height of a panel.
 const USUAL: f64 = 140.0;
 const LEAST: f64 = 40.0;
-/// The names of the rows with times, left of them.
+/// Names of the rows with times, left of them.
 const CLOCK: &str = "UTC";
 const ELAPSED: &str = "elapsed";
 
@@ -44,7 +44,7 @@ const COLOURS: [[u8; 3]; 7] = [
     [0x56, 0xb4, 0xe9],
     [0x55, 0x55, 0x55],
 ];
-/// Colours of a status in its strip and behind the lines, with what the legend calls it.
+/// Colours of a status in its strip and behind the lines, and its name in the legend.
 const STATUS: [(&str, &str, [u8; 3], [u8; 3]); 4] = [
     ("Charging", "charging", [0x7b, 0xc8, 0x8f], [0xee, 0xf8, 0xf1]),
     ("Discharging", "discharging", [0xf2, 0xb3, 0x6b], [0xfe, 0xf6, 0xeb]),
@@ -53,12 +53,12 @@ const STATUS: [(&str, &str, [u8; 3], [u8; 3]); 4] = [
 ];
 const OTHER: (&str, &str, [u8; 3], [u8; 3]) = ("", "another status", [0xb9, 0xa5, 0xd6], [0xf6, 0xf2, 0xfb]);
 const NOTHING: [u8; 3] = [0xff, 0xff, 0xff];
-/// The part of the capacity in which a flag is set, the more urgent last.
+/// The capacity range with a flag set, the more urgent last.
 const LOW: [[u8; 3]; 2] = [[0xfb, 0xe3, 0xa6], [0xf6, 0xb8, 0xb0]];
 const OUTSIDE: [u8; 3] = [0xf9, 0xd5, 0xd0];
 const BORDER: [u8; 3] = [0xc0, 0x39, 0x2b];
 
-/// Which part of a text is at its position.
+/// The part of a text at its position.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Anchor {
     Start,
@@ -66,7 +66,6 @@ pub(super) enum Anchor {
     End,
 }
 
-/// How a text looks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Style {
     Plain,
@@ -74,7 +73,6 @@ pub(super) enum Style {
     Title,
 }
 
-/// Something to draw.
 #[derive(Clone, Debug)]
 pub(super) enum Shape {
     Area { from: (f64, f64), to: (f64, f64), colour: [u8; 3] },
@@ -83,7 +81,6 @@ pub(super) enum Shape {
     Text { at: (f64, f64), text: String, colour: [u8; 3], anchor: Anchor, style: Style },
 }
 
-/// A picture, in pixels.
 #[derive(Debug)]
 pub(super) struct Scene {
     pub(super) width: f64,
@@ -91,7 +88,6 @@ pub(super) struct Scene {
     pub(super) shapes: Vec<Shape>,
 }
 
-/// The time axis.
 struct Times {
     left: f64,
     right: f64,
@@ -106,7 +102,7 @@ impl Times {
     }
 }
 
-/// Where a panel's values are drawn.
+/// The area of a panel's values.
 struct Frame {
     top: f64,
     bottom: f64,
@@ -121,7 +117,7 @@ impl Frame {
     }
 }
 
-/// What the legend explains: a mark and its text.
+/// An entry of the legend.
 struct Key {
     mark: Mark,
     text: String,
@@ -135,18 +131,18 @@ enum Mark {
     Dot,
 }
 
-/// How a series is drawn, by its number: beyond the colours, they begin again with dashes.
+/// The line style of a series: after the last colour, they repeat with dashes.
 fn colour_of(number: usize) -> ([u8; 3], bool) {
     (COLOURS[number % COLOURS.len()], number / COLOURS.len() % 2 == 1)
 }
 
-/// Whether the names of a panel's series have room beside its title; otherwise they are in the legend.
+/// Whether the names of a panel's series fit beside its title; otherwise they are in the legend.
 fn names_fit(panel: &Panel, width: f64) -> bool {
     let letters: usize = labels(panel).map(|label| label.chars().count()).sum();
     letters as f64 * LETTER + panel.series.len() as f64 * 40.0 <= width - 300.0
 }
 
-/// Lays a history out as a picture. The default height depends on the number of panels.
+/// Lays out a history. The default height depends on the number of panels.
 pub(super) fn lay_out(history: &History, limits: &[Limit], width: u16, height: Option<u16>) -> Result<Scene> {
     let History { panels, gauges } = history;
     let (width, count) = (f64::from(width), panels.len() as f64);
@@ -217,7 +213,6 @@ pub(super) fn lay_out(history: &History, limits: &[Limit], width: u16, height: O
     Ok(Scene { width, height, shapes })
 }
 
-/// The first and the last row.
 fn bounds(gauges: &[Gauge]) -> (f64, f64) {
     let start = (f64::INFINITY, f64::NEG_INFINITY);
     gauges.iter().fold(start, |(from, to), gauge| (from.min(gauge.from), to.max(gauge.to)))
@@ -245,7 +240,6 @@ fn facts(gauges: &[Gauge], width: f64) -> Vec<String> {
     lines
 }
 
-/// The title: part, serial number and gauge.
 fn title(shapes: &mut Vec<Shape>, gauges: &[Gauge], facts: &[String], width: f64) {
     let head = match gauges {
         [gauge] => {
@@ -272,7 +266,7 @@ fn title(shapes: &mut Vec<Shape>, gauges: &[Gauge], facts: &[String], width: f64
     }
 }
 
-/// A text, cut to what fits.
+/// A text, cut to fit.
 fn cut(text: &str, width: f64, letter: f64) -> String {
     let room = (width / letter) as usize;
     if text.chars().count() <= room {
@@ -293,7 +287,7 @@ fn lasted(seconds: f64) -> String {
     }
 }
 
-/// What has flowed, in each direction that there was.
+/// The flow in each direction with any.
 fn flowed(flow: &Flow) -> Vec<String> {
     let one = |word: &str, charge: f64, energy: Option<f64>| {
         let energy = energy.map(|energy| format!(", {energy:.2} Wh")).unwrap_or_default();
@@ -305,12 +299,11 @@ fn flowed(flow: &Flow) -> Vec<String> {
     out.into_iter().chain(into).collect()
 }
 
-/// The colours of a status, and its name in the legend.
 fn status_of(status: &str) -> &'static (&'static str, &'static str, [u8; 3], [u8; 3]) {
     STATUS.iter().find(|known| known.0 == status).unwrap_or(&OTHER)
 }
 
-/// The status of a gauge as areas: as a strip, or behind the lines.
+/// A gauge's status as areas: a strip, or behind the lines.
 fn tints(shapes: &mut Vec<Shape>, gauge: &Gauge, times: &Times, (top, bottom): (f64, f64), strip: bool) {
     for stretch in &gauge.stretches {
         let colour = match &stretch.status {
@@ -327,7 +320,7 @@ fn tints(shapes: &mut Vec<Shape>, gauge: &Gauge, times: &Times, (top, bottom): (
     }
 }
 
-/// Everything that the picture has and a panel's title does not explain.
+/// What the picture contains and no panel's title explains.
 fn legend(history: &History, limits: &[Limit], width: f64) -> Vec<Key> {
     let mut keys: Vec<Key> = Vec::new();
     let mut seen = HashSet::new();
@@ -371,7 +364,6 @@ fn legend(history: &History, limits: &[Limit], width: f64) -> Vec<Key> {
     keys
 }
 
-/// Breaks the legend into rows.
 fn rows_of(keys: &[Key], width: f64) -> Vec<Vec<&Key>> {
     let mut rows: Vec<Vec<&Key>> = Vec::new();
     let mut left = 0.0;
@@ -389,7 +381,6 @@ fn rows_of(keys: &[Key], width: f64) -> Vec<Vec<&Key>> {
     rows
 }
 
-/// The width of a key with the gap after it.
 fn length(key: &Key) -> f64 {
     22.0 + key.text.chars().count() as f64 * LETTER + 14.0
 }
@@ -419,10 +410,10 @@ fn draw_keys(shapes: &mut Vec<Shape>, keys: &[&Key], (left, middle): (f64, f64))
     }
 }
 
-/// The clock, and below it the time since the beginning.
+/// The clock, and below it the time since the start.
 fn axis_of_times(shapes: &mut Vec<Shape>, times: &Times, base: f64, room: usize) {
     for (name, row) in [(CLOCK, 17.0), (ELAPSED, 39.0)] {
-        // At the edge, so that they do not touch the first time.
+        // At the edge, away from the first time.
         text(shapes, (MARGIN, base + row), name, FAINT, Anchor::Start);
     }
     for (time, label) in &times.marks {
@@ -445,7 +436,7 @@ fn values(panel: &Panel) -> impl Iterator<Item = f64> + '_ {
     panel.series.iter().flat_map(|series| series.lines.iter().flatten().map(|(_, value)| *value))
 }
 
-/// Whether zero means something in a panel: a current or power flows in two directions.
+/// Whether zero matters in a panel: current and power flow in two directions.
 fn has_zero(panel: &Panel) -> bool {
     ["A", "mA", "W", "mW"].contains(&panel.unit.as_str())
 }
@@ -482,7 +473,7 @@ fn text(shapes: &mut Vec<Shape>, at: (f64, f64), text: &str, colour: [u8; 3], an
     shapes.push(Shape::Text { at, text: text.to_string(), colour, anchor, style: Style::Plain });
 }
 
-/// The names of a panel's series: by column, gauge or both, whatever differs within it.
+/// Names of a panel's series: column, gauge or both, whatever differs.
 fn labels(panel: &Panel) -> impl DoubleEndedIterator<Item = Cow<'_, str>> + ExactSizeIterator {
     let first = &panel.series[0];
     let one_gauge = panel.series.iter().all(|other| other.gauge == first.gauge);
@@ -494,7 +485,7 @@ fn labels(panel: &Panel) -> impl DoubleEndedIterator<Item = Cow<'_, str>> + Exac
     })
 }
 
-/// The parts of a panel that have a meaning: beyond a limit, or with a flag of a low charge.
+/// Ranges of a panel with a meaning: beyond a limit, or with a flag of low charge.
 fn bands(
     shapes: &mut Vec<Shape>,
     panel: &Panel,
@@ -565,7 +556,7 @@ fn draw(
         (false, unit) => unit.to_string(),
     };
     let many = panel.series.len() > 1;
-    // If each panel has one line, each panel has its own colour.
+    // Panels with one line each have different colours.
     let colour = |at: usize| colour_of(if many { at } else { number });
     let mut start = left;
     if !many {

@@ -53,7 +53,7 @@ pub(super) fn render(scene: &Scene) -> String {
                     Style::Bold => " font-weight=\"bold\"",
                     Style::Title => " font-weight=\"bold\" font-size=\"16\"",
                 };
-                // Names are those of the file. A control character would make the picture invalid.
+                // Names come from the file. A control character would make the picture invalid.
                 let text: String = text.chars().filter(|letter| !letter.is_control()).collect();
                 let text = text.replace('&', "&amp;").replace('<', "&lt;");
                 writeln!(

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! Reads the CSV into lines to draw.
+//! Reads the CSV as lines to draw.
 
 use std::collections::HashMap;
 
@@ -10,11 +10,10 @@ use super::super::log::columns::split;
 use super::super::thin::Point;
 use gaugefs_host::error::{Cause, Error, Result};
 
-/// The columns that are drawn by default.
 const USUAL: [&str; 4] = ["voltage", "current", "capacity", "temperature"];
-/// The largest value that can be drawn: differences of such values, and steps of an axis, can be computed.
+/// Largest value that can be drawn: differences and axis steps of such values are computable.
 const MOST: f64 = 1e15;
-/// A pause this many times as long as the usual one is a gap: nothing was recorded.
+/// A pause this many times longer than usual is a gap without records.
 const GAP: f64 = 10.0;
 
 /// Series that share a unit.
@@ -24,7 +23,7 @@ pub(super) struct Panel {
     pub(super) series: Vec<Series>,
 }
 
-/// One column of one gauge.
+/// A column of a gauge.
 #[derive(Debug)]
 pub(crate) struct Series {
     pub(crate) gauge: String,
@@ -33,31 +32,28 @@ pub(crate) struct Series {
     pub(crate) lines: Vec<Vec<Point>>,
 }
 
-/// What a file holds.
 #[derive(Debug)]
 pub(super) struct History {
     pub(super) panels: Vec<Panel>,
     pub(super) gauges: Vec<Gauge>,
 }
 
-/// A gauge of a file.
 #[derive(Debug)]
 pub(super) struct Gauge {
     pub(super) name: String,
     pub(super) part: String,
     pub(super) serial: String,
-    /// First and last row.
     pub(super) from: f64,
     pub(super) to: f64,
-    /// What it did, without gaps where it was recorded.
+    /// Its status over time, without gaps where it was recorded.
     pub(super) stretches: Vec<Stretch>,
-    /// What has flowed, if current was recorded.
+    /// The charge that has flowed, if current was recorded.
     pub(super) flow: Option<Flow>,
-    /// A flag that reports a low charge, and the largest capacity at which it was set.
+    /// Flags of a low charge, with the largest capacity at which each was set.
     pub(super) low: Vec<(&'static str, f64)>,
 }
 
-/// A time during which `status` was the same; without one, nothing was recorded or the gauge was absent.
+/// A time with a constant `status`; `None` if nothing was recorded or the gauge was absent.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Stretch {
     pub(super) from: f64,
@@ -73,17 +69,16 @@ pub(super) struct Flow {
     pub(super) energy: Option<(f64, f64)>,
 }
 
-/// The flags of a low charge, the more urgent last.
 const LOW: [&str; 2] = ["SOC1", "SOCF"];
 
 fn invalid(subject: impl Into<String>, why: impl Into<String>) -> Error {
     Error::new(subject, Cause::Invalid, why.into())
 }
 
-/// A row: its time and its fields.
+/// A row's time and fields.
 type Row = (f64, csv::StringRecord);
 
-/// The line at which a row begins. Where lines end with CR and LF, the reader has its position between the two.
+/// The line of a row. Between CR and LF the reader's position is still before the line.
 fn line_of(text: &[u8], at: &csv::Position) -> String {
     let (before, rest) = text.split_at(text.len().min(at.byte() as usize));
     let ends = rest.iter().take_while(|byte| b"\r\n".contains(byte));
@@ -91,7 +86,7 @@ fn line_of(text: &[u8], at: &csv::Position) -> String {
     format!("line {}", count + 1)
 }
 
-/// The wanted columns, grouped by unit, and what is known of the gauges.
+/// The wanted columns, grouped by unit, and the gauges' facts.
 pub(super) fn read(text: &[u8], wanted: &[String]) -> Result<History> {
     let mut reader = csv::ReaderBuilder::new().flexible(true).from_reader(text);
     let broken = |error: csv::Error| match (error.kind(), error.position()) {
@@ -102,7 +97,7 @@ pub(super) fn read(text: &[u8], wanted: &[String]) -> Result<History> {
     if headers.get(0) != Some("time (UTC)") || headers.get(1) != Some("gauge") {
         return Err(invalid("", "not written by `gaugefs log`: its first columns are not time and gauge"));
     }
-    // In the order in which the file has them.
+    // In the file's order.
     let (mut gauges, mut numbers) = (Vec::<(String, Vec<Row>)>::new(), HashMap::new());
     for record in reader.records() {
         let record = record.map_err(broken)?;
@@ -140,7 +135,7 @@ pub(super) fn read(text: &[u8], wanted: &[String]) -> Result<History> {
                 points.push((*time, value));
             }
             let lines = lines(&points);
-            // A default column that the gauge does not have is left out.
+            // A default column that the gauge lacks is left out.
             if wanted.is_empty() && lines.is_empty() {
                 continue;
             }
@@ -158,7 +153,7 @@ pub(super) fn read(text: &[u8], wanted: &[String]) -> Result<History> {
     Ok(History { panels, gauges: gauges.collect() })
 }
 
-/// What the rows of a gauge say beside the columns that are drawn.
+/// A gauge's facts beside the drawn columns.
 fn gauge(name: String, headers: &csv::StringRecord, rows: &[Row]) -> Gauge {
     let field = |row: &Row, name: &str| {
         let at = headers.iter().position(|header| split(header).0 == name)?;
@@ -185,7 +180,7 @@ fn gauge(name: String, headers: &csv::StringRecord, rows: &[Row]) -> Gauge {
             flow.get_or_insert_default().add(current * hours, mean("voltage"));
         }
     }
-    // Without a column `status` nothing is known of it.
+    // Nothing is known without a column `status`.
     if !headers.iter().any(|header| header == "status") {
         stretches.clear();
     }
@@ -208,7 +203,7 @@ fn gauge(name: String, headers: &csv::StringRecord, rows: &[Row]) -> Gauge {
 }
 
 impl Flow {
-    /// Adds a charge, positive into the pack, that has flowed at a voltage.
+    /// Adds a charge, positive into the pack, at a voltage.
     fn add(&mut self, charge: f64, voltage: Option<f64>) {
         if charge > 0.0 {
             self.charged += charge
@@ -222,7 +217,7 @@ impl Flow {
     }
 }
 
-/// The longest time between two rows that is not a gap.
+/// Longest time between two rows without a gap.
 fn longest_step(times: impl Iterator<Item = f64>) -> f64 {
     let times: Vec<_> = times.collect();
     let mut steps: Vec<_> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
@@ -240,7 +235,7 @@ fn names(headers: &csv::StringRecord, wanted: &[String]) -> Result<Vec<String>> 
     }
     let mut names = Vec::new();
     for name in wanted.iter().map(|name| name.trim()) {
-        // As a register's file is written, and as `gaugefs log` takes it.
+        // Accept the names of register files, as `gaugefs log` does.
         let spaced = name.replace('_', " ");
         let name = if there.contains(&name) { name } else { &spaced };
         if !there.contains(&name) {
@@ -254,13 +249,13 @@ fn names(headers: &csv::StringRecord, wanted: &[String]) -> Result<Vec<String>> 
     Ok(names)
 }
 
-/// Splits points into lines at missing values and at long pauses.
+/// Splits points into lines at missing values and long pauses.
 fn lines(points: &[(f64, Option<f64>)]) -> Vec<Vec<Point>> {
     let longest = longest_step(points.iter().map(|point| point.0));
     let mut lines: Vec<Vec<Point>> = vec![Vec::new()];
     let mut before = f64::NEG_INFINITY;
     for &(time, value) in points {
-        // If the clock was set back, the line would go to the left.
+        // After the clock was set back, the line would go to the left.
         let cut = value.is_none() || time - before > longest || time < before;
         if cut && lines.last().is_some_and(|line| !line.is_empty()) {
             lines.push(Vec::new());
@@ -321,7 +316,7 @@ mod tests {
         }
     }
 
-    /// It would take an hour if each gauge looked at the rows of all others.
+    /// It would take an hour if each gauge looked at all others' rows.
     #[test]
     fn regression_many_gauges_took_the_square_of_their_number() {
         let mut text = "time (UTC),gauge,status,voltage (V)\n".to_string();

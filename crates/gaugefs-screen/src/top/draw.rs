@@ -21,7 +21,7 @@ use gaugefs_client::sample::Sample;
 use gaugefs_client::watch::learned_parameters;
 use ti_gauge::chip::{Chip, snake_case};
 
-/// Keys, the most important first: a narrow screen has room for a few.
+/// Keys, most important first: a narrow screen has room for a few.
 const KEYS: [(&str, &str); 9] = [
     ("q", "quit"),
     ("?", "help"),
@@ -34,10 +34,10 @@ const KEYS: [(&str, &str); 9] = [
     ("d", "data flash"),
 ];
 
-/// A point of the grid, in the same script as the lines.
+/// A grid point, in the same script as the lines.
 const GRID: &str = "\u{2802}";
 
-/// Parts of the names of registers that show the progress of learning; these are listed first.
+/// Parts of register names that show the progress of learning; these come first.
 const LEARNING: [&str; 6] = ["passed", "qmax", "true", "dod", "accumulated", "unfiltered"];
 
 const HELP: &str = "\
@@ -56,7 +56,6 @@ d        read the learned values from data flash, once: a sealed gauge is
 
 Only r and these reads cause bus traffic.";
 
-/// Draws everything.
 pub(super) fn screen(frame: &mut Frame<'_>, model: &Model, now: f64) {
     let area = frame.area();
     // Most of the screen is for the selected gauge.
@@ -83,7 +82,7 @@ fn bold() -> Style {
     Style::new().add_modifier(Modifier::BOLD)
 }
 
-/// One of the sixteen colours of the terminal, if colours are enabled.
+/// One of the terminal's sixteen colours, if colours are enabled.
 fn coloured(model: &Model, colour: Color) -> Style {
     if model.colour { Style::new().fg(colour) } else { Style::new() }
 }
@@ -124,13 +123,12 @@ fn bottom(model: &Model, width: u16) -> Line<'static> {
     Line::from(spans)
 }
 
-/// A column of the table.
 struct Column {
     title: &'static str,
-    /// The least width, so that columns stay in their places while values change.
+    /// Minimum width, so that columns stay in place while values change.
     width: usize,
     right: bool,
-    /// Columns of higher numbers are left out first where there is no room.
+    /// Columns of higher ranks are left out first.
     rank: u8,
 }
 
@@ -151,26 +149,24 @@ const COLUMNS: [Column; 11] = [
     column("TIME", 15, true, 9),
     column("SEAL", 11, false, 10),
 ];
-/// The columns that have colours.
+/// The columns with colours.
 const STATUS: usize = 2;
 const CHARGE: usize = 6;
 const PERCENT: usize = 7;
-/// The texts of a row.
 type Texts = [String; COLUMNS.len()];
 /// Blocks of a bar on a screen of that many columns, and on others.
 const WIDE: (u16, usize) = (120, 20);
 const BLOCKS: usize = 10;
-/// Spaces between two columns.
 const GAP: usize = 2;
 
-/// The widths of the columns that fit, and 0 for the others.
+/// Widths of the columns that fit, and 0 for the others.
 fn widths(rows: &[Texts], width: usize) -> [usize; COLUMNS.len()] {
     let widest = |at: usize| rows.iter().map(|row| row[at].chars().count()).max().unwrap_or(0);
     let wanted: [usize; COLUMNS.len()] = std::array::from_fn(|at| widest(at).max(COLUMNS[at].width));
     let mut ranked: Vec<_> = (1..COLUMNS.len()).collect();
     ranked.sort_by_key(|&at| COLUMNS[at].rank);
     let mut widths = [0; COLUMNS.len()];
-    // A long name is cut where it would take the place of a value.
+    // A long name is cut before it takes a value's place.
     let name = wanted[0].min((width / 4).max(COLUMNS[0].width));
     let mut left = width.saturating_sub(name);
     for at in ranked {
@@ -203,7 +199,7 @@ fn gauges(frame: &mut Frame<'_>, model: &Model, now: f64, area: Rect) {
     let rows = rows.into_iter().zip(colours).enumerate().map(|(number, (texts, colour))| {
         let is_selected = number == model.selected && model.gauges.len() > 1;
         row(texts, &|at| match at {
-            // The whole row would turn its bar inside out.
+            // Reversing the whole row would invert its bar.
             0 if is_selected => Style::new().add_modifier(Modifier::REVERSED),
             STATUS => coloured(model, colour.status),
             CHARGE | PERCENT => colour.charge(model),
@@ -216,26 +212,25 @@ fn gauges(frame: &mut Frame<'_>, model: &Model, now: f64, area: Rect) {
     frame.render_stateful_widget(table, area, &mut state);
 }
 
-/// The end of a text: that of a path says more than its beginning.
+/// The end of a text, which is the informative part of a path.
 fn cut(text: String, width: usize) -> String {
     let over = text.chars().count().saturating_sub(width);
     if over == 0 { text } else { "\u{2026}".chars().chain(text.chars().skip(over + 1)).collect() }
 }
 
-/// A gauge's name, or its folder if another gauge has the same name.
+/// A gauge's name, or its folder if the name is not unique.
 fn label(model: &Model, gauge: &Gauge) -> String {
     let name = gauge.name();
     let alike = model.gauges.iter().filter(|other| other.name() == name).count();
     if alike > 1 { gauge.folder.display().to_string() } else { name }
 }
 
-/// The colours of a row.
 struct Colours {
     status: Color,
     level: Option<Level>,
 }
 
-/// What the gauge itself says of its charge.
+/// The gauge's own judgement of its charge.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Level {
     Enough,
@@ -274,14 +269,14 @@ impl Colours {
     }
 }
 
-/// So much of a bar is filled, and something unless it is empty.
+/// A bar, with at least one block unless it is empty.
 fn bar(percent: i64, blocks: usize) -> String {
     let percent = percent.clamp(0, 100) as usize;
     let filled = ((percent * blocks + 50) / 100).max(usize::from(percent > 0));
     "\u{2588}".repeat(filled) + &"\u{2591}".repeat(blocks - filled)
 }
 
-/// A gauge's row except for its name, and its colours.
+/// A gauge's row without its name, and its colours.
 fn cells(model: &Model, gauge: &Gauge, now: f64, blocks: usize) -> (Texts, Colours) {
     let mut row = Texts::default();
     let mut colours = Colours { status: Color::Red, level: None };
@@ -395,10 +390,10 @@ fn details(model: &Model, gauge: &Gauge, now: f64, width: u16) -> Vec<Line<'stat
     lines
 }
 
-/// A chart of that many columns and lines is as good as a larger one.
+/// A chart of this size shows as much as a larger one.
 const CHART: (u16, u16) = (50, 9);
 
-/// The charts of all quantities where there is room, and otherwise that of one.
+/// Charts of all quantities if there is room, otherwise of one.
 fn charts(frame: &mut Frame<'_>, model: &Model, gauge: &Gauge, now: f64, area: Rect) {
     let has_room = |columns: &u16| area.width / columns >= CHART.0 && area.height / (4 / columns) >= CHART.1;
     let columns = [2, 1].into_iter().find(has_room).filter(|_| model.quantity.is_none());
@@ -421,7 +416,7 @@ fn chart(frame: &mut Frame<'_>, model: &Model, gauge: &Gauge, now: f64, quantity
     }
     let now = model.paused.unwrap_or(now);
     let (span, words) = model.span();
-    // Each column has two columns of braille dots.
+    // A column has two columns of braille dots.
     let past = model.past(gauge);
     let lines = gauge.history.lines(past, quantity, now, span, usize::from(area.width) * 2);
     let title = format!("{} in {}, last {words}", quantity.name(), quantity.unit());
@@ -433,7 +428,7 @@ fn chart(frame: &mut Frame<'_>, model: &Model, gauge: &Gauge, now: f64, quantity
         return;
     }
     let (low, high) = (values().fold(f64::INFINITY, f64::min), values().fold(f64::NEG_INFINITY, f64::max));
-    // A low screen has no room for the times.
+    // A low screen has no room for times.
     let timed = area.height >= 7;
     let height = usize::from(area.height) - if timed { 3 } else { 1 };
     let (low, high, marks) = ticks::numbers(low, high, quantity.least_span(), (height / 3).clamp(1, 9));
@@ -449,7 +444,7 @@ fn chart(frame: &mut Frame<'_>, model: &Model, gauge: &Gauge, now: f64, quantity
         let kind = if line.len() > 1 { GraphType::Line } else { GraphType::Scatter };
         Dataset::default().marker(Marker::Braille).graph_type(kind).style(style).data(line)
     });
-    // The chart makes room for labels of the times, but spreads them evenly; they belong to their places.
+    // The chart makes room for time labels, but would spread them evenly instead of at their places.
     let room = if timed { vec![""; 2] } else { Vec::new() };
     let axes = coloured(model, Color::DarkGray);
     let chart = Chart::new(sets.collect())
@@ -466,8 +461,8 @@ fn chart(frame: &mut Frame<'_>, model: &Model, gauge: &Gauge, now: f64, quantity
     }
 }
 
-/// The grid of a chart, where it has drawn nothing, and below it the times at their places: as many as have room from
-/// the column `left` on.
+/// The grid where a chart has drawn nothing, and below it as many times as fit from the column `left` on, at their
+/// places.
 fn grid(frame: &mut Frame<'_>, graph: Rect, rows: &[u16], span: f64, left: u16, style: Style) {
     let times = ticks::divisions(span, usize::from(graph.width / 11));
     let place = |ago: f64| graph.right() - 1 - (ago / span * f64::from(graph.width - 1)).round() as u16;
@@ -491,7 +486,7 @@ fn grid(frame: &mut Frame<'_>, graph: Rect, rows: &[u16], span: f64, left: u16, 
     }
 }
 
-/// The state of learning: learned values, if they were read, registers, and recent changes.
+/// The state of learning: learned values if read, registers, and recent changes.
 fn learning(frame: &mut Frame<'_>, gauge: &Gauge, now: f64, area: Rect) {
     let Some(sample) = &gauge.shown else { return };
     let mut lines = vec![];
@@ -529,7 +524,7 @@ fn learning(frame: &mut Frame<'_>, gauge: &Gauge, now: f64, area: Rect) {
         registers(model_name, sample).partition(|(name, _)| LEARNING.iter().any(|word| name.contains(word)));
     first.extend(others);
     lines.extend(columns(&first, area.width));
-    // Changes get the remaining lines, and always a few.
+    // Changes get the remaining lines, and at least a few.
     let room = usize::from(area.height);
     let least = (room / 3).min(gauge.changes.len().max(1) + 1);
     lines.truncate(room.saturating_sub(least));
@@ -568,7 +563,7 @@ fn columns(cells: &[(String, String)], width: u16) -> Vec<Line<'static>> {
     let count = ((usize::from(width) + 3) / (name + value + 4)).max(1);
     let rows = cells.len().div_ceil(count);
     let cell = |at: usize| cells.get(at).map(|(key, text)| format!("{key:name$} {:value$}", text.trim_end()));
-    // Row by row, so that what does not fit is the end of the list.
+    // Row by row, so that the list's end is what does not fit.
     (0..rows)
         .map(|row| {
             let across: Vec<_> = (0..count).filter_map(|column| cell(row * count + column)).collect();

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! The history of a gauge's quantities, for a chart.
+//! History of a gauge's quantities, for a chart.
 
 use std::collections::VecDeque;
 
@@ -8,20 +8,18 @@ use super::super::plot::Series;
 use super::super::thin;
 use gaugefs_client::sample::Sample;
 
-/// A day of the fastest polls. When it is full, the oldest are dropped.
+/// A day of the fastest polls. Then the oldest are dropped.
 const MOST: usize = 172_800;
 
-/// A quantity that can be drawn: its place in [`QUANTITIES`].
+/// A quantity for a chart: its place in [`QUANTITIES`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Quantity(usize);
 
-/// A row of [`QUANTITIES`].
 struct Row {
-    /// The key that chooses it.
     key: char,
     name: &'static str,
     unit: &'static str,
-    /// The minimum span of an axis, so that noise of one step does not fill the chart.
+    /// Minimum span of an axis, so that noise of one step does not fill the chart.
     least_span: f64,
     attribute: &'static str,
     /// Steps of the attribute in the unit.
@@ -38,10 +36,9 @@ static QUANTITIES: [Row; 4] = [
 
 impl Quantity {
     pub(super) const VOLTAGE: Self = Self(0);
-    /// The charge first.
     pub(super) const ALL: [Self; 4] = [Self(2), Self(0), Self(1), Self(3)];
 
-    /// The one that a key chooses.
+    /// The quantity of a key.
     pub(super) fn of_key(key: char) -> Option<Self> {
         QUANTITIES.iter().position(|row| row.key == key).map(Self)
     }
@@ -71,7 +68,7 @@ struct Point {
     values: [Option<f64>; 4],
 }
 
-/// What a log has of a gauge: the lines of each quantity, in seconds since 1970.
+/// A log's part of a gauge's history: lines of each quantity, in seconds since 1970.
 #[derive(Debug, Default)]
 pub(super) struct Past {
     pub(super) gauge: String,
@@ -79,7 +76,7 @@ pub(super) struct Past {
 }
 
 impl Past {
-    /// The histories of all gauges of a log.
+    /// The histories of all gauges in a log.
     pub(super) fn of(series: Vec<Series>) -> Vec<Self> {
         let mut all: Vec<Self> = Vec::new();
         for Series { gauge, column, lines } in series {
@@ -93,7 +90,7 @@ impl Past {
         all
     }
 
-    /// What is known of a quantity from the last point before `from` on, and before `to`.
+    /// Lines of a quantity from the last point before `from` until `to`.
     fn lines(&self, quantity: Quantity, from: f64, to: f64) -> impl Iterator<Item = Vec<thin::Point>> {
         self.lines[quantity.0].iter().filter_map(move |line| {
             let first = line.partition_point(|(time, _)| *time < from).saturating_sub(1);
@@ -103,10 +100,9 @@ impl Past {
     }
 }
 
-/// A log that is this many of its steps older than the first poll has stopped before.
+/// A log that ends this many of its steps before the first poll is not continued.
 const JOINED: f64 = 2.5;
 
-/// Polls, the oldest first.
 #[derive(Default)]
 pub(super) struct History(VecDeque<Point>);
 
@@ -117,7 +113,7 @@ impl History {
         self.push(Point { time: seconds(sample.time), values });
     }
 
-    /// Records that nothing is known from now until the next poll.
+    /// Records that nothing is known until the next poll.
     pub(super) fn gap(&mut self, now: f64) {
         if self.0.back().is_some_and(|point| point.values.iter().any(Option::is_some)) {
             self.push(Point { time: now, values: [None; 4] });
@@ -131,8 +127,8 @@ impl History {
         self.0.push_back(point);
     }
 
-    /// The lines of the last `span` seconds, as seconds relative to `now` and values, reduced to what `columns`
-    /// can show. They begin with what a log has of the time before the first poll.
+    /// The lines of the last `span` seconds, in seconds relative to `now`, reduced to what `columns` can show. They
+    /// begin with the log's part before the first poll.
     pub(super) fn lines(
         &self,
         past: Option<&Past>,
@@ -166,13 +162,12 @@ impl History {
     }
 }
 
-/// Whether the polls of this program go on where a log ends.
+/// Whether this program's polls continue a log.
 fn is_joined(logged: &[thin::Point], polled: &[thin::Point]) -> bool {
     let [.., (before, _), (last, _)] = logged else { return false };
     polled.first().is_some_and(|(first, _)| first - last <= JOINED * (last - before))
 }
 
-/// Seconds since 1970.
 pub(super) fn seconds(time: jiff::Timestamp) -> f64 {
     time.as_millisecond() as f64 / 1000.0
 }

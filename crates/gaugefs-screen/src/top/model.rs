@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! The state of `top` and the effect of its keys. It reads no file and draws nothing.
+//! The state of `top`, and the effects of its keys. It reads no file and draws nothing.
 
 use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
@@ -26,24 +26,22 @@ const SPANS: [(f64, &str); 10] = [
     (3.0 * 86_400.0, "3 d"),
     (7.0 * 86_400.0, "7 d"),
 ];
-/// A mount hangs if it does not report for this many seconds after its next report was due.
+/// A mount hangs if its report is overdue by this many seconds.
 const SILENCE: f64 = 5.0;
-/// Seconds between two reads of the learned values of a gauge that is unsealed.
+/// Seconds between two reads of an unsealed gauge's learned values.
 const LEARNED_EVERY: f64 = 60.0;
-/// The number of changes of bits and learned values that are kept.
+/// Number of kept changes of bits and learned values.
 const MOST_CHANGES: usize = 500;
 
-/// One gauge.
 pub(super) struct Gauge {
     pub(super) folder: PathBuf,
     root: usize,
     /// The last sample, and the one on the screen, which is older during a pause.
     latest: Option<Sample>,
     pub(super) shown: Option<Sample>,
-    /// Why there is no sample.
     pub(super) trouble: Option<String>,
     pub(super) history: History,
-    /// Changes of bits and of learned values, the newest first.
+    /// Changes of bits and learned values, newest first.
     pub(super) changes: VecDeque<(f64, String)>,
     pub(super) learned: Option<Result<Vec<Learned>, String>>,
     /// The learning cycle, if the part has one, and its state on the screen.
@@ -51,13 +49,12 @@ pub(super) struct Gauge {
     limits: Limits,
     state: Option<State>,
     pub(super) shown_state: Option<State>,
-    /// When the learned values were requested, and when they arrived.
+    /// When learned values were requested, and when they arrived.
     asked: Option<f64>,
     pub(super) learned_at: Option<f64>,
 }
 
 impl Gauge {
-    /// The folder's name, such as `BAT0`.
     pub(super) fn name(&self) -> String {
         self.folder.file_name().unwrap_or_default().to_string_lossy().into_owned()
     }
@@ -69,7 +66,7 @@ impl Gauge {
     }
 }
 
-/// What the caller has to do after a key press.
+/// The caller's task after a key press.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) enum Action {
     Nothing,
@@ -78,26 +75,23 @@ pub(super) enum Action {
     Suspend,
 }
 
-/// The state of the screen.
 pub(super) struct Model {
     pub(super) gauges: Vec<Gauge>,
     pub(super) selected: usize,
-    /// The one of the chart; `None` for all, where there is room.
+    /// The chart's quantity; `None` for all, where there is room.
     pub(super) quantity: Option<Quantity>,
     span: usize,
-    /// The start of the pause.
     pub(super) paused: Option<f64>,
     pub(super) help: bool,
     pub(super) learning: bool,
-    /// The reply to the last key press, shown until the next.
+    /// The reply to the last key press, until the next one.
     pub(super) message: String,
-    /// Colours may be used.
     pub(super) colour: bool,
-    /// What was recorded before.
+    /// Recorded histories.
     logs: Vec<Past>,
     /// Time between two samples, in seconds.
     every: f64,
-    /// The time of the last report of each mount.
+    /// Each mount's last report.
     reported: Vec<f64>,
     orders: Vec<(usize, Order)>,
 }
@@ -126,8 +120,8 @@ impl Model {
         self
     }
 
-    /// What a log has of a gauge. It names no mount, so two gauges of that name have none of it; and the time of a simulated
-    /// battery that was faster than the clock is another one.
+    /// A log's history of a gauge. A log names no mount, so two gauges with the same name have none; nor does a
+    /// simulated battery whose time runs faster than the clock.
     pub(super) fn past(&self, gauge: &Gauge) -> Option<&Past> {
         let name = gauge.name();
         let is_other = |other: &Gauge| other.folder != gauge.folder && other.name() == name;
@@ -140,7 +134,6 @@ impl Model {
         self.logs.iter().find(|past| past.gauge == name).filter(|_| has_one)
     }
 
-    /// Span of the chart in seconds, and in words.
     pub(super) fn span(&self) -> (f64, &'static str) {
         SPANS[self.span]
     }
@@ -149,7 +142,7 @@ impl Model {
         self.gauges.get(self.selected)
     }
 
-    /// Adds new mounts. A mount that never reports hangs, counted from now.
+    /// Adds new mounts. Silence of a new mount counts from now.
     pub(super) fn add_mounts(&mut self, roots: &[PathBuf], now: f64) {
         for (at, root) in roots.iter().enumerate().skip(self.reported.len()) {
             self.reported.push(now);
@@ -159,12 +152,11 @@ impl Model {
         }
     }
 
-    /// For how many seconds a hanging mount has not reported.
+    /// Seconds without a report from a hanging mount.
     pub(super) fn silence(&self, gauge: &Gauge, now: f64) -> Option<f64> {
         Some(now - self.reported.get(gauge.root)?).filter(|silent| *silent > self.every + SILENCE)
     }
 
-    /// Takes a report in.
     pub(super) fn update(&mut self, report: Report, now: f64) {
         if let Some(reported) = self.reported.get_mut(report.root) {
             *reported = now;
@@ -190,7 +182,7 @@ impl Model {
         }
     }
 
-    /// The gauge of a report. The first gauge of a mount replaces the entry of the mount.
+    /// The gauge of a report. A mount's first gauge replaces the mount's own entry.
     fn find(&mut self, report: &Report) -> &mut Gauge {
         let same = |gauge: &Gauge| gauge.root == report.root && gauge.folder == report.gauge;
         let kept = |gauge: &Gauge| {
@@ -205,8 +197,8 @@ impl Model {
         &mut self.gauges[at]
     }
 
-    /// The orders for the threads. Without a key press, data flash is read only if the gauge is unsealed
-    /// anyway and the screen shows the learned values.
+    /// Orders for the threads. Without a key press, data flash is read only if the gauge is unsealed anyway and the
+    /// screen shows learned values.
     pub(super) fn orders(&mut self, now: f64) -> Vec<(usize, Order)> {
         let learning = self.learning && self.paused.is_none();
         if let Some(gauge) = self.gauges.get_mut(self.selected).filter(|_| learning) {
@@ -219,7 +211,6 @@ impl Model {
         std::mem::take(&mut self.orders)
     }
 
-    /// Handles a key press.
     pub(super) fn key(&mut self, key: KeyEvent, now: f64) -> Action {
         let control = key.modifiers.contains(KeyModifiers::CONTROL);
         self.message.clear();
@@ -231,7 +222,7 @@ impl Model {
             KeyCode::Char('?' | 'h') => self.help = !self.help,
             KeyCode::Esc if self.help || self.learning => (self.help, self.learning) = (false, false),
             KeyCode::Char('q') | KeyCode::Esc => return Action::Quit,
-            // What lies behind it, or is not there yet, does not change unseen.
+            // Hidden or missing things do not change unseen.
             _ if self.help || self.gauges.is_empty() => {}
             KeyCode::Down | KeyCode::Right | KeyCode::Tab => self.selected = (self.selected + 1) % count,
             KeyCode::Up | KeyCode::Left | KeyCode::BackTab => {

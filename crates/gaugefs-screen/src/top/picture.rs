@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! The screen as SVG, cell by cell. A test draws docs/top.svg with it; `GAUGEFS_GOLDEN=write` makes the
-//! picture anew.
+//! The screen as SVG, cell by cell. A test draws docs/top.svg with it; `GAUGEFS_GOLDEN=write` draws the picture anew.
 
 use std::fmt::Write;
 
@@ -14,7 +13,6 @@ const MARGIN: f64 = 12.0;
 const PAPER: &str = "#1b1f24";
 const INK: &str = "#d7dce2";
 
-/// Renders a screen.
 pub(crate) fn svg(buffer: &Buffer) -> String {
     let area = buffer.area;
     let (width, height) =
@@ -55,7 +53,7 @@ fn stretch(svg: &mut String, run: &[&Cell], x: f64, y: f64) {
             "<rect x=\"{x:.1}\" y=\"{y:.1}\" width=\"{width:.1}\" height=\"{HEIGHT}\" fill=\"{paper}\"/>"
         );
     }
-    // Few fonts have braille of the width of letters, so the dots are drawn.
+    // Few fonts have braille as wide as letters, so the dots are drawn.
     if dots(run[0]).is_some() {
         let mut path = String::new();
         for (at, bits) in run.iter().enumerate().filter_map(|(at, cell)| Some((at, dots(cell)?))) {
@@ -93,7 +91,6 @@ fn stretch(svg: &mut String, run: &[&Cell], x: f64, y: f64) {
     }
 }
 
-/// The dots of a braille character.
 fn dots(cell: &Cell) -> Option<u32> {
     let letter = u32::from(cell.symbol().chars().next()?);
     (0x2801..=0x28ff).contains(&letter).then(|| letter - 0x2800)
@@ -105,7 +102,7 @@ pub(crate) fn behind(paper: Color) -> String {
 
 pub(crate) fn colour(colour: Color) -> String {
     let of_theme = match colour {
-        // The cube of xterm: six steps of each colour.
+        // xterm's cube: six steps of each colour.
         Color::Indexed(index @ 16..=231) => {
             let step = |place: u8| [0, 95, 135, 175, 215, 255][usize::from((index - 16) / place % 6)];
             return format!("#{:02x}{:02x}{:02x}", step(36), step(6), step(1));

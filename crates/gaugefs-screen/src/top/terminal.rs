@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! Sets the terminal up, draws to it, and restores it however `top` ends.
+//! Sets up the terminal, draws to it, and restores it however `top` ends.
 
 #![expect(clippy::disallowed_methods, reason = "ratatui draws on standard output, and reports what fails")]
 
@@ -30,7 +30,7 @@ use gaugefs_host::signals;
 /// The longest delay until a report or a signal is noticed.
 pub(crate) const STEP: Duration = Duration::from_millis(100);
 
-/// How long the screen has to end by itself.
+/// Time for the screen to end by itself.
 const GRACE: Duration = Duration::from_secs(1);
 
 pub(crate) fn failed(error: &io::Error) -> Error {
@@ -55,8 +55,8 @@ pub(super) fn run(watch: Watch, every: Duration, logs: Vec<Past>) -> Result<()> 
     outcome
 }
 
-/// Ends the process if its terminal is gone, or if it was told to end, and it does not: once the terminal is gone,
-/// crossterm reads its end for ever. Returns where to say that it has left the terminal by itself.
+/// Ends the process if its terminal is gone, or if it was told to end and does not: crossterm reads the end of a lost
+/// terminal for ever. The returned flag notes that the program has left the terminal by itself.
 fn watch_terminal(ends: Arc<AtomicBool>) -> Result<Arc<AtomicBool>> {
     let left = Arc::new(AtomicBool::new(false));
     let has_left = left.clone();
@@ -64,7 +64,7 @@ fn watch_terminal(ends: Arc<AtomicBool>) -> Result<Arc<AtomicBool>> {
         let mut since: Option<Instant> = None;
         while !has_left.load(Ordering::SeqCst) {
             let stdin = io::stdin();
-            // Only a hangup or an error is looked for.
+            // Only a hangup or an error counts.
             let mut terminal = [PollFd::new(stdin.as_fd(), PollFlags::empty())];
             let is_gone = poll(&mut terminal, PollTimeout::ZERO).is_ok_and(|count| count > 0);
             if is_gone {
@@ -73,7 +73,7 @@ fn watch_terminal(ends: Arc<AtomicBool>) -> Result<Arc<AtomicBool>> {
             if !ends.load(Ordering::SeqCst) {
                 since = None;
             } else if since.get_or_insert_with(Instant::now).elapsed() > GRACE {
-                // There may be nothing to restore any more.
+                // There may be nothing left to restore.
                 let _ = ratatui::try_restore();
                 std::process::exit(1);
             }
@@ -103,7 +103,7 @@ fn show(
         for (root, order) in model.orders(now) {
             watch.order(root, order);
         }
-        // Ages are shown in seconds, so the screen changes every second.
+        // Ages in seconds change the screen every second.
         if changed || (now - drawn).abs() >= 1.0 {
             watch.find_mounts()?;
             terminal.draw(|frame| draw::screen(frame, &model, now)).map_err(|error| failed(&error))?;
@@ -126,7 +126,7 @@ fn show(
             raise(Signal::SIGSTOP).map_err(|errno| failed(&errno.into()))?;
             let again = enable_raw_mode()
                 .and_then(|()| execute!(io::stdout(), EnterAlternateScreen, Clear(ClearType::All)));
-            // A new terminal, because the screen no longer shows what was drawn last.
+            // A new terminal, because the screen no longer shows the last drawing.
             let again = again.and_then(|()| Terminal::new(CrosstermBackend::new(io::stdout())));
             *terminal = again.map_err(|error| failed(&error))?;
             changed = true;

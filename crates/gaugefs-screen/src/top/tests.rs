@@ -95,7 +95,7 @@ fn sample(sample: &Sample) -> Seen {
     Seen::Sample(Box::new(sample.clone()))
 }
 
-/// Two gauges: one was discharged for four minutes, and was absent for one of them; the other is charging.
+/// Two gauges: one was discharged for four minutes and absent for one of them; the other is charging.
 fn model(colour: bool) -> Model {
     let mut model = Model::new(1.0, colour);
     model.add_mounts(&[PathBuf::from("/run/gauges")], NOON);
@@ -146,8 +146,8 @@ fn golden(name: &str, now: &str) {
     matches(&Path::new("tests/it/golden/top").join(name), now);
 }
 
-/// Compares with a file of the repository, or writes it if GAUGEFS_GOLDEN is `write`. What crates.io has of this crate is
-/// without them.
+/// Compares with a file of the repository, or writes it if GAUGEFS_GOLDEN is `write`. The package on crates.io lacks
+/// these files.
 #[track_caller]
 pub(crate) fn matches(file: &Path, now: &str) {
     let repository = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
@@ -389,7 +389,7 @@ fn recorded() -> Vec<Recorded> {
     reader.records().map(|record| row(record.expect("a row"))).collect()
 }
 
-/// The sample that a row was written from.
+/// The sample behind a row.
 fn sampled(seen: &Sample, time: f64, passed: f64, fields: &[(String, String)]) -> Sample {
     let mut seen = seen.clone();
     seen.time = jiff::Timestamp::from_millisecond((time * 1000.0) as i64).expect("a time");
@@ -429,7 +429,7 @@ fn sampled(seen: &Sample, time: f64, passed: f64, fields: &[(String, String)]) -
     seen
 }
 
-/// docs/top.svg, the README's picture: an hour of three simulated packs, one of which rests for a while. The first half is
+/// docs/top.svg, the README's picture: an hour of three simulated packs, with a rest of one of them. The first half is
 /// from a log.
 #[test]
 fn the_picture_in_docs_is_what_top_draws() {
@@ -502,7 +502,7 @@ fn the_charge_is_a_bar_whose_colour_is_what_the_gauge_says_of_it() {
         ("Unknown", "60", 12, Color::Reset, None),
     ] {
         let screen = show(level, capacity, true);
-        // The row of the gauge that is selected.
+        // The selected gauge's row.
         let row: Vec<_> = (0..screen.area.width).map(|column| &screen[(column, 2)]).collect();
         let bar = || row.iter().filter(|cell| ["\u{2588}", "\u{2591}"].contains(&cell.symbol()));
         assert_eq!((bar().count(), bar().filter(|cell| cell.symbol() == "\u{2588}").count()), (20, blocks));
@@ -535,14 +535,14 @@ fn the_charts_begin_with_what_a_log_has_of_the_time_before() {
     let logged = shown.iter().flatten().filter(|(_, value)| *value == 4.2);
     assert!(logged.clone().count() == 26 && logged.clone().all(|(time, _)| *time < -240.0), "{shown:?}");
     assert!(text(&drawn(&model(), 80, 24, NOON)).contains("voltage in V"));
-    // Of another mount there is a gauge of the same name: the log does not say which one it is of.
+    // The log does not say to which mount its gauge belongs.
     let mut two = model();
     two.add_mounts(&[PathBuf::from("/run/gauges"), PathBuf::from("/run/other")], NOON);
     let other = Tree::new("PACK-A", -500_000).sample(NOON);
     two.update(Report { root: 1, gauge: "/run/other/PACK-A".into(), seen: sample(&other) }, NOON);
     assert!(lines(&two, "PACK-A").iter().flatten().all(|(_, value)| *value != 4.2));
     assert!(lines(&two, "PACK-B").iter().flatten().any(|(_, value)| *value == 3.0));
-    // The time of its battery was faster.
+    // The battery's time was faster.
     let mut fast = model();
     let mut seen = Tree::new("PACK-B", 250_000).sample(NOON + 1.0);
     seen.simulated = Some((seen.time, 60.0));
