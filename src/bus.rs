@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: MIT
 
-//! `gaugefs sim`: simulated gauges as an I2C bus that any program can use.
+//! `gaugefs sim`: simulated gauges as an I2C bus for any program.
 //!
-//! The crate `i2c-server` answers the calls of programs, and the simulated gauges are its targets. The calls come through
-//! a FUSE file ([`file`]), at a path, or in the `/dev` of a command that is run ([`namespace`]), without privilege, or through a device of [`cuse`]; or the kernel
-//! makes them, on an adapter that is plugged into it ([`device`]). The arguments of a call are
-//! in the memory of the calling program, which is read and written there ([`caller`]).
+//! The crate `i2c-server` answers the calls, and the simulated gauges are its targets. Calls come through a FUSE file
+//! ([`file`]) at a path, or in the `/dev` of a command ([`namespace`]), without privilege; through a device of
+//! [`cuse`]; or from the kernel, through an adapter plugged into it ([`device`]). Arguments of a call are in the
+//! calling program's memory ([`caller`]).
 
 use std::collections::BTreeSet;
 use std::ffi::OsString;
@@ -48,14 +48,12 @@ pub(crate) use device::Vhci;
 use file::Access;
 pub(crate) use namespace::become_command;
 
-/// The source of the mount, as mountinfo shows it.
+/// Source of the mount in mountinfo.
 const SOURCE: &str = "gaugefs-sim";
 
-/// A gauge on the bus.
 pub(crate) struct Gauge {
-    /// What it is called.
     pub(crate) name: String,
-    /// Its 7-bit address.
+    /// 7-bit.
     pub(crate) address: u8,
     sim: Option<Sim>,
     bus: Box<dyn Bus>,
@@ -63,7 +61,7 @@ pub(crate) struct Gauge {
 }
 
 impl Gauge {
-    /// Opens a simulated or recorded gauge, to be at that address.
+    /// Opens a simulated or recorded gauge for this address.
     pub(crate) fn open(source: &Source, address: u8, clock: &Arc<dyn Clock>) -> Result<Self> {
         // It is mounted nowhere.
         let Opened { chip, bus, sim, lock, .. } = source.open(Path::new(""), clock, false)?;
@@ -71,7 +69,6 @@ impl Gauge {
     }
 }
 
-/// A gauge as a target of the bus.
 struct Wired<B> {
     bus: B,
     _lock: Option<Lock>,
@@ -80,7 +77,7 @@ struct Wired<B> {
 impl<B: Bus> Target for Wired<B> {
     fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), Errno> {
         self.bus.transfer(write, read).map_err(|error| match error {
-            // What a recording does not have is not acknowledged either.
+            // What is not recorded is not acknowledged.
             BusError::NoAck | BusError::ReadOnly | BusError::NotRecorded => Errno::NXIO,
             BusError::ArbitrationLost => Errno::AGAIN,
             BusError::Timeout | BusError::Hung(_) => Errno::TIMEDOUT,
@@ -92,7 +89,7 @@ impl<B: Bus> Target for Wired<B> {
     }
 }
 
-/// A bus with these gauges. Its transfers take as long as at this clock, or no time.
+/// A bus with these gauges, whose transfers take the time of this clock, or no time.
 pub(crate) fn adapter(gauges: Vec<Gauge>, hertz: Option<u32>) -> Result<Adapter> {
     let mut taken = BTreeSet::new();
     if let Some(twice) = gauges.iter().find(|gauge| !taken.insert(gauge.address)) {
@@ -111,7 +108,7 @@ pub(crate) fn adapter(gauges: Vec<Gauge>, hertz: Option<u32>) -> Result<Adapter>
     }
     for Gauge { address, sim, bus, _lock: lock, .. } in gauges {
         adapter = adapter.with(address, Wired { bus, _lock: lock });
-        // The boot loader of a gauge has an address of its own.
+        // A gauge's boot loader has an address of its own.
         if let Some(sim) = sim.filter(|_| address == GAUGE_ADDRESS && !taken.contains(&ROM_ADDRESS)) {
             adapter = adapter.with(ROM_ADDRESS, Wired { bus: sim.bus_at(ROM_ADDRESS), _lock: None });
         }
@@ -119,14 +116,13 @@ pub(crate) fn adapter(gauges: Vec<Gauge>, hertz: Option<u32>) -> Result<Adapter>
     Ok(adapter)
 }
 
-/// A setting of the kernel.
 fn setting(name: &str) -> Option<String> {
     let text = regular::read_text(&Path::new("/proc/sys").join(name), regular::SYSTEM).ok()?;
     Some(text.trim().to_string())
 }
 
-/// Why the memory of programs cannot be read, and what works all the same. A command in a user namespace of this process is
-/// read whatever Yama says, unless it forbids that to everybody.
+/// Why the memory of programs cannot be read, and what works nevertheless. A command in a user namespace of this
+/// process is readable whatever Yama says, unless Yama forbids it to all.
 fn unreadable(is_command: bool, has_namespace: bool) -> Option<String> {
     let scope = setting("kernel/yama/ptrace_scope")?;
     let remains = match (&*scope, is_command) {
@@ -150,19 +146,19 @@ fn unreadable(is_command: bool, has_namespace: bool) -> Option<String> {
     ))
 }
 
-/// What a mount is made at, removed in the end if it was made for that.
+/// A file or folder to mount at, removed at the end if it was made for that.
 struct Place {
     path: PathBuf,
     is_made: bool,
 }
 
 impl Place {
-    /// Makes sure that there is an empty file or folder at which nothing is mounted.
+    /// Provides an empty file or folder with nothing mounted on it.
     fn prepare(path: &Path, is_folder: bool) -> Result<Self> {
         let subject = path.display().to_string();
         let failed = |error: &io::Error| Error::io(&subject, "cannot be made", error);
         let mut path = std::path::absolute(path).map_err(|error| failed(&error))?;
-        // What an earlier server has left there, which was killed.
+        // A killed server may have left its mount.
         while fs::metadata(&path).is_err_and(|error| error.raw_os_error() == Some(nix::libc::ENOTCONN)) {
             mountpoint::detach(&path, true)?;
         }
@@ -198,7 +194,7 @@ impl Place {
         Ok(Self { path, is_made })
     }
 
-    /// Unmounts it, also while programs have it open.
+    /// Unmounts it, even while programs have it open.
     fn remove(&self) -> Result<()> {
         let all = mounts::all().unwrap_or_default();
         let is_there = mounts::topmost(all, &self.path).is_some_and(|mount| mount.source == SOURCE);
@@ -216,7 +212,7 @@ impl Place {
     }
 }
 
-/// A folder of knobs that is mounted; dropping it unmounts it.
+/// A mounted folder of knobs; dropping it unmounts it.
 pub(crate) struct Panel(Place);
 
 impl Panel {
@@ -270,7 +266,7 @@ pub(crate) fn at(
     place.remove().map(|()| ExitCode::SUCCESS)
 }
 
-/// Runs a command with the bus, at a path or else in a `/dev` of its own, and ends with its exit code.
+/// Runs a command with the bus, at a path or in a `/dev` of its own, and ends with the command's exit code.
 pub(crate) fn with_command(
     path: Option<&Path>,
     adapter: Adapter,
@@ -285,7 +281,7 @@ pub(crate) fn with_command(
     }
     let adapter = Arc::new(adapter);
     let place = path.map(|path| Place::prepare(path, false)).transpose()?;
-    // The file of this program, also if another one has its name by now.
+    // The file of this program, even if another one has its name by now.
     let mut inside = Command::new("/proc/self/exe");
     inside.arg("sim-inside");
     let device = match &place {
@@ -332,7 +328,7 @@ pub(crate) fn with_command(
     })?;
     spawn("signals", move || {
         while let Ok(signal) = signals.wait() {
-            // The terminal sends SIGINT to the command as well.
+            // The terminal also sends SIGINT to the command.
             if signal != Signal::SIGINT {
                 let _ = kill(child, signal);
             }
@@ -343,7 +339,7 @@ pub(crate) fn with_command(
     Ok(ExitCode::from(code))
 }
 
-/// Waits for a child: its exit code, 128 and the number of the signal that has ended it, or nothing if it has stopped.
+/// Waits for a child: its exit code, or 128 plus the number of the signal that ended it, or `None` if it has stopped.
 fn wait(child: Pid, how: WaitPidFlag) -> Result<Option<u8>> {
     loop {
         match waitpid(child, Some(how)) {

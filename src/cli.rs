@@ -165,7 +165,7 @@ impl Command {
     }
 }
 
-/// The commands by what they are for. One that is in no group is listed at the end.
+/// Commands by purpose. Commands without a group come last.
 const GROUPS: [(&str, &[&str]); 5] = [
     ("Mount", &["mount", "umount", "list", "sim"]),
     (
@@ -180,7 +180,7 @@ const GROUPS: [(&str, &[&str]); 5] = [
     ("Service", &["watch", "metrics", "events", "detach", "completions", "man"]),
 ];
 
-/// The definition of the command line, whose prose takes the width of the terminal.
+/// The definition of the command line, whose prose has the terminal's width.
 pub fn definition() -> clap::Command {
     let command = flowing(Cli::command());
     let commands = grouped(&command);
@@ -189,7 +189,7 @@ pub fn definition() -> clap::Command {
     ))
 }
 
-/// The list of the commands, with a heading for each group.
+/// The list of commands, with a heading per group.
 fn grouped(command: &clap::Command) -> String {
     let shown = |command: &&clap::Command| !command.is_hide_set();
     let is_in = |name: &str| GROUPS.iter().any(|(_, names)| names.contains(&name));
@@ -199,7 +199,7 @@ fn grouped(command: &clap::Command) -> String {
     let groups = GROUPS.iter().copied().chain([("Other", &*others)]);
     let mut text = String::new();
     for (heading, names) in groups {
-        // Some may not be in this build.
+        // This build may lack some.
         let named = names.iter().filter_map(|name| command.find_subcommand(name)).filter(shown);
         let lines: String = named.map(listed).collect();
         if !lines.is_empty() {
@@ -209,7 +209,7 @@ fn grouped(command: &clap::Command) -> String {
     text
 }
 
-/// A line of the list, and more where it is too long for a terminal of 80 columns.
+/// A line of the list, or several if it is too long for 80 columns.
 fn listed(command: &clap::Command) -> String {
     const NAME: usize = 11;
     const WIDTH: usize = 80 - NAME - 4;
@@ -240,7 +240,7 @@ fn flowing(command: clap::Command) -> clap::Command {
     names.into_iter().fold(command, |command, name| command.mut_subcommand(name, flowing))
 }
 
-/// Joins the lines of each paragraph, which are broken for whoever reads the source. Indented lines are examples, which stay,
+/// Joins the lines of each paragraph, whose breaks are for readers of the source. Indented lines are examples and stay,
 /// and so does the line above them.
 fn flow(text: &str) -> String {
     let mut flowing = String::new();
@@ -254,7 +254,7 @@ fn flow(text: &str) -> String {
     flowing
 }
 
-/// Runs the command that the arguments name. The exit code is 0 for done, 1 for failed, 2 for misuse.
+/// Runs the command in the arguments. The exit code is 0 for done, 1 for failed, 2 for misuse.
 pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
     let arguments: Vec<OsString> = arguments.into_iter().collect();
     let mut definition = definition();
@@ -285,9 +285,8 @@ fn failed(error: &Error) -> ExitCode {
     ExitCode::FAILURE
 }
 
-/// Rewords clap's message about a misuse in the style of gaugefs. Leaves out the advice to put `--` before an unknown
-/// option, because no argument here takes one as a value. Replaces a list of chips that is too long to be read by a
-/// hint where to find it.
+/// Rewords clap's message about a misuse in gaugefs's style. It drops the advice to put `--` before an unknown option,
+/// because no argument here takes one as a value, and replaces the long list of chips by a hint.
 fn reworded(text: &str) -> String {
     const LONGEST: usize = 200;
     let text =
@@ -302,7 +301,7 @@ fn reworded(text: &str) -> String {
     lines.collect()
 }
 
-/// A bus among the arguments that is not the value of an option.
+/// A bus among the arguments that is no option's value.
 fn bare_bus(arguments: &[OsString]) -> Option<&str> {
     let pairs = arguments.windows(2).filter_map(|pair| Some((pair[0].to_str()?, pair[1].to_str()?)));
     let mut bare = pairs.filter(|(before, _)| !before.starts_with("--")).map(|(_, bus)| bus);
@@ -328,10 +327,10 @@ fn counted(parameters: usize) -> String {
     if parameters == 1 { "1 parameter".into() } else { format!("{parameters} parameters") }
 }
 
-/// Exit code of a command that has left something out, which it lists on standard error.
+/// Exit code of a command that has left something out and listed it on standard error.
 const PASSED_OVER: u8 = 3;
 
-/// The exit codes of diff(1): a failure is 2, which a script can distinguish from a difference.
+/// diff(1)'s exit codes: a failure is 2, so that scripts can tell it from a difference.
 fn trouble(outcome: Result<ExitCode>) -> Result<ExitCode> {
     outcome.or_else(|error| {
         say_error(&error);
@@ -374,7 +373,7 @@ mod tests {
         assert!(help.lines().all(|line| line.chars().count() <= 80), "{help}");
     }
 
-    /// A terminal of 80 columns would break an example in the middle, with what it is about below it.
+    /// A terminal of 80 columns would break an example in the middle and separate it from its heading.
     #[test]
     fn regression_examples_were_broken_at_80_columns() {
         fn check(command: &clap::Command) {

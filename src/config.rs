@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT
 
-//! The options of a mount and of its gauges, from the command line or a configuration file. `options` defines each of them
-//! once.
+//! The options of a mount and of its gauges, from the command line or a configuration file. `options` defines each of
+//! them once.
 
 use std::os::unix::fs::MetadataExt as _;
 use std::path::{Path, PathBuf};
@@ -32,7 +32,7 @@ impl MountOptions {
 }
 
 impl GaugeOptions {
-    /// If `bus` is a device in sysfs, completes the options from the device tree.
+    /// Completes the options from the device tree if `bus` is a device in sysfs.
     fn of_node(self) -> Result<Self> {
         let node = self.bus.as_deref().map(Node::find).transpose()?.flatten();
         let Some(Node { bus, address, chip }) = node else { return Ok(self) };
@@ -50,22 +50,21 @@ impl GaugeOptions {
     }
 }
 
-/// The settings of `gaugefs mount`, from the command line and the configuration file. All paths are
-/// absolute, because the daemon in the background changes its folder to `/`.
+/// The settings of `gaugefs mount`, from the command line and the configuration file. Paths are absolute, because the
+/// daemon in the background changes its folder to `/`.
 #[derive(Debug)]
 pub(crate) struct Setup {
     pub(crate) mount: MountOptions,
-    /// Each has a source: it is simulated, recorded or on a bus.
+    /// Each has a source: simulated, recorded, or on a bus.
     pub(crate) gauges: Vec<GaugeOptions>,
-    /// They are for `gaugefs watch`.
+    /// For `gaugefs watch`.
     #[cfg_attr(not(feature = "screen"), allow(dead_code, reason = "the commands of that feature use them"))]
     pub(crate) alerts: Vec<AlertOptions>,
-    /// From a configuration file: gauges that do not answer are skipped.
+    /// From a configuration file, so that gauges without an answer are skipped.
     pub(crate) configured: bool,
 }
 
 impl Setup {
-    /// The one gauge of a command line.
     pub(crate) fn one(mut mount: MountOptions, gauge: GaugeOptions) -> Result<Self> {
         let mut gauge = gauge.of_node()?;
         let all = "a mount goes on when the command has returned, which standard output does not";
@@ -85,8 +84,8 @@ impl Setup {
         Ok(Self { mount, gauges: vec![gauge], alerts: Vec::new(), configured: false })
     }
 
-    /// The gauges of a configuration file. `over` puts other options of the mount over those of the file;
-    /// `bus` is for the gauges that have no source of their own.
+    /// The gauges of a configuration file. `over` replaces the file's options of the mount; `bus` is for gauges without
+    /// a source.
     pub(crate) fn read(
         path: &Path,
         over: impl FnOnce(&mut MountOptions),
@@ -119,21 +118,20 @@ impl Setup {
         Ok(Self { mount, gauges, alerts, configured: true })
     }
 
-    /// Folder to mount at.
     pub(crate) fn mountpoint(&self) -> &Path {
         self.mount.mountpoint.as_deref().expect("clap and `read` demand a mount point")
     }
 }
 
-/// The mount point that a configuration file names, and its alerts, whose programs run with the rights of whoever reads
-/// the file.
+/// The mount point in a configuration file, and its alerts, whose programs run with the privileges of the file's
+/// reader.
 #[cfg(feature = "screen")]
 pub(crate) fn alerts(path: &Path) -> Result<(Option<PathBuf>, Vec<AlertOptions>)> {
     check_own(path)?;
     file::alerts(path)
 }
 
-/// Makes sure that nobody else can have written a file with programs to run.
+/// Checks that nobody else can have written a file with programs to run.
 fn check_own(path: &Path) -> Result<()> {
     let name = path.display().to_string();
     if path == Path::new("-") || path == Path::new(STANDARD_INPUT) {
@@ -155,15 +153,15 @@ fn check_own(path: &Path) -> Result<()> {
     Ok(())
 }
 
-/// The file that `-` stands for on a command line, in place of a file to read.
+/// The file for `-` on a command line.
 const STANDARD_INPUT: &str = "/dev/stdin";
 
-/// A file of a command line that is read as a whole, before the command returns.
+/// The path of a file that is read as a whole, before the command returns.
 pub(crate) fn standard_input(path: PathBuf) -> PathBuf {
     if path == Path::new("-") { STANDARD_INPUT.into() } else { path }
 }
 
-/// Refuses `-` for a file that is written or read again and again while a mount lasts.
+/// Refuses `-` for a file that a mount keeps reading or writing.
 fn check_kept(path: Option<&PathBuf>, option: &str, why: &str) -> Result<()> {
     match path.is_some_and(|path| path == Path::new("-")) {
         true => Err(Error::new(option, Cause::Invalid, format!("{why}; name a file"))),
@@ -171,7 +169,7 @@ fn check_kept(path: Option<&PathBuf>, option: &str, why: &str) -> Result<()> {
     }
 }
 
-/// Makes the paths of options absolute that are relative to `folder`; an empty `folder` is the current one.
+/// Makes relative paths of options absolute, below `folder`, or below the current folder if `folder` is empty.
 fn make_absolute<T: Options>(options: &mut T, folder: &Path) -> Result<()> {
     let mut done = Ok(());
     option::paths(options, |path| {

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! The life of a mount: open the gauges, poll each once, mount, say so, wait for the end, unmount.
+//! The life of a mount: open the gauges, poll each once, mount, report, wait for the end, unmount.
 
 use std::collections::HashMap;
 use std::path::PathBuf;
@@ -37,11 +37,11 @@ use shutdown::{Phase, Shutdown, finish};
 /// How the daemon of a mount runs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Mode {
-    /// As a child that has left its terminal, and whose parent waits until the mount is ready.
+    /// A child without a terminal, whose parent waits until the mount is ready.
     Background,
-    /// As the process that was started.
+    /// The process that the user started.
     Foreground,
-    /// In the foreground as a systemd service without privilege, for which `service::attach` mounts.
+    /// A systemd service without privilege, for which `service::attach` mounts.
     Service,
 }
 
@@ -94,7 +94,7 @@ pub(crate) fn run(setup: Setup, mode: Mode) -> Result<()> {
     let Gauges { entries, handles, nodes, batteries, locks, places } = opened;
     entries.iter().flat_map(MountedGauge::warnings).for_each(|line| warn(&line));
     adapters::watch(nodes.into_iter());
-    // What root mounts is root's, whoever serves it.
+    // Root's mount belongs to root, whoever serves it.
     let (uid, gid) = match mode {
         Mode::Service => (0, 0),
         Mode::Background | Mode::Foreground => (geteuid().as_raw(), getegid().as_raw()),
@@ -114,7 +114,7 @@ pub(crate) fn run(setup: Setup, mode: Mode) -> Result<()> {
     };
     let mounted = match device {
         Some(device) => {
-            // Its mount is the answer.
+            // Its mount confirms it.
             background::notify("READY=1");
             service::wait(&device, &*clock)?;
             shutdown.mount(|| {
@@ -156,23 +156,23 @@ pub(crate) fn run(setup: Setup, mode: Mode) -> Result<()> {
     ended
 }
 
-/// The gauges of a mount, opened and polled once, each list in their order.
+/// The gauges of a mount, opened and polled once. All lists have their order.
 #[derive(Default)]
 struct Gauges {
     entries: Vec<MountedGauge>,
     handles: Vec<Handle>,
-    /// The nodes of adapters, and the gauges that are gone with them.
+    /// Nodes of adapters, and the gauges that go with them.
     nodes: Vec<(PathBuf, Handle)>,
-    /// Those that are batteries of the kernel's as well.
+    /// Gauges that are also batteries of the kernel.
     batteries: Vec<node::Wanted>,
-    /// What keeps other processes out.
+    /// Locks that keep other processes out.
     locks: Vec<Option<Lock>>,
-    /// What each is, and the name of its folder.
+    /// Each gauge's description, and the name of its folder.
     places: Vec<(String, String)>,
 }
 
 impl Gauges {
-    /// From a configuration file, gauges that do not answer are skipped.
+    /// From a configuration file, gauges without an answer are skipped.
     fn open(
         opening: &Opening,
         names: Vec<String>,
@@ -214,7 +214,7 @@ impl Gauges {
     }
 }
 
-/// The names of the gauges' folders. Gauges without a name get the first of BAT0, BAT1 ... that are free.
+/// Names of the gauges' folders. Gauges without a name get the first free ones of BAT0, BAT1 ...
 pub(crate) fn names(gauges: &[GaugeOptions], taken: &[String]) -> Vec<String> {
     let given = gauges.iter().filter_map(|gauge| gauge.name.as_deref());
     let taken = taken.iter().map(String::as_str).chain(given).collect();
@@ -223,8 +223,8 @@ pub(crate) fn names(gauges: &[GaugeOptions], taken: &[String]) -> Vec<String> {
     gauges.iter().filter_map(&mut name).collect()
 }
 
-/// The name of the Mains supply, where there is one: as given, else `AC` or the first like it that the
-/// kernel does not have.
+/// The name of the Mains supply, if there is one: as given, otherwise `AC` or the first like it that the kernel does
+/// not have.
 fn mains_name(mount: &MountOptions, gauges: &[String], taken: &[String]) -> Result<Option<String>> {
     let Some(given) = &mount.ac else { return Ok(None) };
     let usual = "AC".to_string();

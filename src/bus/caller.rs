@@ -8,16 +8,16 @@ use i2c_server::{Errno, Memory};
 use nix::sys::uio::{RemoteIoVec, process_vm_readv, process_vm_writev};
 use nix::unistd::Pid;
 
-/// A process as the kernel names it in a request: it waits in its call, so the number is not given to another one.
+/// A process by its number in a request. It waits in its call, so no other process gets the number.
 pub(super) struct Caller(pub(super) Pid);
 
 impl Caller {
-    /// The outcome of a copy that should have moved `length` bytes.
+    /// Judges a copy that should have moved `length` bytes.
     fn copied(&self, outcome: nix::Result<usize>, length: usize) -> Result<(), Errno> {
         match outcome {
             Ok(count) if count == length => Ok(()),
             Ok(_) => Err(Errno::FAULT),
-            // The process is of another PID namespace, where it has no number that is known here.
+            // A process in another PID namespace has no number here.
             Err(nix::errno::Errno::ESRCH) => Err(Errno::PERM),
             Err(errno) => Err(Errno::from_raw_os_error(errno as i32)),
         }

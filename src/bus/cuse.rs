@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: MIT
 
-//! `gaugefs sim --cuse`: the bus as a character device of its own, which CUSE carries.
+//! `gaugefs sim --cuse`: the bus as a character device of CUSE.
 //!
-//! CUSE (`fs/fuse/cuse.c` of the kernel) makes a device whose calls are FUSE requests. The argument of an ioctl is not read
-//! in the memory of the program: what it points to is named in an answer, and comes with the request when that is repeated
-//! (FUSE_IOCTL_RETRY). So the server needs no right but the open `/dev/cuse`, and gives up all others.
+//! CUSE (`fs/fuse/cuse.c` of the kernel) makes a device whose calls are FUSE requests. An ioctl's argument is not read
+//! from the program's memory: an answer names the memory that is needed, and the repeated request contains it
+//! (FUSE_IOCTL_RETRY). So the server needs only the open `/dev/cuse`, and gives up all privileges.
 
 use std::fs::{self, File};
 use std::os::fd::OwnedFd;
@@ -26,14 +26,14 @@ use crate::output::print;
 const CUSE: &str = "/dev/cuse";
 /// CUSE_INIT of `linux/fuse.h`.
 const INIT: u32 = 4096;
-/// CUSE_UNRESTRICTED_IOCTL: the arguments are what the driver says, not what the number of the ioctl does.
+/// CUSE_UNRESTRICTED_IOCTL: the driver decides what the arguments are, not the ioctl's number.
 const UNRESTRICTED: u32 = 1;
-/// The version of the protocol that is spoken here: FUSE_IOCTL_RETRY with addresses of 64 bits is of 7.16.
+/// Protocol version. FUSE_IOCTL_RETRY with 64-bit addresses came with 7.16.
 const VERSION: [u32; 2] = [7, 31];
 /// Most bytes of a name, as of any file.
 const LONGEST_NAME: usize = 64;
 
-/// `/dev/cuse`, before there is a device.
+/// `/dev/cuse`, before the device exists.
 #[derive(Debug)]
 pub(crate) struct Cuse {
     device: OwnedFd,
@@ -41,7 +41,7 @@ pub(crate) struct Cuse {
 }
 
 impl Cuse {
-    /// Opens `/dev/cuse` for a device of that name, and gives up root's rights (see [`rights::give_up`]).
+    /// Opens `/dev/cuse` for a device of that name, and gives up root's privileges (see [`rights::give_up`]).
     pub(crate) fn open(name: &str, state: Option<&Path>) -> Result<Self> {
         let subject = format!("--cuse {name}");
         let refuse = |why: &'static str| Error::new(&subject, Cause::Invalid, why);
@@ -74,7 +74,7 @@ impl Cuse {
         Ok(Self { device: device.into(), name: name.into() })
     }
 
-    /// Makes the device, and serves it until a signal ends this process, and with it the device.
+    /// Makes the device, and serves it until a signal ends this process and the device.
     pub(crate) fn serve(self, adapter: Adapter, signals: SigSet, what: &str) -> Result<ExitCode> {
         let Self { device, name } = self;
         spawn("signals", move || {
@@ -95,7 +95,7 @@ impl Cuse {
     }
 }
 
-/// Agrees on the protocol, and has the kernel make the device.
+/// Agrees on the protocol and makes the device.
 fn begin(device: &OwnedFd, name: &str) -> Result<()> {
     let failed = |what, errno: nix::errno::Errno| Error::io(CUSE, what, &errno.into());
     let mut request = [0; 8192];
@@ -106,7 +106,7 @@ fn begin(device: &OwnedFd, name: &str) -> Result<()> {
         return Err(Error::host(CUSE, nix::errno::Errno::EPROTO, why));
     }
     let [major, minor] = VERSION;
-    // cuse_init_out: version, unused, flags, most bytes of a read and of a write, device number (0: any), spare.
+    // cuse_init_out: version, unused, flags, largest read and write, device number (0: any), spare.
     let mut body: Vec<u8> = [major, minor, 0, UNRESTRICTED, MAX_WRITE, MAX_WRITE]
         .iter()
         .flat_map(|field| field.to_ne_bytes())

@@ -16,12 +16,12 @@ use crate::vhci::{self, Plugged};
 
 const OPTION: &str = "--device";
 
-/// An adapter that is plugged in, and not yet served.
+/// An adapter that is plugged in but not yet served.
 #[derive(Debug)]
 pub(crate) struct Vhci(Plugged);
 
 impl Vhci {
-    /// Plugs an adapter into the kernel, and gives up root's rights (see [`rights::give_up`]).
+    /// Plugs an adapter into the kernel, and gives up root's privileges (see [`rights::give_up`]).
     pub(crate) fn plug(state: Option<&Path>) -> Result<Self> {
         if !geteuid().is_root() {
             let why = "only root may plug an adapter into the kernel; run this with sudo, which is given up afterwards, or use \

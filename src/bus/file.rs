@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: MIT
 
-//! A FUSE file, or a device of CUSE, that is an I2C bus: the kernel's requests, and who answers them.
+//! A FUSE file or CUSE device that is an I2C bus: the kernel's requests and their answers.
 //!
-//! The crate `fuser` passes on the number of an ioctl but not its argument, so requests are read and answered here. Each
-//! open file has a thread of its own: reading the memory of a program may take as long as that program wants, and only its
-//! own calls wait for it.
+//! The crate `fuser` passes on an ioctl's number but not its argument, so requests are read and answered here. Each
+//! open file has its own thread: reading a program's memory may take as long as that program wants, and only its own
+//! calls wait for it.
 
 use std::collections::HashMap;
 use std::os::fd::OwnedFd;
@@ -20,19 +20,18 @@ use super::caller::Caller;
 use crate::error::{Error, Result};
 use crate::fuse::single::MAX_WRITE;
 
-/// Most open files at a time. A program that opens more gets ENFILE.
+/// Most open files at a time; further programs get ENFILE.
 const MAX_OPEN: usize = 256;
 
-/// How the memory of a caller is reached.
+/// Access to the memory of a caller.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Access {
-    /// As that of another process.
+    /// As another process's memory.
     Direct,
-    /// By the kernel, which is asked for it.
+    /// Through the kernel.
     Asked,
 }
 
-/// The kernel's end of the mount.
 #[derive(Clone)]
 struct Device(Arc<OwnedFd>);
 
@@ -54,9 +53,9 @@ pub(super) fn serve(device: OwnedFd, adapter: &Arc<Adapter>, access: Access) -> 
             // Not from the kernel.
             Ok(0) => return Ok(()),
             Ok(length) => length,
-            // A signal, or a request that its caller has taken back.
+            // A signal, or a request that its caller has withdrawn.
             Err(nix::errno::Errno::EINTR | nix::errno::Errno::ENOENT | nix::errno::Errno::EAGAIN) => continue,
-            // The second where the kernel has ended the connection, as at the end of a mount namespace.
+            // ECONNABORTED if the kernel ended the connection, as at the end of a mount namespace.
             Err(nix::errno::Errno::ENODEV | nix::errno::Errno::ECONNABORTED) => return Ok(()),
             Err(errno) => return Err(Error::io("/dev/fuse", "cannot read a request", &errno.into())),
         };
@@ -102,7 +101,7 @@ fn open(
     Ok(fuse::opened(handle))
 }
 
-/// Answers one open file until it is closed. Each job has the number with which it is answered.
+/// Answers an open file until it is closed. Each job has the number for its answer.
 fn attend(device: &Device, adapter: &Adapter, jobs: &Receiver<(u64, Job)>, access: Access) {
     let mut client = Client::default();
     for (unique, job) in jobs {

@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: MIT
 
-//! A command with a bus of its own in `/dev`.
+//! A command with its own bus in `/dev`.
 //!
-//! The command gets a mount namespace, in which `/dev` is a copy with one more file, `i2c-N`; without root it gets a user
-//! namespace as well, because that gives it the right to mount. Nothing of it is seen outside, and nothing remains.
-//! gaugefs starts itself again for it: that process makes the namespace, mounts the file, stops until its parent has taken
-//! the kernel's end of the mount, and becomes the command.
+//! The command gets a mount namespace, in which `/dev` is a copy with one more file, `i2c-N`; without root it also gets
+//! a user namespace, which allows it to mount. Nothing of this is visible outside, and nothing remains. gaugefs starts
+//! itself again for it: that process makes the namespace, mounts the file, stops until its parent has taken the
+//! kernel's end of the mount, and becomes the command.
 
 use std::ffi::OsString;
 use std::fmt::Display;
@@ -32,10 +32,10 @@ use crate::fuse::single;
 use crate::output::say;
 use gaugefs_host::signals;
 
-/// The first number that is tried: adapters of the kernel count from 0.
+/// The first number to try: adapters of the kernel count from 0.
 const FIRST: u32 = 90;
 
-/// A number that no adapter has.
+/// A number without an adapter.
 pub(super) fn number() -> u32 {
     let is_free = |number: &u32| {
         let node = format!("i2c-{number}");
@@ -44,24 +44,22 @@ pub(super) fn number() -> u32 {
     (FIRST..).find(is_free).unwrap_or(FIRST)
 }
 
-/// The file of a number.
 pub(super) fn node(number: impl Display) -> PathBuf {
     format!("/dev/i2c-{number}").into()
 }
 
-/// In the process that becomes the command, with a bus of that number: it returns only the exit code for a command that
-/// cannot be run.
+/// Becomes the command, with a bus of that number. It returns only if the command cannot be run, with the exit code.
 pub(crate) fn become_command(number: Option<u32>, command: &[OsString]) -> Result<ExitCode> {
     let failed = |errno: Errno| Error::io("the command", "cannot be started", &errno.into());
     if let Some(number) = number {
         enter()?;
         let node = node(number);
         copy_dev(&node).map_err(explained)?;
-        // The command does not hold it: it is closed by exec.
+        // exec closes it, so the command does not hold it.
         let _device = single::mount(&node, SOURCE)?;
         raise(Signal::SIGSTOP).map_err(failed)?;
-        // The kernel takes a new file for root's. In a user namespace without root it opens that to nobody for writing, and
-        // asks only who looks at it.
+        // The kernel gives a new file to root. In a user namespace without root nobody could open it for writing, until
+        // somebody has asked for its attributes.
         let _ = fs::metadata(&node);
     }
     // The server has blocked them, and a process inherits that.
@@ -69,7 +67,7 @@ pub(crate) fn become_command(number: Option<u32>, command: &[OsString]) -> Resul
     Ok(not_run(command, &Command::new(&command[0]).args(&command[1..]).exec()))
 }
 
-/// Says why a command cannot be run, and returns the exit code that shells have for that.
+/// Says why a command cannot be run, and returns a shell's exit code for that.
 fn not_run(command: &[OsString], error: &io::Error) -> ExitCode {
     let subject = command[0].to_string_lossy().into_owned();
     if error.kind() == ErrorKind::NotFound {
@@ -81,7 +79,6 @@ fn not_run(command: &[OsString], error: &io::Error) -> ExitCode {
     ExitCode::from(126)
 }
 
-/// Enters namespaces of its own.
 fn enter() -> Result<()> {
     if geteuid().is_root() && unshare(CloneFlags::CLONE_NEWNS).is_ok() {
         return Ok(());
@@ -89,19 +86,19 @@ fn enter() -> Result<()> {
     let (uid, gid) = (geteuid(), getegid());
     unshare(CloneFlags::CLONE_NEWNS | CloneFlags::CLONE_NEWUSER)
         .map_err(|errno| restricted(&errno.into()))?;
-    // The command stays the user that it is.
+    // The command keeps its user.
     let map = |file: &str, text: String| {
         fs::write(file, text).map_err(|error| Error::io(file, "cannot be written", &error))
     };
     map("/proc/self/setgroups", "deny".into())?;
     map("/proc/self/uid_map", format!("{uid} {uid} 1"))?;
     map("/proc/self/gid_map", format!("{gid} {gid} 1"))?;
-    // The command may mount, too, as `gaugefs mount` has to. It does not need that for the bus.
+    // The command may mount too, as `gaugefs mount` has to. The bus does not need it.
     let _ = keep_mounting();
     Ok(())
 }
 
-/// Keeps the right to mount in this namespace beyond exec.
+/// Keeps the privilege to mount in this namespace beyond exec.
 fn keep_mounting() -> rustix::io::Result<()> {
     let own = capabilities(None)?;
     set_capabilities(
@@ -111,7 +108,7 @@ fn keep_mounting() -> rustix::io::Result<()> {
     configure_capability_in_ambient_set(CapabilitySet::SYS_ADMIN, true)
 }
 
-/// Puts a copy of `/dev` over it, whose files and folders are those of the original, with an empty file more.
+/// Covers `/dev` with a copy of its files and folders, plus an empty file.
 fn copy_dev(node: &Path) -> Result<()> {
     const NONE: Option<&str> = None;
     let dev = Path::new("/dev");
@@ -146,7 +143,7 @@ fn copy_dev(node: &Path) -> Result<()> {
     made.map(drop).map_err(failed)
 }
 
-/// Whether the kernel lets nobody take the kernel's end of the mount from the process that has made it.
+/// Checks that the kernel lets another process take the kernel's end of the mount.
 pub(super) fn check_ptrace() -> Result<()> {
     if setting("kernel/yama/ptrace_scope").is_some_and(|scope| scope == "3") {
         let why = "Yama forbids to take anything from another program (kernel.yama.ptrace_scope is 3), so the command cannot \
@@ -157,7 +154,7 @@ pub(super) fn check_ptrace() -> Result<()> {
     Ok(())
 }
 
-/// An error of [`copy_dev`], where a security module has withheld the rights of a user namespace.
+/// Explains an error of [`copy_dev`] where a security module withholds a user namespace's privileges.
 fn explained(error: Error) -> Error {
     match error.errno() {
         Errno::EPERM | Errno::EACCES => restricted(&error.errno().into()),
@@ -165,7 +162,7 @@ fn explained(error: Error) -> Error {
     }
 }
 
-/// Namespaces are refused: by what, and what works without them.
+/// Explains refused namespaces: what refuses them, and what works without.
 fn restricted(error: &io::Error) -> Error {
     let is = |name: &str, value: &str| setting(name).is_some_and(|set| set == value);
     let reason = if is("kernel/unprivileged_userns_clone", "0") {

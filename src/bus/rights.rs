@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! Root's rights, given up for good.
+//! Gives up root's privileges for good.
 
 use std::fs;
 use std::os::unix::fs::MetadataExt;
@@ -11,8 +11,8 @@ use nix::unistd::{Gid, Uid, geteuid, setgroups, setresgid, setresuid};
 
 use crate::error::{Cause, Error, Result};
 
-/// Makes root an ordinary user, without a way back: whoever has used sudo, or the owner of the folder in which `state` is,
-/// or nobody. To be called before there is another thread. Another user stays what he is.
+/// Makes root an ordinary user for good: sudo's caller, or the owner of `state`'s folder, or nobody. Call it before
+/// other threads exist. Other users stay as they are.
 pub(super) fn give_up(state: Option<&Path>) -> Result<()> {
     if !geteuid().is_root() {
         return Ok(());
@@ -21,7 +21,7 @@ pub(super) fn give_up(state: Option<&Path>) -> Result<()> {
     become_user(uid, gid).map_err(|errno| Error::io("gaugefs", "cannot give up root's rights", &errno.into()))
 }
 
-/// Who this process becomes.
+/// The user that this process becomes.
 fn successor(state: Option<&Path>) -> Result<(Uid, Gid)> {
     if let Some(state) = state {
         let folder = state.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
@@ -40,7 +40,7 @@ fn successor(state: Option<&Path>) -> Result<(Uid, Gid)> {
     Ok((Uid::from_raw(uid), Gid::from_raw(gid)))
 }
 
-/// Becomes that user, without a way back. A change of all user numbers from 0 clears the capabilities (capabilities(7)).
+/// Becomes that user for good. Changing all user IDs from 0 clears the capabilities (capabilities(7)).
 fn become_user(uid: Uid, gid: Gid) -> nix::Result<()> {
     setgroups(&[])?;
     setresgid(gid, gid, gid)?;

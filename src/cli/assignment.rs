@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! `NAME=VALUE` on a command line: a parameter by its name or place, and a value as people write it.
+//! `NAME=VALUE` on a command line: a parameter by name or place, and a value as people write it.
 
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
@@ -30,7 +30,7 @@ impl FromStr for Assignment {
     }
 }
 
-/// The parameters and values of a command line. They are checked as far as they can be without the gauge.
+/// The parameters and values of a command line, checked as far as possible without the gauge.
 pub(super) fn wanted(chip: &'static Chip, assignments: &[Assignment]) -> Result<Wanted> {
     let mut wanted = Wanted::new(chip);
     for Assignment { name, value } in assignments {
@@ -39,9 +39,9 @@ pub(super) fn wanted(chip: &'static Chip, assignments: &[Assignment]) -> Result<
     Ok(wanted)
 }
 
-/// The words of a command line: gauges first, then what is done with each. A word is a gauge if it is a path, with `/` or
-/// `.` at its beginning or of a folder that is there or in a mount whose daemon is gone, or the name of a mounted gauge. Behind a path, no mount is searched for
-/// names: another one that hangs would delay the command.
+/// Splits a command line into gauges and the words after them. A gauge is a path that begins with `/` or `.`, an
+/// existing folder, a folder in a mount whose daemon is gone, or a mounted gauge's name. After a path, no mount is
+/// searched for names: another mount that hangs would delay the command.
 pub(super) fn split(words: Vec<OsString>) -> Result<(Vec<PathBuf>, Vec<String>)> {
     let is_folder = |word: &OsString| match std::fs::metadata(word) {
         Ok(status) => status.is_dir(),
@@ -54,7 +54,7 @@ pub(super) fn split(words: Vec<OsString>) -> Result<(Vec<PathBuf>, Vec<String>)>
         let text = word.to_string_lossy();
         text.starts_with(['/', '.']) || (!text.contains('=') && is_folder(word))
     };
-    // One of several of that name is refused where it is opened.
+    // Opening it refuses an ambiguous name.
     let is_named = |word: &OsString| {
         let path = Path::new(word);
         !word.to_string_lossy().contains('=') && Gauge::named(path).map_or(true, |folder| folder != path)

@@ -76,7 +76,7 @@ impl Auth {
     }
 }
 
-/// The byte order that the gauge is mounted with.
+/// The byte order of the gauge's mount.
 fn order(gauge: &Gauge) -> Result<Order> {
     const FILE: &str = "gauge/auth_order";
     gauge.check_has(FILE, "authentication")?;
@@ -87,7 +87,7 @@ fn order(gauge: &Gauge) -> Result<Order> {
     })
 }
 
-/// Writes a challenge and reads its digest. The file may have the answer to another program's challenge.
+/// Writes a challenge and reads its digest. The file may contain the answer to another program's challenge.
 fn exchange(gauge: &Gauge) -> Result<(Message, Message)> {
     const FILE: &str = "gauge/authenticate";
     let failed = |error: gaugefs_client::Error| error.doing("the gauge does not answer the challenge");
@@ -100,7 +100,7 @@ fn exchange(gauge: &Gauge) -> Result<(Message, Message)> {
         let answer = text.split_once(' ').map(|(asked, digest)| [asked, digest.trim_end()].map(hex));
         match answer {
             Some([Some(asked), Some(digest)]) if asked == challenge => return Ok((challenge, digest)),
-            // The other one has failed, and leaves nothing.
+            // The other program has failed, and leaves nothing.
             None if text.is_empty() => {}
             Some([Some(_), Some(_)]) => {}
             _ => {

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! One command for several gauges: each is done for itself, and the exit code is the worst.
+//! A command for several gauges: each gets its own run, and the worst exit code counts.
 
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -17,9 +17,9 @@ use ti_gauge::image::{Difference, Entry, RawDifference};
 use ti_gauge::unit;
 use ti_gauge::value::Type;
 
-/// Exit code for a failure where 1 means something else.
+/// Exit code of a failure where 1 has another meaning.
 pub(super) const TROUBLE: u8 = 2;
-/// Exit code for a failure elsewhere, and for a difference.
+/// Exit code of other failures, and of a difference.
 pub(super) const FAILED: u8 = 1;
 
 #[derive(Args, Clone, Copy, Debug)]
@@ -32,7 +32,7 @@ pub(super) struct Batch {
     pub(super) fail_fast: bool,
 }
 
-/// The result for one gauge, as lines or as an object of --json.
+/// The result for a gauge, as lines or as an object of --json.
 #[derive(Debug, Default, Serialize)]
 pub(super) struct Report {
     gauge: String,
@@ -48,7 +48,7 @@ pub(super) struct Report {
     /// The file that was written.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) file: Option<String>,
-    /// Values for which the format of `file` has no place.
+    /// Values that the format of `file` cannot hold.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub(super) left_out: Vec<String>,
     pub(super) passed_over: Vec<String>,
@@ -61,7 +61,7 @@ pub(super) struct Report {
     lines: Vec<String>,
 }
 
-/// A value that was changed, or would be.
+/// A changed value, or one that would change.
 #[derive(Debug, Serialize)]
 struct Row {
     name: String,
@@ -70,7 +70,6 @@ struct Row {
     unit: &'static str,
 }
 
-/// A value.
 #[derive(Debug, Serialize)]
 pub(super) struct Value {
     name: String,
@@ -84,7 +83,7 @@ impl Value {
     }
 }
 
-/// A value for --json: a number where it is shown in decimal, else its text.
+/// A value for --json: a number if shown in decimal, otherwise its text.
 pub(super) fn json(entry: &Entry) -> Json {
     let shown = entry.shown();
     let is_number =
@@ -96,7 +95,6 @@ pub(super) fn json(entry: &Entry) -> Json {
 }
 
 impl Report {
-    /// Adds the changes.
     pub(super) fn change(&mut self, changes: &[Difference<'_>], raw: &[RawDifference]) {
         let rows = changes.iter().map(|change| Row {
             name: change.name.clone(),
@@ -115,17 +113,16 @@ impl Report {
         self.lines.extend(raw.iter().map(ToString::to_string));
     }
 
-    /// Notes which gauge it is, as the last poll has shown. A write may change its serial number.
+    /// Notes the gauge as the last poll has shown it, because a write may change its serial number.
     pub(super) fn identify(&mut self, gauge: &Gauge) {
         (self.part, self.serial) = gauge.pack();
     }
 
-    /// Adds a line to print.
     pub(super) fn say(&mut self, line: String) {
         self.lines.push(line);
     }
 
-    /// Sets the outcome of a gauge that did not fail, and returns its exit code.
+    /// Sets the outcome of a gauge without a failure, and returns its exit code.
     pub(super) fn done(&mut self, dry_run: bool) -> u8 {
         let changes = !self.lines.is_empty();
         let (outcome, code) = match (dry_run, changes, self.passed_over.is_empty()) {
@@ -140,7 +137,7 @@ impl Report {
         code
     }
 
-    /// The exit code of a command that only reads.
+    /// The exit code of a read-only command.
     pub(super) fn read(&mut self) -> u8 {
         self.outcome = "read";
         if self.passed_over.is_empty() { 0 } else { PASSED_OVER }
@@ -148,8 +145,7 @@ impl Report {
 }
 
 impl Batch {
-    /// Does something with each gauge, which returns the exit code for that gauge alone. That of a gauge that failed is
-    /// `failure`.
+    /// Runs `work` for each gauge, which returns that gauge's exit code. A failed gauge has the exit code `failure`.
     pub(super) fn run(
         self,
         gauges: &[PathBuf],
@@ -185,7 +181,7 @@ impl Batch {
             }
             let left = gauges.len() - at - 1;
             if let Err(error) = printed {
-                // Nobody would know of the other gauges what has become of them.
+                // Nobody would know the outcome of the other gauges.
                 say(error.within(&format!("{}: {}", report.gauge, report.outcome)));
                 if left > 0 {
                     say(format_args!("{left} more not tried"));
@@ -201,7 +197,7 @@ impl Batch {
     }
 }
 
-/// Its lines. Those of one gauge among several begin with its folder and serial number.
+/// Lines of a gauge. Among several gauges they begin with its folder and serial number.
 fn text(report: &Report, several: bool) -> String {
     let head = match (&report.serial, several) {
         (_, false) => String::new(),
@@ -215,7 +211,7 @@ fn text(report: &Report, several: bool) -> String {
     text
 }
 
-/// Whether an exit code is worse than the worst so far: a failure than what was passed over, and that than success.
+/// Whether an exit code is worse: a failure is worse than something left out, which is worse than success.
 fn worst_of(worst: u8, code: u8) -> bool {
     let rank = |code: u8| [0, PASSED_OVER, FAILED, TROUBLE].iter().position(|known| *known == code);
     rank(code) > rank(worst)

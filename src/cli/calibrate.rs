@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! `gaugefs calibrate`: calibrates a mounted gauge against a meter. The daemon does it, in one request.
+//! `gaugefs calibrate`: calibrates a mounted gauge against a meter. The daemon does it in one request.
 
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -18,7 +18,7 @@ use gaugefs_client::{Gauge, Name};
 
 /// Exit code of a calibration whose result could not be read.
 const UNKNOWN: u8 = 2;
-/// Time between two looks at the steps, which cause no bus traffic.
+/// Interval of looks at the steps, which cause no bus traffic.
 const INTERVAL: Duration = Duration::from_millis(200);
 
 const CALIBRATE: &str = "\
@@ -88,13 +88,13 @@ impl Calibrate {
     }
 }
 
-/// Writes a line to `gauge/calibrate`, and prints the steps as the daemon tells them. Those of another request are left out.
+/// Writes a line to `gauge/calibrate`, and prints the daemon's steps, without those of other requests.
 pub(super) fn request(gauge: &Gauge, line: &str, failure: &str) -> Result<ExitCode> {
     gauge.check_has("gauge/calibrate", "calibration")?;
     let asked = gauge.clone();
     let name = Name::draw();
     let (end, ended) = mpsc::channel::<()>();
-    // Whether all steps were seen, and printed.
+    // Whether all steps were seen and printed.
     let follow = thread::spawn(move || {
         let (mut shown, mut printed) = (String::new(), Ok(()));
         let mut last = false;
@@ -115,7 +115,7 @@ pub(super) fn request(gauge: &Gauge, line: &str, failure: &str) -> Result<ExitCo
     drop(end);
     let followed = follow.join();
     sent.map_err(|refused| refused.doing(failure))?;
-    // A panic there was told by itself.
+    // A panic there has been reported.
     let is_whole =
         followed.unwrap_or(Ok(true)).map_err(|error| error.within("done, but its steps were not printed"))?;
     if is_whole {

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! What a new design capacity leaves as it was, although it belongs to the old one.
+//! Values that belong to the old design capacity and stay when it changes.
 
 use crate::error::shown;
 use crate::output::say;
@@ -15,7 +15,7 @@ use ti_gauge::value::Value;
 const CAPACITY: &str = "Design Capacity";
 const ENERGY: &str = "Design Energy";
 
-/// Whether one of these images has a value for a parameter of that name.
+/// Whether an image has a value for such a parameter.
 fn has(wanted: &[&Image], is_it: impl Fn(&str) -> bool) -> bool {
     wanted.iter().any(|image| image.entries.iter().any(|entry| is_it(entry.parameter.name)))
 }
@@ -26,7 +26,7 @@ pub(super) fn energy(chip: &'static Chip, wanted: &[&Image]) -> Option<Row> {
     row.filter(|_| has(wanted, |name| name == CAPACITY) && !has(wanted, |name| name == ENERGY))
 }
 
-/// Says what stays behind a change of the design capacity. `stored` has the design energy, if the part has one.
+/// Says what a change of the design capacity leaves behind. `stored` has the design energy, if the part has one.
 pub(super) fn say_what_stays(gauge: &Gauge, stored: &Image, wanted: &[&Image], changes: &[Difference<'_>]) {
     let Some(change) = changes.iter().find(|change| change.new.parameter.name == CAPACITY) else { return };
     let (folder, chip) = (shown(gauge.folder()), stored.chip);
@@ -36,7 +36,7 @@ pub(super) fn say_what_stays(gauge: &Gauge, stored: &Image, wanted: &[&Image], c
             (&entry.value, &change.old.value, &change.new.value)
         && *old > 0
     {
-        // Half of the old capacity rounds to the nearest.
+        // Half of the old capacity, for rounding.
         let fits = (kept * new + old / 2) / old;
         let of_capacity = |value: &i64| with_unit(&value.to_string(), unit::shown(change.new.parameter));
         let remedy = match notation::check(entry.parameter, &Value::Int(fits)) {

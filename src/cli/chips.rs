@@ -39,7 +39,7 @@ pub(super) struct Chips {
     json: bool,
 }
 
-/// One chip, as a line of the table or an object of JSON.
+/// A chip, as a line of the table or an object of JSON.
 #[derive(Serialize)]
 struct Row {
     name: &'static str,
@@ -106,7 +106,6 @@ impl Chips {
     }
 }
 
-/// Prints every chip.
 fn list(json: bool) -> Result<()> {
     let rows: Vec<_> = Chip::all().map(Row::new).collect();
     if json {
@@ -117,7 +116,6 @@ fn list(json: bool) -> Result<()> {
     print(&align(&iter::once(header.map(String::from)).chain(cells).collect::<Vec<_>>()))
 }
 
-/// One chip in lines of its own.
 fn details(chip: &'static Chip) -> String {
     let row = Row::new(chip);
     let flash = match chip.access.scheme {

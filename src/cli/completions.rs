@@ -48,7 +48,7 @@ pub(super) fn script(shell: Shell) -> String {
     with_names(shell, &String::from_utf8_lossy(&script))
 }
 
-/// A command without what nobody types, because other programs call it.
+/// A command without subcommands that only programs call.
 fn typed(command: &clap::Command) -> clap::Command {
     let arguments: Vec<_> = command.get_arguments().filter(|argument| !argument.is_hide_set()).collect();
     let groups = command.get_groups().map(|group| {
@@ -57,7 +57,7 @@ fn typed(command: &clap::Command) -> clap::Command {
         ArgGroup::new(group.get_id().clone()).multiple(true).args(members)
     });
     let commands = command.get_subcommands().filter(|command| !command.is_hide_set());
-    // clap keeps names that the program has; this one ends when the script is printed.
+    // clap keeps the program's names; this one ends after the script is printed.
     let name: &str = command.get_name().to_string().leak();
     clap::Command::new(name)
         .about(command.get_about().cloned().unwrap_or_default())
@@ -66,7 +66,7 @@ fn typed(command: &clap::Command) -> clap::Command {
         .subcommands(commands.map(typed))
 }
 
-/// The script, with what `gaugefs names` knows; it answers within some seconds whatever the mounts do.
+/// The script, with calls of `gaugefs names`, which answers within seconds whatever the mounts do.
 fn with_names(shell: Shell, script: &str) -> String {
     let gauges = commands_with(|argument| argument.is_positional() && of_gauge(argument));
     match shell {
@@ -88,7 +88,7 @@ fn with_names(shell: Shell, script: &str) -> String {
     }
 }
 
-/// The options whose values have names, and what these are names of.
+/// Options whose values have names, and the kind of names.
 const OPTIONS: [(&str, &str); 3] = [("bus", "buses"), ("scenario", "scenarios"), ("columns", "columns")];
 
 /// Whether an argument is a mounted gauge.
@@ -97,7 +97,7 @@ fn of_gauge(argument: &clap::Arg) -> bool {
     argument.get_id() == "gauge" || names.into_iter().any(|name| name == "GAUGE")
 }
 
-/// The names of the commands that have such an argument, themselves or in a command below.
+/// Names of the commands that have such an argument, or whose subcommands do.
 fn commands_with(wanted: impl Fn(&clap::Arg) -> bool + Copy) -> String {
     fn has(command: &clap::Command, wanted: impl Fn(&clap::Arg) -> bool + Copy) -> bool {
         command.get_arguments().any(wanted) || command.get_subcommands().any(|below| has(below, wanted))
@@ -107,7 +107,7 @@ fn commands_with(wanted: impl Fn(&clap::Arg) -> bool + Copy) -> String {
     commands.map(|command| command.get_name().to_string()).collect::<Vec<_>>().join(" ")
 }
 
-/// A line of the script for zsh. What follows the last colon says what is offered.
+/// A line of the script for zsh. The text after the last colon is what it offers.
 fn zsh_line(line: &str) -> String {
     let start = line.trim_start();
     let of_option = |(name, _): &&(&str, &str)| start.starts_with(&format!("'--{name}=["));
@@ -236,7 +236,7 @@ mod tests {
         for shell in [Shell::Bash, Shell::Zsh, Shell::Fish] {
             let script = script(shell);
             for command in Cli::command().get_subcommands() {
-                // In the names of other commands and options there may be such a word, too.
+                // Names of other commands and options may contain such a word.
                 let is_line = |wanted: String| script.lines().any(|line| line.trim() == wanted);
                 let is_there = match shell {
                     Shell::Bash => script.contains(&format!("gaugefs,{})", command.get_name())),

@@ -61,7 +61,7 @@ struct Row<'a> {
 }
 
 impl Diff {
-    /// Exit codes as diff(1) has them: a script must be able to distinguish a difference from a failure.
+    /// Exit codes are diff(1)'s: scripts must be able to tell a difference from a failure.
     pub(super) fn run(self) -> Result<ExitCode> {
         trouble(self.compare())
     }
@@ -78,12 +78,12 @@ impl Diff {
             }
         }
         let named = self.chip.as_deref().and_then(Chip::by_name);
-        // A mounted gauge says which chip a file without a name is for.
+        // A mounted gauge tells the chip of a file that names none.
         let chip_of = |path: &Path| match path.is_dir() {
             true => Gauge::open(path)?.chip().map(Some),
             false => Ok(None),
         };
-        // Files first: one that is refused leaves the gauge alone.
+        // Files first: a refused file leaves the gauge alone.
         let (a, mut b) = if self.b.is_dir() {
             let a = mounted::open(&self.a, named.or(chip_of(&self.b)?), self.data_flash)?;
             (a, mounted::whole(&Gauge::open(&self.b)?)?)

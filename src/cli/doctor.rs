@@ -2,8 +2,8 @@
 
 //! `gaugefs doctor`: checks this machine for problems and shows remedies.
 //!
-//! It only reads: files below one root folder, which a test fills as it likes, the output of systemctl,
-//! and what an adapter reports about itself. It sends nothing on a bus unless the user names one.
+//! It only reads: files below a root folder, which tests fill, the output of systemctl, and adapters' descriptions of
+//! themselves. It sends nothing on a bus unless the user names one.
 
 use std::fmt::Write as _;
 use std::path::PathBuf;
@@ -47,7 +47,7 @@ pub(super) struct Doctor {
     root: PathBuf,
 }
 
-/// How serious a finding is.
+/// The severity of a finding.
 #[derive(Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 enum State {

@@ -93,7 +93,7 @@ impl Export {
         }))
     }
 
-    /// The format that the ending of a file names. If a format was asked for as well, it has to be the same.
+    /// The format of a file's ending. A requested format has to be the same.
     fn format_of(&self, file: Option<&Path>) -> Result<FormatName, String> {
         let name = file.map_or_else(String::new, |file| file.display().to_string());
         let lower = name.to_ascii_lowercase();
@@ -140,7 +140,7 @@ fn export(gauge: &Gauge, format: FormatName, file: Option<&Path>, report: &mut R
     Ok(report.read())
 }
 
-/// A command line that cannot be carried out.
+/// Reports a command line that cannot be carried out.
 fn misuse(why: &str) -> Result<ExitCode> {
     say(why);
     Ok(TROUBLE.into())
@@ -151,7 +151,7 @@ impl FormatName {
         self.to_possible_value().map_or_else(String::new, |value| value.get_name().to_string())
     }
 
-    /// The ending of the names of its files.
+    /// The file name's ending.
     fn ending(self) -> &'static str {
         match self {
             Self::Toml => "toml",

@@ -83,7 +83,7 @@ pub(super) struct Import {
     batch: Batch,
 }
 
-/// The groups of parameters that an import or a comparison can skip.
+/// Groups of parameters that an import or a comparison can skip.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub(super) enum GroupName {
     /// The class Calibration: values measured for each circuit
@@ -111,7 +111,7 @@ impl Import {
     fn import(&self, gauge: &Gauge, source: &Source, report: &mut Report) -> Result<u8> {
         let groups: Vec<Group> = self.exclude.iter().map(|&name| name.into()).collect();
         let named = |error: ti_gauge::error::Error| error.within(&source.name);
-        // A file that is refused leaves the gauge alone.
+        // A refused file leaves the gauge alone.
         let chip = gauge.chip()?;
         let set = assignment::wanted(chip, &self.set)?;
         let mut file = self.file(chip, source, &groups, &set)?;
@@ -127,8 +127,8 @@ impl Import {
         file.keep_reserved(&image);
         let Changes { mut changes, mut passed_over } =
             image.changes(&file, &groups, self.allow_unproven).map_err(named)?;
-        // What is named on the command line is in no group that is left out, and whether unproven ones may be written is
-        // the mount's to decide.
+        // Groups that are left out do not concern values of the command line, and the mount decides whether unproven
+        // ones may be written.
         let Changes { changes: more, passed_over: hidden } = image.changes(set.image(), &[], true)?;
         changes.extend(more);
         passed_over.extend(hidden);
@@ -162,8 +162,8 @@ impl Import {
         Ok(report.done(self.dry_run))
     }
 
-    /// Reads the file, which must name the chip and, with `--complete`, hold everything that can be written and is not
-    /// set on the command line.
+    /// Reads the file, which must name the chip and, with `--complete`, contain everything writable that the command
+    /// line does not set.
     fn file(&self, chip: &'static Chip, source: &Source, exclude: &[Group], set: &Wanted) -> Result<Image> {
         let named = self.chip.as_deref().and_then(Chip::by_name);
         let file = source.image(named.or(Some(chip)), self.data_flash)?;
@@ -181,8 +181,8 @@ impl Import {
     }
 }
 
-/// Makes sure that a gauge has the chemistry of an image for ROM mode, which an import cannot write. Returns a line
-/// that says so.
+/// Checks that the gauge has the chemistry of an image for ROM mode, which an import cannot write. Returns a line that
+/// says so.
 fn check_chemistry(gauge: &Gauge, chip: &Chip, expected: u16) -> Result<String> {
     let chem_id = gauge.text("gauge/chem_id").unwrap_or_default();
     let name = gauge.folder().display().to_string();

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT
 
-//! `gaugefs keys change`: changes a key of a mounted gauge. Keys come from files that nobody else may read or
-//! from the terminal, never from the command line, and leave this process in one write(2) to `gauge/keys`.
+//! `gaugefs keys change`: changes a key of a mounted gauge. Keys come from files that only their owner may read or from
+//! the terminal, never from the command line, and leave this process in one write(2) to `gauge/keys`.
 
 use std::fs::File;
 use std::io::{Read, Write};
@@ -37,7 +37,7 @@ Examples:
   gaugefs keys change /run/gauges/BAT0 unseal
   gaugefs keys change --key-file old.keys --new-key-file new.keys BAT0 unseal";
 
-/// Longest line that is accepted from the terminal.
+/// Longest line from the terminal.
 const LINE: usize = 256;
 /// Ctrl-C, as a character.
 const INTERRUPT: u8 = 3;
@@ -77,7 +77,7 @@ impl Command {
         let Action::Change(change) = self.command;
         let gauge = Gauge::open(&change.gauge)?;
         let changed = change.run(&gauge)?;
-        // It is changed, whether that can be printed or not.
+        // The key is changed, printed or not.
         print(&changed).map_err(|error| error.within(&changed.replace('\n', " ")))?;
         Ok(ExitCode::SUCCESS)
     }
@@ -93,7 +93,7 @@ impl Change {
         mounted::poll(gauge)?;
         let (old, new) = self.keys(name, &gauge.name())?;
         let (word, [old, new]) = (name.as_str(), [old.text(), new.text()]);
-        // Reserved at once: a string that grows leaves copies behind that are not wiped.
+        // Reserved at once: a growing string leaves copies behind that are not wiped.
         let mut line = Zeroizing::new(String::with_capacity(LINE));
         for part in [word, " ", &old, " ", &new, "\n"] {
             line.push_str(part);
@@ -101,8 +101,8 @@ impl Change {
         let failed = |error: gaugefs_client::Error| Error::from(error.doing("the key was not changed"));
         let mut file = gauge.open_to_write(FILE).map_err(failed)?;
         let sent = file.send(line.as_bytes());
-        // The daemon reads its next request into the same buffer, so this overwrites the keys there. Its
-        // failure is harmless.
+        // The daemon reads its next request into the same buffer, so this overwrites the keys there. Its failure is
+        // harmless.
         let _ = file.send(" ".repeat(line.len()).as_bytes());
         match sent {
             Ok(_) => Ok(format!(
@@ -114,7 +114,6 @@ impl Change {
         }
     }
 
-    /// The old key and the new one.
     fn keys(&self, name: Name, gauge: &str) -> Result<(Secret, Secret)> {
         // Both files are checked before anybody types a key.
         let of_file =
@@ -138,7 +137,7 @@ fn of_file(file: &Path, name: Name, gauge: &str) -> Result<Secret> {
     })
 }
 
-/// The terminal, without echo until this is dropped.
+/// The terminal, without echo as long as this exists.
 struct Terminal {
     file: File,
     before: Termios,
@@ -157,7 +156,8 @@ impl Terminal {
         let mut silent = before.clone();
         silent.local_flags.remove(LocalFlags::ECHO | LocalFlags::ISIG);
         silent.local_flags.insert(LocalFlags::ICANON | LocalFlags::ECHONL);
-        // Ctrl-C would end the process and leave the echo off. It ends the line instead, and is found there.
+        // Ctrl-C would end the process and leave the echo off. Here it ends the line, which is then found to contain
+        // it.
         silent.control_chars[SpecialCharacterIndices::VEOL as usize] = INTERRUPT;
         tcsetattr(&file, SetArg::TCSAFLUSH, &silent).map_err(|errno| failed(errno.into()))?;
         Ok(Self { file, before })
@@ -191,7 +191,7 @@ impl Terminal {
 
 impl Drop for Terminal {
     fn drop(&mut self) {
-        // If the terminal is gone, there is nothing to restore.
+        // A lost terminal needs no restoring.
         let _ = tcsetattr(&self.file, SetArg::TCSAFLUSH, &self.before);
     }
 }

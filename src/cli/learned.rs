@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! `gaugefs learned`: what is kept of what a gauge with RAM has learned.
+//! `gaugefs learned`: what the daemon keeps of a RAM gauge's learned values.
 
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -50,7 +50,7 @@ impl Learned {
             (None, false) => "show".into(),
         };
         let told = gauge.learned(&wish)?;
-        // What was asked for is done, whether it can be printed or not.
+        // The request is done, printed or not.
         print(&told).map_err(|error| error.within(told.trim_end()))?;
         Ok(ExitCode::SUCCESS)
     }

@@ -116,7 +116,7 @@ impl Lint {
         }
     }
 
-    /// Adds the faults of the values and bytes in a file that could be read.
+    /// Adds the faults of the values and bytes in a readable file.
     fn check(&self, image: &Image, faults: &mut Faults) {
         let values = image.entries.iter();
         let values = values.filter_map(|entry| Some((entry.line, entry.not_imported(false).err()?)));

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! `gaugefs list`: the gauges that are mounted on this machine.
+//! `gaugefs list`: the mounted gauges of this machine.
 
 use std::path::Path;
 use std::process::ExitCode;
@@ -78,7 +78,7 @@ impl List {
     }
 }
 
-/// The reason why a mount has not shown all of its gauges, if it has not.
+/// Why a mount has not shown all of its gauges.
 fn trouble(mount: &Path, found: &Found) -> Option<String> {
     match found {
         Found { dead: Some(true), .. } => Some(gaugefs_client::died(shown(mount))),
@@ -86,7 +86,7 @@ fn trouble(mount: &Path, found: &Found) -> Option<String> {
             let mount = shown(mount);
             Some(format!("its daemon does not answer; remove the mount with: gaugefs umount {mount}"))
         }
-        // Another user's, which this one may not enter.
+        // Another user's mount, which this user may not enter.
         Found { gauges, .. } if gauges.is_empty() => Some("it cannot be read by this user".into()),
         _ => None,
     }

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT
 
-//! `gaugefs man`: the manual pages that a package installs.
+//! `gaugefs man`: the manual pages of a package.
 //!
-//! The pages are written by hand in `docs/gaugefs.1.in` and `docs/gaugefs.toml.5.in`, except for the commands, options and
-//! keys: they are generated from the definitions of the parser, and from the table of `config`.
+//! The pages are written by hand in `docs/gaugefs.1.in` and `docs/gaugefs.toml.5.in`, except for commands, options and
+//! keys, which come from the parser's definitions and from the table of `config`.
 
 use std::process::ExitCode;
 
@@ -54,7 +54,7 @@ impl Man {
     }
 }
 
-/// A page with its head. It is dated by SOURCE_DATE_EPOCH, so that a package builds reproducibly.
+/// A page with its head, dated by SOURCE_DATE_EPOCH, so that a package builds reproducibly.
 fn dated(page: &str) -> String {
     let epoch = std::env::var("SOURCE_DATE_EPOCH").ok().and_then(|seconds| seconds.parse().ok());
     let date = epoch.and_then(|seconds| Timestamp::from_second(seconds).ok());
@@ -81,7 +81,7 @@ fn keys<T: Options>(rows: impl Iterator<Item = &'static Opt<T>>) -> String {
     section.to_roff()
 }
 
-/// A text in which what is between two backticks is bold, and so are options, which are keys here.
+/// Text with bold words: those between backticks, and options, which are keys here.
 fn marked<T: Options>(text: &str) -> Vec<Inline> {
     let mut marked = Vec::new();
     for (number, part) in text.split('`').enumerate() {
@@ -115,7 +115,7 @@ pub(super) fn program(mut gaugefs: Command) -> String {
         .replace("@WORDS@\n", &words())
 }
 
-/// What the words of gaugefs mean, from the page that has them.
+/// The meanings of gaugefs's words, from their page.
 fn words() -> String {
     let (_, table) = WORDS.split_once("\n## Words\n").expect("the page has them");
     let rows = table.lines().skip_while(|line| !line.starts_with("| --- ")).skip(1);
@@ -187,7 +187,7 @@ fn term(argument: &Arg) -> Vec<Inline> {
     term
 }
 
-/// The help text of an argument, with its possible values and default.
+/// Help of an argument, with its possible values and default.
 fn explain(argument: &Arg) -> String {
     let mut text = argument.get_help().map(ToString::to_string).unwrap_or_default();
     let values = argument.get_possible_values();

@@ -85,7 +85,7 @@ impl Mount {
     }
 }
 
-/// The options that a file has for each gauge. The bus is for the gauges that name none.
+/// The options of each gauge in a file. The bus is for gauges without one.
 fn of_one_gauge() -> impl Iterator<Item = &'static str> {
     names::<GaugeOptions>(At::Line).filter(|name| *name != "bus")
 }
@@ -99,7 +99,7 @@ impl Attach {
     }
 }
 
-/// Prints the gauges that a configuration would mount, and each problem that the mount would have.
+/// Prints the gauges of a configuration, and each problem that the mount would have.
 fn check(setup: &Setup) -> Result<ExitCode> {
     let (names, found) = preflight::check(setup);
     print(&plan(setup, &names))?;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT
 
-//! Mounted gauges, as the commands need them beside [`gaugefs_client`]: a person is told which gauge was polled, and a
-//! file may be in its place.
+//! Mounted gauges for commands, in addition to [`gaugefs_client`]: they tell which gauge was polled, and a file may
+//! stand for a gauge.
 
 use std::path::Path;
 
@@ -12,7 +12,7 @@ use gaugefs_host::input::Source;
 use ti_gauge::chip::Chip;
 use ti_gauge::image::{Faults, Image, Reading};
 
-/// Reads a mounted gauge as it is now, or a file of any format, as [`Source::image`] does.
+/// Reads a mounted gauge, or a file of any format as [`Source::image`] does.
 pub(super) fn open(path: &Path, chip: Option<&'static Chip>, data_flash: bool) -> Result<Image> {
     match is_mounted(path)? {
         true => whole(&Gauge::open(path)?),
@@ -20,7 +20,7 @@ pub(super) fn open(path: &Path, chip: Option<&'static Chip>, data_flash: bool) -
     }
 }
 
-/// Reads a mounted gauge or a file as far as it goes, and lists all mistakes.
+/// Reads a mounted gauge or a file as far as possible, and lists all mistakes.
 pub(super) fn examine(path: &Path, chip: Option<&'static Chip>, data_flash: bool) -> Result<Reading> {
     match is_mounted(path)? {
         true => {

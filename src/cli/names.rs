@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! `gaugefs names`: what the completions of the shells offer: mounted gauges and the names of their parameters, buses,
-//! scenarios, columns.
+//! `gaugefs names`: words for the shells' completions: mounted gauges and their parameters, buses, scenarios, columns.
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -76,7 +75,7 @@ fn parameters(gauge: PathBuf) -> Result<Vec<String>> {
     let chip = part.and_then(|part| Chip::by_model(&part));
     let rows = chip.into_iter().flat_map(|chip| chip.rows().map(move |row| (chip, row)));
     let rows = rows.filter(|(_, (subclass, _))| subclass.kind != Kind::Security);
-    // The short name, where it means one parameter, is what people type.
+    // People type the short name if it means one parameter.
     let names = |(chip, row): (&Chip, Row)| {
         let short = Some(kebab_case(row.1.name)).filter(|name| chip.find(name).is_ok());
         short.into_iter().chain([chip.name_of(row)])

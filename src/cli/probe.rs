@@ -51,7 +51,6 @@ pub(super) struct Probe {
     json: bool,
 }
 
-/// The device at one address.
 #[derive(Serialize)]
 struct Found {
     address: u8,
@@ -60,7 +59,6 @@ struct Found {
     details: String,
 }
 
-/// The kind of device at an address.
 #[derive(Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 enum State {
@@ -88,7 +86,7 @@ struct Report {
     found: Vec<Found>,
 }
 
-/// A bus that was not looked at, for --json.
+/// A bus that was skipped, for --json.
 #[derive(Serialize)]
 struct Skipped<'a> {
     bus: &'a str,
@@ -180,13 +178,13 @@ impl Probe {
 }
 
 impl Report {
-    /// Whether a device was found that is, or may be, a gauge.
+    /// Whether some device is, or may be, a gauge.
     fn any(&self) -> bool {
         self.found.iter().any(|found| !matches!(found.state, State::Other | State::Nothing))
     }
 }
 
-/// Lines that tell the user what to do next.
+/// What to do next.
 fn advice(found: &[Found], bus: &str) -> String {
     let at = |address, states: &[State]| {
         found.iter().any(|found| found.address == address && states.contains(&found.state))
@@ -205,7 +203,7 @@ fn advice(found: &[Found], bus: &str) -> String {
     }
 }
 
-/// Looks at an address. Asks a device for its type only if the user has named the address.
+/// Looks at an address. Asks for the type only if the user has named the address.
 fn examine(adapter: &Adapter, address: u8, named: bool, byte_writes: bool) -> Result<Found> {
     let found = |state, chips, details| Ok(Found { address, state, chips, details });
     if let Some(details) = driver(adapter, address) {
@@ -283,13 +281,13 @@ fn examine_rom(adapter: &Adapter) -> Result<Found> {
     }
 }
 
-/// Names the kernel driver that is bound to an address.
+/// The kernel driver bound to an address.
 fn driver(adapter: &Adapter, address: u8) -> Option<String> {
     let driver = adapter.driver(address)?;
     Some(format!("the driver {} ({}) uses it; not touched", driver.name, driver.device))
 }
 
-/// The measurements by which a person recognises a pack.
+/// Measurements by which a person recognises a pack.
 fn reads(reading: &Reading) -> String {
     let mut parts = Vec::new();
     let mut add = |role, show: &dyn Fn(f64) -> String| {

@@ -73,7 +73,7 @@ impl Report {
             _ => error,
         };
         if let Some(file) = &self.output {
-            // What else is wrong with it is less important than what is wrong with the gauge.
+            // Problems of the file matter less than those of the gauge.
             match check_file(file, how(self.force)) {
                 Err(error) if error.errno() == Errno::EEXIST => return Err(exists(file)),
                 _ => {}
@@ -137,7 +137,6 @@ fn of_mounted(path: &Path) -> Result<String> {
     Ok(text)
 }
 
-/// How to treat an existing file.
 fn how(force: bool) -> Replace {
     if force { Replace::Kept } else { Replace::Never }
 }

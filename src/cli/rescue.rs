@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! `gaugefs rescue`: brings back a gauge that is left in ROM mode. [`ti_gauge::rom`] decides what is written.
+//! `gaugefs rescue`: restores a gauge that is stuck in ROM mode. [`ti_gauge::rom`] decides what is written.
 
 use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
@@ -46,11 +46,10 @@ Examples:
   gaugefs rescue 0100_0_16-bq34z100G1.bq.fs --sim bq34z100-g1     to see it once
   gaugefs rescue 0100_0_16-bq34z100G1.bq.fs --bus /dev/i2c-1 --chip bq34z100-g1";
 
-/// How long a gauge may take to start its firmware, and the time between two looks.
+/// Limit for the start of a gauge's firmware, and the interval of looks.
 const STARTING: Duration = Duration::from_secs(10);
 const STEP: Duration = Duration::from_millis(250);
-/// Number of looks at a gauge's usual address before it counts as absent: it does not answer while it starts or
-/// programs flash.
+/// Looks at a gauge's usual address before it counts as absent: it does not answer while it starts or programs flash.
 const LOOKS: usize = 8;
 
 /// Restore a gauge that is stuck in ROM mode from a full firmware file
@@ -100,7 +99,7 @@ impl Rescue {
             return Ok(ExitCode::SUCCESS);
         };
         let adapter = Adapter::find(bus)?;
-        // A daemon that waits for the gauge has the lock of its usual address.
+        // A daemon that waits for the gauge holds the lock of its usual address.
         let lock = |address| Lock::gauge(&adapter, address, Path::new(""), &*clock, |_| false);
         let _locks = [lock(GAUGE_ADDRESS)?, lock(ROM_ADDRESS)?];
         let open = |address| LinuxBus::open(adapter.clone(), address, clock.clone());
@@ -111,7 +110,7 @@ impl Rescue {
     }
 }
 
-/// A simulated gauge that somebody has sent to ROM mode.
+/// A simulated gauge in ROM mode.
 fn left_in_rom(chip: &Chip, clock: &Arc<dyn Clock>) -> Result<Sim> {
     let sim = Sim::new(chip.name, &gauge_sim::Options::default(), clock.clone()).map_err(of_sim)?;
     clock.sleep(STEP * 4);
@@ -125,7 +124,7 @@ fn left_in_rom(chip: &Chip, clock: &Arc<dyn Clock>) -> Result<Sim> {
 }
 
 /// Writes firmware to a gauge in ROM mode, and waits until it works. `names` are those of the file and of the device at
-/// the address of ROM mode.
+/// ROM mode's address.
 fn bring_back(
     firmware: &Firmware,
     chip: &'static Chip,
@@ -165,7 +164,7 @@ fn bring_back(
         let percent = done * 100 / all;
         if percent >= shown + 10 {
             shown = percent / 10 * 10;
-            // An erased part is not left because of a full disk.
+            // A full disk must not leave an erased part behind.
             printed = std::mem::replace(&mut printed, Ok(())).and_then(|()| print(&format!("{shown} %\n")));
         }
     });
@@ -175,7 +174,7 @@ fn bring_back(
         Error::from(error).within(name)
     })?;
     wait_for(&mut *gauge, &**clock).map_err(within)?;
-    // Its type is asked for at the address that it now has.
+    // The type is asked for at the present address.
     let mut gauge = Gauge::new(chip, gauge, clock.clone(), Keys::default(), false);
     let answers = gauge.identify().map_err(within)?;
     print(&format!(
@@ -226,7 +225,7 @@ fn wait_for(gauge: &mut dyn Bus, clock: &dyn Clock) -> Result<(), ti_gauge::erro
         }
         clock.sleep(STEP);
     }
-    // It may still measure for the first time.
+    // It may still be measuring for the first time.
     clock.sleep(STEP * 4);
     Ok(())
 }
@@ -242,7 +241,7 @@ fn is_confirmed(chip: &Chip) -> Result<bool> {
          Is it a {}? Type yes to go on: ",
         chip.model
     ))?;
-    // A terminal's longest line.
+    // Longest line of a terminal.
     let line = regular::lines(std::io::stdin().lock(), 4096).next().transpose();
     let line = line.map_err(|error| Error::io("", "cannot read the answer", &error))?;
     Ok(line.is_some_and(|line| line.trim() == "yes"))

@@ -72,13 +72,13 @@ fn parsed(words: &[String]) -> Result<Vec<Assignment>> {
 
 fn set(gauge: &Gauge, assignments: &[Assignment], dry_run: bool, report: &mut Report) -> Result<u8> {
     let chip = gauge.chip()?;
-    // What is refused leaves the gauge alone.
+    // A refused command line leaves the gauge alone.
     let wanted = assignment::wanted(chip, assignments)?;
     mounted::poll(gauge)?;
     report.identify(gauge);
     let presence = gauge.presence()?;
     let stored = gauge.values(chip, &wanted.rows())?;
-    // Whether unproven ones may be written is the mount's to decide.
+    // The mount decides whether unproven parameters may be written.
     let Changes { changes, .. } = stored.changes(wanted.image(), &[], true)?;
     let energy: Vec<Row> = capacity::energy(chip, &[wanted.image()]).into_iter().collect();
     let beside = gauge.values(chip, &energy)?;

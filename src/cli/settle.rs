@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! `gaugefs settle`: shows an interrupted write, and carries out what somebody decides about it.
+//! `gaugefs settle`: shows an interrupted write, and carries out a decision about it.
 
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -56,7 +56,7 @@ impl Settle {
             (_, _, true) => Some(Decision::Discard),
             _ => None,
         };
-        // A journal can be discarded without its gauge.
+        // Discarding a journal does not need its gauge.
         if !self.discard {
             mounted::poll(&gauge)?;
         }
@@ -66,7 +66,7 @@ impl Settle {
             return Ok(if owed { ExitCode::FAILURE } else { ExitCode::SUCCESS });
         };
         let told = gauge.settle(decision, self.serial.as_deref())?;
-        // What was decided is done, whether it can be printed or not.
+        // The decision is done, printed or not.
         print(&format!("{}\n", told.trim_end())).map_err(|error| error.within(told.trim_end()))?;
         Ok(ExitCode::SUCCESS)
     }

@@ -83,7 +83,7 @@ pub(super) struct Sim {
     fast: bool,
 }
 
-/// A gauge to simulate: its chip and its address.
+/// Chip and address.
 type Simulated = (&'static Chip, u8);
 
 /// Become the command of `gaugefs sim`, with a /dev of its own

@@ -79,7 +79,7 @@ impl Watch {
     }
 }
 
-/// The options that a file has for each alert.
+/// The options of each alert in a file.
 fn of_alert() -> impl Iterator<Item = &'static str> {
     names::<AlertOptions>(At::Argument).chain(names::<AlertOptions>(At::Line))
 }

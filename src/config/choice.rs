@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! The rules by which one of several profiles is chosen: `[[gauge.choose]]`.
+//! Rules that choose a gauge's profile: `[[gauge.choose]]`.
 
 use std::path::{Path, PathBuf};
 
@@ -15,7 +15,7 @@ use ti_gauge::text::nearest;
 
 const ABOVE: &str = "write [[gauge.choose]] above the keys of each rule";
 
-/// A rule: what must be the case, and the profile that a gauge gets then.
+/// A rule: its conditions, and the profile that it gives a gauge.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct ChoiceOptions {
     chip: Option<&'static Chip>,
@@ -196,7 +196,7 @@ impl ChoiceOptions {
         !self.command.is_empty()
     }
 
-    /// What a gauge's owner takes of it.
+    /// The rule for a gauge's owner.
     pub(crate) fn rule(&self) -> Rule {
         let file = self.file.clone().map(Evidence::File);
         let command = Some(self.command.clone()).filter(|words| !words.is_empty()).map(Evidence::Command);

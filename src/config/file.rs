@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: MIT
 
-//! A configuration file: the tables `[mount]`, `[defaults]` and any number of `[[gauge]]` and `[[alert]]`; a station's
-//! file has `[station]` in place of `[mount]`, `[[slot]]` as another name of `[[gauge]]`, and no alerts.
+//! A configuration file: the tables `[mount]`, `[defaults]`, and any number of `[[gauge]]` and `[[alert]]`. A station's
+//! file has `[station]` in place of `[mount]`, accepts `[[slot]]` for `[[gauge]]`, and has no alerts.
 //!
-//! A file is read strictly. Whatever it holds that is not known or makes no sense is an error with file,
-//! line and key, and no gauge is opened before the whole file has been understood.
+//! A file is read strictly. Unknown or meaningless content is an error with file, line and key, and no gauge is opened
+//! before the whole file is understood.
 
 use std::collections::HashMap;
 use std::marker::PhantomData;
@@ -21,13 +21,13 @@ use gauge_bus::regular;
 use gauge_owner::Source;
 use ti_gauge::text::nearest;
 
-/// What a file is about, besides gauges: its first table.
+/// The subject of a file besides gauges: its first table.
 pub(super) trait Head: Options {
-    /// The name of that table, which is also its subject.
+    /// Name of that table and of the subject.
     const NAME: &'static str;
-    /// The tables of which there may be any number.
+    /// Tables that may occur any number of times.
     const LISTS: &'static [&'static str];
-    /// What an option of a gauge must be for, if not all of them have a meaning here.
+    /// The place where options of a gauge must be valid, if not all of them are.
     const GAUGES: Option<At>;
 }
 
@@ -37,10 +37,10 @@ impl Head for MountOptions {
     const GAUGES: Option<At> = None;
 }
 
-/// Largest size of a file. Thousands of gauges need less.
+/// Limit for a file. Thousands of gauges need less.
 const LONGEST: u64 = 4 << 20;
 
-/// Reads the options of a mount and of its gauges. Those are on `bus` where they name no source.
+/// Reads the options of a mount and of its gauges. Gauges without a source are on `bus`.
 pub(super) fn read(
     path: &Path,
     bus: Option<&Path>,
@@ -57,14 +57,14 @@ pub(super) fn text(path: &Path) -> Result<String> {
     regular::read_text(path, LONGEST).map_err(failed)
 }
 
-/// The folder at which the relative paths of a file begin.
+/// The base folder of a file's relative paths.
 pub(super) fn folder(path: &Path) -> &Path {
-    // Standard input has none.
+    // Standard input has no folder.
     let is_input = path == Path::new(super::STANDARD_INPUT);
     if is_input { Path::new("") } else { path.parent().unwrap_or(Path::new("/")) }
 }
 
-/// Reads the mount point and the alerts. Whether the gauges have a source does not matter to them.
+/// Reads the mount point and the alerts. The gauges need no source for that.
 #[cfg(feature = "screen")]
 pub(super) fn alerts(path: &Path) -> Result<(Option<PathBuf>, Vec<AlertOptions>)> {
     let text = text(path)?;
@@ -77,7 +77,6 @@ pub(super) fn alerts(path: &Path) -> Result<(Option<PathBuf>, Vec<AlertOptions>)
     Ok((read.head.mountpoint, read.alerts))
 }
 
-/// A configuration file, as TOML.
 pub(super) struct File<'a, H> {
     pub(super) name: String,
     text: &'a str,
@@ -88,10 +87,8 @@ pub(super) struct File<'a, H> {
     about: PhantomData<H>,
 }
 
-/// The options of a file.
 pub(super) struct Read<H> {
     pub(super) head: H,
-    /// With their defaults.
     pub(super) gauges: Vec<GaugeOptions>,
     #[cfg_attr(not(feature = "screen"), allow(dead_code, reason = "the commands of that feature use them"))]
     alerts: Vec<AlertOptions>,
@@ -104,10 +101,10 @@ struct Key<'a> {
     value: DeValue<'a>,
 }
 
-/// The keys of a table, as the file has them one after the other.
+/// In the file's order.
 type Keys<'a> = Vec<Key<'a>>;
 
-/// A table of which there may be any number, and its place.
+/// A table that may occur any number of times, and its place.
 struct Item<'a> {
     at: usize,
     keys: Keys<'a>,
@@ -138,10 +135,8 @@ fn place(keys: &[Key<'_>], name: &str) -> Option<usize> {
     keys.iter().find(|key| key.name == name).map(|key| key.at)
 }
 
-/// The place of a key.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Table {
-    /// Outside of any table.
     Top,
     Head,
     Defaults,
@@ -150,7 +145,6 @@ enum Table {
 }
 
 impl<'a, H: Head> File<'a, H> {
-    /// Divides a file into its tables.
     pub(super) fn parse(path: &Path, text: &'a str) -> Result<Self> {
         let mut file = Self {
             name: path.display().to_string(),
@@ -197,9 +191,8 @@ impl<'a, H: Head> File<'a, H> {
         Ok(file)
     }
 
-    /// An error about a key of the file.
     pub(super) fn refuse(&self, at: usize, key: &str, why: &str) -> Error {
-        // One line: TOML's own errors may have several, and so may a key in quotes.
+        // One line: TOML's own errors, and keys in quotes, may have several.
         let why = why.lines().collect::<Vec<_>>().join(", ");
         let key = if key.is_empty() { "\"\"".into() } else { key.escape_debug().to_string() };
         let subject = format!("{}: line {}: {key}", self.name, self.line(at));
@@ -210,15 +203,14 @@ impl<'a, H: Head> File<'a, H> {
         1 + self.text.bytes().take(at).filter(|&byte| byte == b'\n').count()
     }
 
-    /// The place of a key of the first table.
     pub(super) fn place(&self, name: &str) -> Option<usize> {
         place(&self.head, name)
     }
 
-    /// Reads every table. The defaults are a part of each gauge's table before that is read.
+    /// Reads every table. Each gauge's table includes the defaults.
     pub(super) fn read(&self) -> Result<Read<H>> {
         let head = self.options(Table::Head, &self.head)?;
-        // Bad ones are refused even if there is no gauge.
+        // Bad defaults are refused even without a gauge.
         self.options::<GaugeOptions>(Table::Defaults, &self.defaults)?;
         let gauge = |gauge: &Item<'_>| {
             self.check_keys(gauge)?;
@@ -234,7 +226,6 @@ impl<'a, H: Head> File<'a, H> {
         Ok(Read { head, gauges, alerts })
     }
 
-    /// Reads the keys of a table.
     fn options<'k, T: Options>(&self, table: Table, keys: impl IntoIterator<Item = &'k Key<'a>>) -> Result<T>
     where
         'a: 'k,
@@ -258,7 +249,7 @@ impl<'a, H: Head> File<'a, H> {
         Ok(options)
     }
 
-    /// Refuses keys of a gauge that do not belong together.
+    /// Refuses incompatible keys of a gauge.
     fn check_keys(&self, gauge: &Item<'_>) -> Result<()> {
         for Key { name, at, .. } in &gauge.keys {
             let Some(row) = GaugeOptions::row(name) else { continue };
@@ -298,7 +289,7 @@ impl<'a, H: Head> File<'a, H> {
                 return Err(self.refuse(written.at, "[[gauge]]", why));
             }
             for (key, mark) in marks(gauge) {
-                // Without the key, the gauge as a whole is where the default is from.
+                // Without the key, the default comes from the gauge as a whole.
                 let at = written.place(key).unwrap_or(written.at);
                 if let Some(other) = taken.insert(mark, at) {
                     let why = format!("the same as on line {}; give each gauge its own", self.line(other));
@@ -346,7 +337,7 @@ impl<'a, H: Head> File<'a, H> {
         format!("unknown key; known here are {here}")
     }
 
-    /// The key or table that was probably meant.
+    /// A known key or table close to a misspelt one.
     fn nearest(word: &str) -> Option<String> {
         let tables = [H::NAME, "defaults"].into_iter().chain(H::LISTS.iter().copied());
         let names = names::<GaugeOptions>(At::Table).chain(names::<H>(At::Table)).chain(tables);
@@ -362,8 +353,8 @@ fn above_each(list: &str) -> String {
     format!("write [[{list}]] above the keys of each {list}")
 }
 
-/// Whether a default is for this gauge: it gives way to what the gauge says itself, and to what that contradicts. A gauge
-/// that is simulated or recorded is not on the bus of the others.
+/// Whether a default applies to this gauge. The gauge's own options come first, and drop defaults that contradict them.
+/// A simulated or recorded gauge does not get the others' bus.
 fn is_default_of(gauge: &Item<'_>, default: &str) -> bool {
     let contradicts = |row: &Opt<GaugeOptions>, other: &str| row.not_with.contains(&other);
     let row = GaugeOptions::row(default);
@@ -386,7 +377,7 @@ fn marks(gauge: &GaugeOptions) -> Vec<(&'static str, Mark)> {
     let mut marks: Vec<_> = gauge.name.iter().map(|name| ("name", Mark::Name(name.clone()))).collect();
     match gauge.source() {
         Source::Bus { bus, address, .. } => {
-            // Two names of one adapter are the same bus.
+            // Two names of an adapter mean the same bus.
             let bus = std::fs::canonicalize(&bus).unwrap_or(bus);
             marks.push(("address", Mark::Address(bus, address)));
         }

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! A gauge of the device tree: its bus, address and chip, from its device in sysfs.
+//! A gauge in the device tree: its bus, address and chip, from its device in sysfs.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -9,19 +9,17 @@ use crate::error::{Cause, Error, Result};
 use gauge_bus::{GAUGE_ADDRESS, regular};
 use ti_gauge::chip::{CHIPS, Chip, kernel};
 
-/// The gauge that a folder such as `/sys/bus/i2c/devices/1-0055` describes.
+/// The gauge of a folder such as `/sys/bus/i2c/devices/1-0055`.
 #[derive(Debug)]
 pub(super) struct Node {
-    /// The adapter's node.
     pub(super) bus: PathBuf,
-    /// Its 7-bit address.
     pub(super) address: u8,
-    /// Its chip, if the name in the tree is known and is that of one chip only; otherwise the gauge is asked.
+    /// The chip, if the name in the tree means exactly one; otherwise the gauge is asked.
     pub(super) chip: Option<&'static Chip>,
 }
 
 impl Node {
-    /// The device of that folder; `None` if it is not a folder.
+    /// The device of a folder; `None` if there is no such folder.
     pub(super) fn find(path: &Path) -> Result<Option<Self>> {
         if !path.is_dir() {
             return Ok(None);
@@ -43,7 +41,7 @@ impl Node {
     }
 }
 
-/// The address is part of the name, except in names from ACPI; there TI's default is assumed.
+/// The address is part of the name, except in ACPI names; TI's default is assumed for them.
 fn address(name: &str) -> u8 {
     let digits = name.split_once('-').map(|(_, digits)| digits).filter(|digits| digits.len() == 4);
     digits.and_then(|digits| u8::from_str_radix(digits, 16).ok()).unwrap_or(GAUGE_ADDRESS)
@@ -63,11 +61,11 @@ fn chip(modalias: &str) -> Option<&'static Chip> {
     })
 }
 
-/// Names by which the kernel's driver is bound to parts that it does not know.
+/// Names that bind the kernel's driver to parts unknown to it.
 const BORROWED: &[(&str, &str)] = &[("bq27427", "bq27426")];
 
-/// The kernel's names have no dash, and most have no suffix for the first generation. Its bq34z100 is also the name of
-/// the bq34z100-R2, which TI made compatible.
+/// The kernel's names have no dash, and most lack the first generation's suffix. Its bq34z100 also means the
+/// bq34z100-R2, which TI made compatible.
 fn compatible(chip: &Chip) -> Vec<String> {
     let name = chip.name.replace('-', "");
     let short = ["g1", "r2"].iter().find_map(|suffix| name.strip_suffix(suffix)).map(str::to_string);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! What an option is, and the views of it: an argument of the command line, and a key of a configuration file.
+//! Options, and their two forms: an argument of the command line, and a key of a configuration file.
 
 use std::fmt;
 use std::marker::PhantomData;
@@ -16,35 +16,32 @@ use ti_gauge::chip::Chip;
 
 /// Options that are read together.
 pub(crate) trait Options: Default + 'static {
-    /// Each of them.
     const TABLE: &'static [Opt<Self>];
 
-    /// The option of that name.
     fn row(name: &str) -> Option<&'static Opt<Self>> {
         Self::TABLE.iter().find(|row| row.name == name)
     }
 }
 
-/// An option: everything that is known of it.
+/// Everything about an option.
 pub(crate) struct Opt<T: 'static> {
-    /// As the command line has it after `--`, and as a file has it.
+    /// As on the command line after `--`, and as in a file.
     pub(crate) name: &'static str,
-    /// Its value, and what that changes.
     pub(super) effect: Effect<T>,
     /// A sentence without its full stop.
     pub(super) doc: &'static str,
-    /// What the help says after that, which does not hold in a file.
+    /// Added to the help; not valid in a file.
     pub(super) on_line: &'static str,
-    /// What applies without it; empty if that goes without saying.
+    /// The default, unless it is obvious.
     pub(super) default: &'static str,
     /// Further sentences of gaugefs.toml(5).
     pub(super) more: &'static str,
     /// Heading in the help of the command.
     pub(super) heading: &'static str,
     pub(super) at: &'static [At],
-    /// The options that it contradicts; said on one of the two sides. A default gives way to a gauge's own option.
+    /// Options that it contradicts, listed on one side only. A gauge's own option replaces a default.
     pub(super) not_with: &'static [&'static str],
-    /// The option of which this is an older name; empty for none.
+    /// For an older name, the option's present name; otherwise empty.
     #[cfg_attr(not(test), allow(dead_code, reason = "what it does follows from its effect"))]
     pub(super) of: &'static str,
     /// An option that it needs.
@@ -69,30 +66,30 @@ pub(crate) enum At {
     Station,
 }
 
-/// In a file only.
+/// Only in a file.
 pub(super) const IN_FILE: &[At] = &[At::Table];
 
-/// The value of an option, with its name in the help, and how it is checked and stored.
+/// The option's value: its name in the help, how it is checked, and where it is stored.
 pub(crate) enum Effect<T> {
     Switch(fn(&mut T, bool)),
     File(&'static str, fn(&mut T) -> &mut Option<PathBuf>),
-    /// A file, whose path has a slash, or a name.
+    /// A file if the path has a slash, otherwise a name.
     NameOrFile(&'static str, fn(&mut T) -> &mut Option<PathBuf>),
-    /// In a file, both this and the next may be a number or a string.
+    /// In a file, this and the next may be a number or a string.
     Number(&'static str, fn(&mut T, &str) -> Result<(), String>),
     Text(&'static str, fn(&mut T, &str) -> Result<(), String>),
     Chip(fn(&mut T) -> &mut Option<&'static Chip>),
-    /// A switch which may be given a text.
+    /// A switch with an optional text.
     SwitchOrText(&'static str, fn(&mut T, Option<Option<&str>>) -> Result<(), String>),
-    /// Names, each with a value: a table in a file, whose values are numbers or strings.
+    /// Names with values: in a file, a table of numbers or strings.
     Table(&'static str, fn(&mut T, Vec<(String, String)>)),
-    /// Tables of which there may be any number, in a file only.
+    /// Tables that may occur any number of times, in a file only.
     Tables(fn(&mut T, &DeValue<'_>) -> Result<(), Wrong>),
-    /// Words up to a `;`, each of which is checked on the command line.
+    /// Words up to a `;`, each checked on the command line.
     Words(&'static str, fn(&str) -> Result<String, String>, fn(&mut T, Vec<String>)),
 }
 
-/// What is wrong with a value, and in a table within which key.
+/// What is wrong with a value, and the key within a table.
 #[derive(Debug)]
 pub(super) struct Wrong {
     pub(super) why: String,
@@ -105,14 +102,14 @@ impl<Text: Into<String>> From<Text> for Wrong {
     }
 }
 
-/// Stores a value that was accepted.
+/// Stores an accepted value.
 pub(super) fn put<V>(to: &mut Option<V>, value: Result<V, String>) -> Result<(), String> {
     *to = Some(value?);
     Ok(())
 }
 
 impl<T: Options> Opt<T> {
-    /// For a row to say only what is not usual.
+    /// Lets a row list only what is unusual.
     pub(super) const NEW: Self = Self {
         name: "",
         effect: Effect::Switch(|_, _| ()),
@@ -183,11 +180,10 @@ impl<T: Options> Opt<T> {
         }
     }
 
-    /// Stores what the command line says.
     fn take(&self, to: &mut T, matches: &ArgMatches) -> Result<(), String> {
         let text = || matches.get_one::<String>(self.name).map(String::as_str);
         match self.effect {
-            // What was given before stays, in a file.
+            // An earlier value, from a file, stays.
             Effect::Switch(set) if matches.get_flag(self.name) => set(to, true),
             Effect::Switch(_) => {}
             Effect::File(_, field) | Effect::NameOrFile(_, field) => {
@@ -220,7 +216,6 @@ impl<T: Options> Opt<T> {
         Ok(())
     }
 
-    /// Stores what a file says.
     pub(super) fn read(&self, to: &mut T, value: &DeValue<'_>) -> Result<(), Wrong> {
         let string = |value: &DeValue<'_>| value.as_str().map(str::to_string);
         match self.effect {
@@ -256,7 +251,7 @@ impl<T: Options> Opt<T> {
         Ok(())
     }
 
-    /// The type of its value in a file.
+    /// The value's type in a file.
     pub(crate) fn kind(&self) -> &'static str {
         match self.effect {
             Effect::Switch(_) => "boolean",
@@ -286,8 +281,8 @@ fn pair(text: &str) -> Result<(String, String), String> {
     pair.map(|(name, value)| (name.into(), value.into())).ok_or_else(|| "expected KNOB=VALUE".into())
 }
 
-/// A number or a string. A number is as it was written, but for its base: data sheets write addresses in hexadecimal, and
-/// 55 is most likely one of them.
+/// A number or a string. A number keeps its notation without a prefix: data sheets write addresses in hexadecimal, so
+/// 55 probably is.
 fn word(value: &DeValue<'_>) -> Result<String, &'static str> {
     const EXPECTED: &str = "expected a number or a string";
     Ok(match value {
@@ -302,7 +297,7 @@ fn word(value: &DeValue<'_>) -> Result<String, &'static str> {
     })
 }
 
-/// The names of the options that may stand in a place.
+/// Names of the options that are allowed in a place.
 pub(crate) fn names<T: Options>(place: At) -> impl Iterator<Item = &'static str> {
     T::TABLE.iter().filter(move |row| row.is_at(place)).map(|row| row.name)
 }
@@ -320,11 +315,11 @@ pub(super) fn paths<T: Options>(options: &mut T, mut each: impl FnMut(&mut PathB
     }
 }
 
-/// The options that a command line has.
+/// The options on a command line.
 #[derive(Clone)]
 pub(crate) struct Given<T>(ArgMatches, PhantomData<T>);
 
-/// Without the values, because there may be a key among them.
+/// Without values, which may contain a key.
 impl<T> fmt::Debug for Given<T> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("Given").finish_non_exhaustive()
@@ -332,7 +327,7 @@ impl<T> fmt::Debug for Given<T> {
 }
 
 impl<T: Options> Given<T> {
-    /// Stores them over what is known from elsewhere.
+    /// Stores them over earlier values.
     pub(crate) fn over(&self, options: &mut T) {
         for row in T::TABLE.iter().filter(|row| row.is_on_command_line()) {
             row.take(options, &self.0).expect("clap has refused what cannot be stored");

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! All options of mounts, gauges, alerts and stations. An option is a field, and a row that says everything else about it;
+//! All options of mounts, gauges, alerts and stations. An option is a field, and a row with everything else about it;
 //! the command line, the keys of a file, gaugefs(1), gaugefs.toml(5) and the completions follow from the rows.
 
 use std::path::PathBuf;
@@ -24,13 +24,12 @@ const ONE_GAUGE: &[At] = &[At::Line, At::Table, At::Station];
 /// For one gauge that is mounted.
 const ONE_MOUNTED: &[At] = &[At::Line, At::Table];
 
-// The headings of the help.
 const GAUGE: &str = "Gauge";
 const SHOWN: &str = "What is shown";
 const ACCESS: &str = "Access";
 const RUNNING: &str = "Running";
 
-/// What a gauge is, and how it is treated: `[[gauge]]` and `[defaults]`.
+/// A gauge and its treatment: `[[gauge]]` and `[defaults]`.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct GaugeOptions {
     pub(crate) sim: Option<&'static Chip>,
@@ -415,9 +414,9 @@ const OF_SCALES: &str = "The factor is from 0.001 to 1000, and comes on top of t
 #[derive(Clone, Debug, Default)]
 pub(crate) struct MountOptions {
     pub(crate) mountpoint: Option<PathBuf>,
-    /// Also over a folder that is not empty.
+    /// Even over a folder with content.
     pub(crate) over: bool,
-    /// Shown, and perhaps its name.
+    /// Present if shown, perhaps with its name.
     pub(crate) ac: Option<Option<String>>,
     pub(crate) read_only: bool,
     pub(crate) private: bool,
@@ -522,7 +521,7 @@ impl Options for MountOptions {
 #[derive(Clone, Debug, Default)]
 #[cfg_attr(not(feature = "screen"), allow(dead_code, reason = "the commands of that feature use it"))]
 pub(crate) struct AlertOptions {
-    /// Every alert has one.
+    /// Required.
     pub(crate) when: Option<Condition>,
     pub(crate) clear: Option<Condition>,
     pub(crate) hold: Option<Duration>,
@@ -597,8 +596,8 @@ impl Options for AlertOptions {
     ];
 }
 
-/// A word of a program's command line. It takes all that follows, so an option of gaugefs's own in there was most likely
-/// meant for gaugefs: the program would run without the delay that somebody has asked for.
+/// A word of a program's command line. The option takes all following words, so one of gaugefs's own options in them
+/// was most likely meant for gaugefs: the program would run without the requested delay.
 fn word_of_program(word: &str) -> Result<String, String> {
     let name = word.strip_prefix("--").map(|option| option.split('=').next().unwrap_or_default());
     let mut own = option::names::<AlertOptions>(At::Line).chain(["config", "test"]);
@@ -640,7 +639,7 @@ const fn text(name: &'static str, set: SetText, sample: &'static str) -> Opt<Sta
     Opt { name, effect: Effect::Text("TEXT", set), sample, ..OF_STATION }
 }
 
-/// A bound of the counter, in the base in which its numbers are shown.
+/// A bound of the counter, in the notation of its numbers.
 fn serial(
     to: &mut StationOptions,
     field: fn(&mut StationOptions) -> &mut Option<i64>,
@@ -725,7 +724,7 @@ mod tests {
     use super::super::option::Given;
     use super::*;
 
-    /// The words of a command line that say the value of the sample.
+    /// The command line for the sample value.
     fn words(row: &Opt<impl Options>) -> Vec<String> {
         let text = format!("x = {}", row.sample);
         let document = DeTable::parse(&text).expect("TOML").into_inner();
@@ -787,7 +786,7 @@ mod tests {
             if row.is_at(At::Line) || row.is_at(At::Argument) {
                 assert_eq!(format!("{:?}", on_command_line(&all)), of_file, "{}", row.name);
             }
-            // An older name has the effect of the option whose name it is.
+            // An older name acts as the option's present name.
             let is_new = match T::row(row.of) {
                 Some(option) => of_file != format!("{:?}", in_file::<T>(&[option])),
                 None => effects.insert(of_file),

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! The gauge that the options of a gauge name.
+//! The gauge that a gauge's options mean.
 
 use super::{ChoiceOptions, GaugeOptions};
 use gauge_bus::GAUGE_ADDRESS;

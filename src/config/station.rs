@@ -16,7 +16,7 @@ impl Head for Options {
     const GAUGES: Option<At> = Some(At::Station);
 }
 
-/// Reads the file of a station, whose gauges get the names that `named` gives them.
+/// Reads the file of a station; `named` gives its gauges their names.
 pub(crate) fn station(path: &Path, named: impl FnOnce(&[GaugeOptions]) -> Vec<String>) -> Result<Setup> {
     let mut path = path.to_path_buf();
     absolute(&mut path, Path::new(""))?;

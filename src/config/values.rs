@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! The values of options, checked alike on the command line and in a configuration file.
+//! Values of options, checked alike on the command line and in a configuration file.
 
 use std::fmt;
 use std::str::FromStr;
@@ -18,7 +18,7 @@ use ti_gauge::chip::{Chip, kernel};
 use ti_gauge::keys::{self, Name, Secret};
 use ti_gauge::{text, unit};
 
-/// Key words, which are not shown again.
+/// Key words, which are never shown.
 #[derive(Clone)]
 pub(crate) struct Key(pub(crate) [u16; 2]);
 
@@ -35,14 +35,14 @@ pub(crate) fn chip_names() -> PossibleValuesParser {
     )
 }
 
-/// The chips as clap takes them, which lists them in errors and completes them in shells.
+/// The chips for clap, which lists them in errors and completes them in shells.
 pub(crate) fn chips() -> impl TypedValueParser<Value = &'static Chip> {
     chip_names().map(|name| chip(&name).expect("clap accepts only names of chips"))
 }
 
 pub(super) fn chip(name: &str) -> Result<&'static Chip, String> {
     Chip::by_name(name).ok_or_else(|| {
-        // As the command line suggests one.
+        // With clap's suggestion.
         let refused = clap::Command::new("")
             .no_binary_name(true)
             .arg(clap::Arg::new("chip").value_parser(chip_names()));
@@ -59,7 +59,6 @@ pub(super) fn condition(text: &str) -> Result<Condition, String> {
     text.parse().map_err(|error: <Condition as FromStr>::Err| error.to_string())
 }
 
-/// A number of something.
 pub(super) fn count<N: TryFrom<u64>>(text: &str) -> Result<N, String> {
     text::unsigned(text).ok_or_else(|| format!("{text} is not a whole number of the range"))
 }
@@ -98,7 +97,7 @@ pub(crate) fn address(text: &str) -> Result<u8, String> {
             "{text} is 0x{address:02x}; did you mean 0x{meant:02x}? Write it in hexadecimal, with 0x"
         )),
         (Some(address @ 0x08..=0x77), _) => Ok(address),
-        // With the bit that says whether a byte is read or written, as it is on the wire.
+        // An address with the read/write bit, as on the wire.
         (Some(wire @ 0x78..), _) if wire >> 1 == GAUGE_ADDRESS => {
             Err(format!("{FORM}; {text} is the 8-bit form of 0x{:02x}: write that", wire >> 1))
         }
@@ -106,7 +105,7 @@ pub(crate) fn address(text: &str) -> Result<u8, String> {
     }
 }
 
-/// A word that documents print in hexadecimal, with or without 0x.
+/// A word in hexadecimal, as documents print it, with or without 0x.
 pub(super) fn hexadecimal(text: &str) -> Result<u16, String> {
     let digits = text.strip_prefix("0x").unwrap_or(text);
     u16::from_str_radix(digits, 16)
@@ -126,12 +125,12 @@ pub(super) fn hold(text: &str) -> Result<Duration, String> {
     seconds(text, (0.0, 86400.0))
 }
 
-/// The voltage of a pack that a meter shows, in mV.
+/// A pack voltage on a meter, in mV.
 pub(crate) fn pack_voltage(text: &str) -> Result<f64, String> {
     shown(text, "mV", |millivolts| (1000.0..=1_000_000.0).contains(&millivolts))
 }
 
-/// The current that a meter shows, in mA.
+/// A current on a meter, in mA.
 pub(crate) fn meter_current(text: &str) -> Result<f64, String> {
     shown(text, "mA", |milliamperes| (100.0..=1_000_000.0).contains(&milliamperes.abs()))
 }
@@ -141,7 +140,7 @@ pub(super) fn rehearsed(word: &str) -> Result<String, String> {
     gauge_station::Rehearsed::parse(word).map(|_| word.to_string())
 }
 
-/// How much a measured value may be off, in its unit.
+/// Tolerance of a measured value, in its unit.
 pub(super) fn tolerance(text: &str) -> Result<f64, String> {
     let number = text.trim().parse().ok().filter(|number: &f64| number.is_finite() && *number >= 0.0);
     number.ok_or_else(|| "expected a number from 0 on".into())
@@ -154,7 +153,7 @@ pub(crate) fn celsius(text: &str) -> Result<f64, String> {
     degrees.ok_or_else(|| "expected -40 to 125 degrees Celsius, such as 23.5 or 23.5C".into())
 }
 
-/// A Voltage Divider, in whole mV.
+/// A Voltage Divider in whole mV.
 pub(crate) fn divider(text: &str) -> Result<u16, String> {
     let millivolts = shown(text, "mV", |millivolts| (1000.0..=65535.0).contains(&millivolts))?;
     if millivolts.fract() != 0.0 {
@@ -164,8 +163,8 @@ pub(crate) fn divider(text: &str) -> Result<u16, String> {
     whole.map(|millivolts| millivolts as u16).ok_or_else(|| "expected at most 65535 mV".into())
 }
 
-/// A number with a unit in `own`, or a bare one in it, which must be plausible: it may have been read from a meter that shows
-/// another unit, or from a file of the mount.
+/// A number with a unit, or without one in `own`, that must be plausible: it may come from a meter in another unit, or
+/// from a file of the mount.
 fn shown(text: &str, own: &str, is_plausible: impl Fn(f64) -> bool) -> Result<f64, String> {
     if let Some(number) = unit::measured(text, own) {
         return Ok(number);
@@ -187,7 +186,7 @@ pub(super) fn factor(text: &str) -> Result<f64, String> {
     }
 }
 
-/// The name of a folder, which also appears in uevent, in paths and in other people's shell scripts.
+/// A folder's name, which also appears in uevent, in paths and in users' shell scripts.
 pub(super) fn name(text: &str) -> Result<String, String> {
     if keys::is_name(text) {
         Ok(text.to_string())

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT
 
-//! Watches the device nodes of adapters. An adapter that is unplugged is closed at once, since the kernel
-//! keeps it until the last descriptor is closed; an adapter that is plugged in again is tried at once.
+//! Watches adapters' device nodes. An unplugged adapter is closed at once, because the kernel keeps it until its last
+//! descriptor is closed; one that returns is tried at once.
 
 use std::collections::HashMap;
 use std::ffi::OsString;
@@ -12,19 +12,19 @@ use nix::sys::inotify::{AddWatchFlags, InitFlags, Inotify, WatchDescriptor};
 
 use gauge_owner::{Handle, operations};
 
-/// The events of a node when its device goes, comes, or gets its permissions from udev.
+/// Events when a node's device goes, comes, or gets its permissions from udev.
 const EVENTS: AddWatchFlags = AddWatchFlags::IN_CREATE
     .union(AddWatchFlags::IN_DELETE)
     .union(AddWatchFlags::IN_MOVED_FROM)
     .union(AddWatchFlags::IN_MOVED_TO)
     .union(AddWatchFlags::IN_ATTRIB);
 
-/// Notifies each gauge's owner, from a thread of its own, when the node of its adapter comes or goes. A mount
-/// works without this as well: then the next poll finds out.
+/// Notifies each gauge's owner, from a separate thread, when its adapter's node comes or goes. A mount works without
+/// it: then the next poll finds out.
 pub(super) fn watch(nodes: impl Iterator<Item = (PathBuf, Handle)>) {
     let mut watched: Vec<(PathBuf, Callback)> = Vec::new();
     for (node, handle) in nodes {
-        // The name may be a link, and the node that it leads to goes first.
+        // The name may be a link, and the node behind it goes first.
         let real = fs::canonicalize(&node).ok().filter(|real| *real != node);
         for path in real.into_iter().chain([node]) {
             let handle = handle.clone();
@@ -36,7 +36,7 @@ pub(super) fn watch(nodes: impl Iterator<Item = (PathBuf, Handle)>) {
     }
 }
 
-/// Called when a path has come or gone.
+/// Runs when a path has come or gone.
 type Callback = Box<dyn Fn() + Send>;
 
 fn on_change(watched: Vec<(PathBuf, Callback)>) -> std::io::Result<()> {
@@ -87,7 +87,7 @@ mod tests {
         fs::rename(folder.join("i2c-1"), folder.join("i2c-2")).expect("it goes, and the other comes");
         assert_eq!([next(), next()], ["i2c-1", "i2c-2"]);
         fs::remove_file(folder.join("i2c-2")).expect("it goes");
-        // The attributes of a file change with its last link.
+        // A file's attributes change with its last link.
         assert_eq!(next(), "i2c-2");
         fs::remove_dir(&folder).expect("empty");
     }

@@ -2,10 +2,9 @@
 
 //! Going to the background.
 //!
-//! The parent starts gaugefs again as a child, instead of forking, because a fork keeps only one thread. It
-//! waits until the child reports that the gauge is mounted. Until then the child prints errors to the user's
-//! terminal and can be interrupted together with its parent; after that it has neither the terminal nor the
-//! folder nor the descriptors of its parent.
+//! The parent starts gaugefs again as a child instead of forking, because a fork keeps only one thread. It waits until
+//! the child reports the mount. Until then the child prints errors to the user's terminal and can be interrupted
+//! together with its parent; after that it has none of the parent's terminal, folder and descriptors.
 
 use std::env;
 use std::fs::{self, File};
@@ -22,11 +21,11 @@ use nix::unistd::{chdir, close, dup2_stderr, dup2_stdin, dup2_stdout, getpid, ge
 use crate::error::{Error, Result};
 use crate::output::{self, print_file};
 
-/// Environment variable of the child.
+/// Environment variable that marks the child.
 const CHILD: &str = "GAUGEFS_IN_BACKGROUND";
-/// One heap for all threads without a cache for each, and no cache of stacks. Threads come and go with what gauges have to
-/// do, and allocate little and seldom: what is free in heaps and caches of their own takes as much memory as what is in use.
-/// The stacks on which the gauges were opened are not needed again. glibc reads this before a program begins; the packaged
+/// One heap for all threads without per-thread caches, and no cache of stacks. Threads come and go with the gauges'
+/// work, and allocate little and seldom: free memory in separate heaps and caches would be as large as the memory in
+/// use. The stacks that opened the gauges are not needed again. glibc reads this before a program begins; the packaged
 /// services have it in `service.conf`.
 const TUNABLES: &str = "GLIBC_TUNABLES";
 const SMALL: &str = "glibc.malloc.arena_max=1:glibc.malloc.tcache_count=0:glibc.pthread.stack_cache_size=0";
@@ -47,7 +46,7 @@ pub(super) fn is_of_a_unit() -> bool {
 /// In the parent: starts the same command line again and waits until it is ready.
 pub fn start() -> Result<ExitCode> {
     let failed = |error| Error::io("gaugefs", "cannot go to the background", &error);
-    // Started by its path, the process keeps its name. If the file was replaced, the kernel's link remains.
+    // Starting it by path keeps the process's name. If the file was replaced, the kernel's link remains.
     let program = env::current_exe().ok().filter(|path| path.exists());
     let program = program.unwrap_or_else(|| "/proc/self/exe".into());
     let mut arguments = env::args_os();
@@ -73,17 +72,17 @@ pub fn start() -> Result<ExitCode> {
         let why = format!("it was killed by signal {signal} before the gauge was mounted");
         return Err(Error::host("gaugefs", nix::errno::Errno::EINTR, why));
     }
-    // The child has printed its error. One that was told to end right after it has mounted ends with 0.
+    // The child has printed its error. One that was told to end right after mounting ends with 0.
     let code = status.code().and_then(|code| u8::try_from(code).ok()).filter(|&code| code != 0);
     Ok(ExitCode::from(code.unwrap_or(1)))
 }
 
-/// The descriptors that this process inherited besides the three standard ones. They may be pipes whose
-/// readers wait for their end. To be called before anything is opened.
+/// Descriptors inherited besides the three standard ones. They may be pipes whose readers wait for their end. Call it
+/// before opening anything.
 pub fn inherited() -> Vec<RawFd> {
     let open = fs::read_dir("/proc/self/fd").into_iter().flatten().flatten();
     let numbers = open.filter_map(|entry| entry.file_name().to_str()?.parse().ok());
-    // Listing them needed a descriptor, which is closed again by now.
+    // Listing them needed a descriptor, which is closed by now.
     let mut numbers: Vec<RawFd> = numbers.filter(|&number| number > 2).collect();
     numbers.retain(|number| fs::symlink_metadata(format!("/proc/self/fd/{number}")).is_ok());
     numbers
@@ -97,7 +96,7 @@ pub fn ready(inherited: &[RawFd]) -> Result<()> {
     chdir(Path::new("/")).map_err(to)?;
     let nowhere = File::options().read(true).write(true).open("/dev/null").map_err(failed)?;
     dup2_stdin(&nowhere).map_err(to)?;
-    // A parent that is gone was interrupted: then the mount is not wanted any more.
+    // A missing parent was interrupted, so the mount is not wanted any more.
     print_file(READY)?;
     if output::is_closed() {
         return Err(to(nix::errno::Errno::EPIPE));
@@ -111,7 +110,7 @@ pub fn ready(inherited: &[RawFd]) -> Result<()> {
     Ok(())
 }
 
-/// Reports to systemd, where it started this process, such as `READY=1`: the gauge is mounted.
+/// Reports to systemd if it started this process, such as `READY=1`: the gauge is mounted.
 pub fn notify(what: &str) {
     let Some(socket) = env::var_os("NOTIFY_SOCKET") else { return };
     let sent = UnixDatagram::unbound().and_then(|sender| {

@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: MIT
 
-//! The log, which goes to standard error, a file, or syslog.
+//! The log, to standard error, a file, or syslog.
 //!
-//! For syslog, every line is a datagram to `/dev/log` and no connection is kept, because syslog may restart
-//! at any time. Without a syslog the line is lost.
+//! For syslog, every line is a datagram to `/dev/log` without a lasting connection, because syslog may restart at any
+//! time. Without syslog the line is lost.
 //!
-//! Whoever may write to a file of the mount causes a line by each write that is refused, so lines that repeat are counted.
+//! Every refused write to a file of the mount logs a line, so repeated lines are counted.
 
 use std::collections::HashMap;
 use std::fs::OpenOptions;
@@ -24,31 +24,31 @@ use ti_gauge::text;
 use crate::error::{Error, Result};
 use gauge_bus::regular;
 
-/// The default of RUST_LOG: information from gaugefs, only warnings from the FUSE library, which logs each second answer of a
-/// 32-bit program (`fuse/entry.rs`) as an error.
+/// RUST_LOG's default: information from gaugefs, but only warnings from the FUSE library, which logs each second answer
+/// of a 32-bit program (`fuse/entry.rs`) as an error.
 const FILTER: &str =
     if cfg!(target_pointer_width = "64") { "info,fuser=warn" } else { "info,fuser=warn,fuser::reply=off" };
-/// For this long lines that are alike are counted after the first one.
+/// How long similar lines are counted after the first one.
 const PERIOD: Duration = Duration::from_secs(60);
-/// The most kinds of lines that are told apart meanwhile.
+/// Kinds of lines told apart in that time.
 const KINDS: usize = 100;
-/// What stands for the kinds beyond that.
+/// Replaces all further kinds.
 const OTHERS: &str = "further lines are left out, as too many differ";
 /// syslog's facility `daemon`, in the upper bits of a priority.
 const DAEMON: u8 = 3 << 3;
 
-/// The destination of log lines.
+/// Where log lines go.
 #[derive(Clone, Copy, Debug)]
 pub enum Destination<'a> {
-    /// Standard error, where systemd or a person adds the time.
+    /// systemd or a person adds the time.
     Stderr,
-    /// A regular file; every line begins with the time.
+    /// A regular file with the time in every line.
     File(&'a Path),
-    /// syslog.
+    /// syslog, with the time from there.
     Syslog,
 }
 
-/// Starts to log. RUST_LOG selects what is logged; the default is everything from level info up.
+/// Starts the log. RUST_LOG selects what is logged; the default is level info and up.
 pub fn start(to: Destination<'_>) -> Result<()> {
     let mut builder = Builder::from_env(Env::default().default_filter_or(FILTER));
     match to {
@@ -71,7 +71,7 @@ pub fn start(to: Destination<'_>) -> Result<()> {
             });
         }
     }
-    // A panic ends one piece of work, and nobody reads the standard error of a daemon.
+    // A panic ends one piece of work, and nobody reads a daemon's standard error.
     std::panic::set_hook(Box::new(|panic| log::error!("{panic}; please report it")));
     let logger = builder.build();
     log::set_max_level(logger.filter());
@@ -80,7 +80,7 @@ pub fn start(to: Destination<'_>) -> Result<()> {
     set.map_err(|error| Error::io("log", "cannot start it", &io::Error::other(error)))
 }
 
-/// Whether a log can be written to a file, as far as that can be seen without a change.
+/// Checks that a log can be written to a file, as far as possible without a change.
 pub(super) fn check(path: &Path) -> Result<()> {
     regular::check_open(&options(), path).map_err(|error| cannot_write(path, &error))
 }
@@ -95,7 +95,7 @@ fn cannot_write(path: &Path, error: &io::Error) -> Error {
     Error::io(path.display().to_string(), "cannot write the log", error)
 }
 
-/// The prefix of a line: its level, unless that is info.
+/// A line's prefix: its level, unless that is info.
 fn word(record: &Record<'_>) -> &'static str {
     match record.level() {
         Level::Error => "error: ",
@@ -120,7 +120,6 @@ fn severity(level: Level) -> u8 {
     }
 }
 
-/// A logger that counts what repeats.
 struct Counting {
     logger: Logger,
     repeats: Mutex<Repeats>,
@@ -145,7 +144,7 @@ impl Log for Counting {
             return;
         }
         let (line, now) = (record.args().to_string(), Instant::now());
-        // Held while it writes, so that lines have the order in which they came.
+        // Held during the write, so that lines keep their order.
         let mut repeats = self.repeats.lock().unwrap_or_else(PoisonError::into_inner);
         self.write(repeats.due(now, PERIOD));
         if repeats.is_news(record.level(), &line, now) {
@@ -160,7 +159,7 @@ impl Log for Counting {
     }
 }
 
-/// What was logged within the last [`PERIOD`], by its kind.
+/// Lines of the last [`PERIOD`] by kind.
 #[derive(Default)]
 struct Repeats(HashMap<String, Repeated>);
 
@@ -168,14 +167,14 @@ struct Repeated {
     since: Instant,
     level: Level,
     line: String,
-    /// How many like it were not written.
+    /// Similar lines that were not written.
     more: u64,
 }
 
 impl Repeats {
-    /// Whether a line is written, and not only counted.
+    /// Whether a line is written instead of counted.
     fn is_news(&mut self, level: Level, line: &str, now: Instant) -> bool {
-        // What was done to a gauge, such as each write to it.
+        // Changes to a gauge, such as each write.
         if level == Level::Info {
             return true;
         }
@@ -194,7 +193,7 @@ impl Repeats {
         !is_one_too_many
     }
 
-    /// What is to be said of lines that were counted for this long, the first one first.
+    /// The summaries of lines that were counted for this long, oldest first.
     fn due(&mut self, now: Instant, period: Duration) -> Vec<(Level, String)> {
         let over = self.0.extract_if(|_, repeated| now.duration_since(repeated.since) >= period);
         let mut over: Vec<_> = over.map(|(_, repeated)| repeated).filter(|one| one.more > 0).collect();
@@ -208,8 +207,8 @@ impl Repeats {
     }
 }
 
-/// What lines have in common that are alike: a whole line; of a warning all but its numbers and what it quotes, as that may
-/// be what a user has written.
+/// What similar lines have in common: the whole line, or for a warning all but numbers and quotations, which may be a
+/// user's text.
 fn kind(level: Level, line: &str) -> String {
     if level != Level::Warn {
         return format!("{level} {line}");
@@ -241,7 +240,7 @@ impl Write for Syslog {
 mod tests {
     use super::*;
 
-    /// The lines that are written of those that come at these seconds.
+    /// The written lines among those of these seconds.
     fn written(lines: &[(u64, Level, &str)]) -> Vec<String> {
         let (start, mut repeats, mut written) = (Instant::now(), Repeats::default(), Vec::new());
         let mut now = start;
@@ -261,7 +260,7 @@ mod tests {
         let lines: Vec<_> = refused.iter().map(|line| (0, Level::Warn, line.as_str())).collect();
         let first = "80/53: `0x` is not a number";
         assert_eq!(written(&lines), [first, &format!("{first} (99999 more like it within 0 s)")]);
-        // As many kinds as can be, such as one for each file.
+        // As many kinds as possible, such as one per file.
         let names: Vec<_> = (0..100_000).map(|number| "x".repeat(number % 1000) + " is refused").collect();
         let lines: Vec<_> = names.iter().map(|line| (0, Level::Warn, line.as_str())).collect();
         assert!(written(&lines).len() <= 2 * KINDS + 1);
@@ -273,7 +272,7 @@ mod tests {
         let lines = [0, 1, 59, 60, 61].map(|second| (second, Level::Warn, refused));
         let counted = |more, seconds| format!("{refused} ({more} more like it within {seconds} s)");
         assert_eq!(written(&lines), [refused, &counted(2, 60), refused, &counted(1, 1)]);
-        // The next line of any kind says how many there were.
+        // The next line of any kind reports the count.
         let lines = [(0, Level::Warn, refused), (1, Level::Warn, refused), (70, Level::Info, "other")];
         assert_eq!(written(&lines), [refused, &counted(1, 70), "other"]);
     }

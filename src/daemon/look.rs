@@ -1,10 +1,9 @@
 // SPDX-License-Identifier: MIT
 
-//! Looks at a path that may be in the mount of a daemon that does not answer.
+//! Looks at paths that may be in the mount of a hanging daemon.
 //!
-//! A call into a FUSE mount waits for its daemon, and if the daemon has already taken the request, not even
-//! SIGKILL ends the process that waits. So a child process makes the call, and is left behind if it does not
-//! return in time.
+//! A call into a FUSE mount waits for the daemon, and once the daemon has taken the request, not even SIGKILL ends the
+//! waiting process. So a child process makes the call, and is left behind if it does not return in time.
 
 use std::ffi::{CStr, OsStr};
 use std::fs;
@@ -27,39 +26,38 @@ use crate::output::print_file;
 use gauge_bus::regular;
 use gaugefs_client::{Gauge, mounts};
 
-/// How long a process may wait in one call: 5 s. A look needs no gauge, so a daemon that works answers at once.
+/// Looks that must find a process in the same call: 5 s. A look needs no gauge, so a working daemon answers at once.
 const LIMIT: u32 = 20;
-/// Time between two looks at the process, of which `LIMIT` have to find it in the same wait.
+/// Interval between looks at the process.
 const STEP: Duration = Duration::from_millis(250);
-/// Time limit for a process that goes on. A machine that is busy may take most of it to start one.
+/// Limit for a process that goes on. A busy machine may need most of it to start one.
 const PATIENCE: Duration = Duration::from_secs(60);
 /// Longest output of a child, even with very many gauges.
 const LONGEST: usize = 4 << 20;
 
-/// The name of a process that looks. It ends by itself, so it is none that keeps a mount from being removed.
+/// Name of a process that looks. It ends by itself, so it does not keep a mount from being removed.
 pub(super) const NAME: &CStr = c"gaugefs-look";
 
-/// The findings of a look within its time limit.
+/// Findings of a look within its time limit.
 #[derive(Debug, Default)]
 pub(crate) struct Found {
     /// The full path.
     pub(crate) path: Option<PathBuf>,
-    /// Whether the daemon of a gaugefs that is mounted there is gone. A path where no gaugefs is mounted counts
-    /// as answering.
+    /// Whether the daemon of a gaugefs mounted there is gone; false without a gaugefs mount.
     pub(crate) dead: Option<bool>,
     /// The time limit has passed.
     pub(crate) late: bool,
-    /// The gauges there, if they were asked for.
+    /// The gauges there, if requested.
     pub(crate) gauges: Vec<Seen>,
 }
 
-/// A mounted gauge, and what a person has to know of it.
+/// A mounted gauge, with notes for a person.
 #[derive(Debug, Deserialize, Serialize)]
 pub(crate) struct Seen {
     pub(crate) listed: Listed,
     /// A line for each.
     pub(crate) notes: Vec<String>,
-    /// They are about what is owed.
+    /// The notes are about what is owed.
     pub(crate) is_owed: bool,
 }
 
@@ -73,18 +71,17 @@ impl Seen {
     }
 }
 
-/// Whether an error is about what somebody has typed, which says nothing of the gauge.
+/// Whether an error is about a person's input, which says nothing of the gauge.
 fn is_mistake(facts: &str) -> bool {
     let facts: serde_json::Value = serde_json::from_str(facts).unwrap_or_default();
     ["EINVAL", "ERANGE", "ENOENT", "EFBIG"].iter().any(|errno| facts["errno"] == *errno)
 }
 
-/// What `gauge/last_error` says of the gauge behind its last error.
+/// The lines about the gauge in `gauge/last_error`, after its last error.
 fn standing(error: &str) -> Option<String> {
     error.split_once("; since ").map(|(_, since)| format!("since {since}"))
 }
 
-/// A mounted gauge at its last poll.
 #[derive(Debug, Deserialize, Serialize)]
 pub(crate) struct Listed {
     /// Its folder; characters that are no text are replaced.
@@ -97,7 +94,6 @@ pub(crate) struct Listed {
 }
 
 impl Listed {
-    /// Reads what causes no transfer.
     fn read(gauge: &Gauge) -> Self {
         let text = |name: &str| Some(gauge.text(name).ok()?.trim().to_string());
         let (part, serial) = gauge.pack();
@@ -107,7 +103,7 @@ impl Listed {
     }
 }
 
-/// A look that has begun.
+/// A look in progress.
 pub(crate) struct Look(JoinHandle<Found>);
 
 impl Look {
@@ -116,14 +112,14 @@ impl Look {
         Self::begin_with(path, &[])
     }
 
-    /// Begins to look at the gauges of a path, too.
+    /// Begins to look at a path's gauges too.
     pub(crate) fn begin_gauges(path: &Path) -> Result<Self> {
         Self::begin_with(path, &["--gauges"])
     }
 
     fn begin_with(path: &Path, options: &[&str]) -> Result<Self> {
         let mut command = Command::new("/proc/self/exe");
-        // One that is left behind must not stand in the mount.
+        // A process left behind must not have its folder in the mount.
         let path = match absolute(path) {
             Ok(absolute) => {
                 command.current_dir("/");
@@ -135,7 +131,7 @@ impl Look {
         let failed =
             |error| Error::io(path.display().to_string(), "cannot start a process to examine it", &error);
         let mut child = command.stderr(Stdio::null()).spawn().map_err(failed)?;
-        // Looks that were begun together are waited for together.
+        // Looks that began together are waited for together.
         let wait = thread::Builder::new().stack_size(128 * 1024).spawn(move || {
             let (bytes, late) = child.stdout.take().map(|out| read(out, child.id())).unwrap_or_default();
             stop(&mut child, late);
@@ -144,14 +140,14 @@ impl Look {
         wait.map(Self).map_err(failed)
     }
 
-    /// Waits for its end, or for its time limit.
+    /// Waits for its end or its time limit.
     pub(crate) fn end(self) -> Found {
         self.0.join().unwrap_or_default()
     }
 }
 
 impl Found {
-    /// From what the child has printed.
+    /// From the child's output.
     fn read(bytes: &[u8], late: bool) -> Self {
         let mut words = bytes.split_inclusive(|&byte| byte == 0).filter_map(|word| word.strip_suffix(&[0]));
         let path = words.next().map(|path| PathBuf::from(OsStr::from_bytes(path)));
@@ -161,11 +157,11 @@ impl Found {
     }
 }
 
-/// Whether a process goes on, as /proc shows it from time to time.
+/// Whether a process goes on, by occasional looks at /proc.
 struct Pulse {
     process: u32,
     begun: Instant,
-    /// The wait in which it was seen last, and how often it was seen there again.
+    /// The wait in which it was last seen, and how often it was seen there.
     seen: Option<String>,
     again: u32,
 }
@@ -175,8 +171,8 @@ impl Pulse {
         Self { process, begun: Instant::now(), seen: None, again: 0 }
     }
 
-    /// Whether it has been waiting in one call for too long. Time in which it could run and the machine does not let it is
-    /// no such time.
+    /// Whether it has waited in one call for too long. Time does not count while it could run and a busy machine does
+    /// not let it.
     fn is_stuck(&mut self) -> bool {
         let path = format!("/proc/{}/status", self.process);
         let now = waits(&regular::read_text(Path::new(&path), regular::SYSTEM).unwrap_or_default());
@@ -186,29 +182,28 @@ impl Pulse {
     }
 }
 
-/// What distinguishes the wait of a process from its other ones, by its status in /proc; `None` if it can run.
+/// Identifies a process's wait by its status in /proc; `None` if it can run.
 fn waits(status: &str) -> Option<String> {
     let state = status.lines().find_map(|line| line.strip_prefix("State:\t"))?;
     let switches = status.lines().filter(|line| line.contains("ctxt_switches"));
     (!state.starts_with('R')).then(|| switches.collect())
 }
 
-/// The gauges that are mounted at each of these paths, or that are at it. All are looked at together, so it takes no longer
-/// than one look.
+/// The gauges mounted at these paths. All paths are looked at together, so it takes no longer than one look.
 pub(crate) fn gauges(paths: &[PathBuf]) -> Result<Vec<(PathBuf, Found)>> {
     let looks = paths.iter().map(|path| Look::begin_gauges(path)).collect::<Result<Vec<_>>>()?;
     Ok(paths.iter().cloned().zip(looks.into_iter().map(Look::end)).collect())
 }
 
-/// Begins a look at a path, and waits for its end.
+/// Looks at a path, and waits for the end.
 pub(crate) fn at(path: &Path) -> Result<Found> {
     Ok(Look::begin(path)?.end())
 }
 
-/// In the child: prints the full path, whether its daemon is gone, and if they are asked for, the gauges there, each as
-/// soon as it is known.
+/// In the child: prints the full path, whether its daemon is gone, and the gauges if requested, each as soon as it is
+/// known.
 pub(crate) fn answer(path: &Path, gauges: bool) -> Result<()> {
-    // Before anything is open in the mount. Without a name it would be taken for any user of the mount, no more.
+    // Before anything is open in the mount. Without the name it would only be taken for a user of the mount.
     let _ = nix::sys::prctl::set_name(NAME);
     let tell = |word: &[u8]| print_file(&[word, &[0]].concat());
     let path = resolve(path)?;
@@ -229,10 +224,10 @@ pub(crate) fn answer(path: &Path, gauges: bool) -> Result<()> {
     Ok(())
 }
 
-/// Runs a program and returns whether it succeeded and what it printed to standard error; `None` if it waits for too long.
+/// Runs a program. Returns whether it succeeded and its standard output; `None` if it waits for too long.
 pub(super) fn run(command: &mut Command) -> io::Result<Option<(bool, String)>> {
     let command = command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped());
-    // A terminal that is closed sends signals to the whole group, and again while the mount is being removed.
+    // A closed terminal signals the whole group, possibly while the mount is being removed.
     let mut child = command.process_group(0).spawn()?;
     let (bytes, late) = child.stderr.take().map(|err| read(err, child.id())).unwrap_or_default();
     if late {
@@ -242,8 +237,8 @@ pub(super) fn run(command: &mut Command) -> io::Result<Option<(bool, String)>> {
     Ok(Some((child.wait()?.success(), String::from_utf8_lossy(&bytes).into_owned())))
 }
 
-/// Reads a pipe until its end, until the process at its other end waits for too long, or until the text is too long. Returns
-/// the bytes, and whether it stopped before the end.
+/// Reads a pipe until its end, until the process behind it waits for too long, or until the text is too long. Returns
+/// the bytes, and whether it stopped early.
 fn read(mut pipe: impl Read + AsFd, process: u32) -> (Vec<u8>, bool) {
     let (mut bytes, mut piece) = (Vec::new(), [0; 4096]);
     let mut pulse = Pulse::new(process);
@@ -264,10 +259,10 @@ fn read(mut pipe: impl Read + AsFd, process: u32) -> (Vec<u8>, bool) {
     }
 }
 
-/// Ends a child. One that does not even end by SIGKILL is left to process 1.
+/// Ends a child. A child that not even SIGKILL ends is left to process 1.
 fn stop(child: &mut Child, late: bool) {
     if late {
-        // It may have ended just now.
+        // It may have just ended.
         let _ = child.kill();
         let _ = child.try_wait();
     } else {
@@ -275,8 +270,8 @@ fn stop(child: &mut Child, late: bool) {
     }
 }
 
-/// The full path, found without access to what is mounted there. The folders above it may be in a mount that
-/// does not answer, so only a child process calls this, or a process whose child has.
+/// The full path, found without access to mounted file systems. The folders above it may be in a hanging mount, so only
+/// a child process calls this, or a process whose child has.
 pub(super) fn resolve(path: &Path) -> Result<PathBuf> {
     let failed = |error| Error::io(path.display().to_string(), "cannot be examined", &error);
     let absolute = std::path::absolute(path).map_err(failed)?;
@@ -298,7 +293,7 @@ pub(super) fn resolve(path: &Path) -> Result<PathBuf> {
 mod tests {
     use super::*;
 
-    /// A machine that is busy does not let it run: `mount` said that a plain folder was in a mount whose process is stopped.
+    /// A busy machine does not let it run: `mount` said that a plain folder was in a mount whose process is stopped.
     #[test]
     fn regression_a_process_that_could_run_was_taken_for_one_that_waits() {
         let mut busy = Command::new("sh").args(["-c", "while :; do :; done"]).spawn().expect("a shell");
@@ -308,7 +303,7 @@ mod tests {
         let mut waits = Command::new("sleep").arg("600").spawn().expect("sleep runs");
         let mut pulse = Pulse::new(waits.id());
         let start = Instant::now();
-        // It has to come to its wait first.
+        // It first has to reach its wait.
         while !pulse.is_stuck() {
             assert!(start.elapsed() < Duration::from_secs(300), "it does not come to it");
             thread::sleep(Duration::from_millis(1));

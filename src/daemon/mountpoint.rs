@@ -1,11 +1,9 @@
 // SPDX-License-Identifier: MIT
 
-//! Mount points: what is mounted where, preparing one, what it covers, and unmounting, also if a daemon has
-//! died or does not answer.
+//! Mount points: what is mounted, preparing, covering, and unmounting, also if a daemon has died or hangs.
 //!
-//! mountinfo says what is mounted without a call to any mounted file system. A call that may reach one is made
-//! by `look`, with a time limit: a gaugefs that is stopped or hung, of whatever user, or a network mount
-//! without its server, holds up nobody.
+//! mountinfo lists mounts without a call to any mounted file system. `look` makes calls that may reach one, with a time
+//! limit: neither another user's stopped gaugefs nor a network mount without its server can block it.
 
 use std::io::ErrorKind;
 use std::os::unix::ffi::OsStrExt;
@@ -33,11 +31,10 @@ use gauge_owner::lock;
 use gaugefs_client::Gauge;
 use gaugefs_client::mounts::{self, Mount, containing, list, topmost};
 
-/// How long an unmount waits for users of the mount, and the time between two attempts.
+/// How long an unmount waits for users of the mount, and the interval between attempts.
 const PATIENCE: Duration = Duration::from_secs(2);
 const STEP: Duration = Duration::from_millis(20);
 
-/// The mount at a path.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Mounted {
     Nothing,
@@ -51,16 +48,16 @@ pub(super) enum Mounted {
     Other(String),
 }
 
-/// What is done about a folder that is not empty, which a mount hides.
+/// The treatment of a folder with content, which a mount hides.
 pub(crate) enum Hiding<'a> {
     Refused,
-    /// A line says so: for units that were written before it was refused.
+    /// Warns, for units that are older than the refusal.
     Told(&'a dyn Fn(&str)),
     Wanted,
 }
 
 impl<'a> Hiding<'a> {
-    /// As the options have it; what systemd has started goes on.
+    /// By the options; processes started by systemd go on.
     pub(crate) fn by(options: &MountOptions, is_unit: bool, tell: &'a dyn Fn(&str)) -> Self {
         match options.over {
             true => Self::Wanted,
@@ -69,7 +66,7 @@ impl<'a> Hiding<'a> {
         }
     }
 
-    /// Checks a folder in which nothing is mounted.
+    /// Checks a folder with nothing mounted on it.
     fn check(&self, path: &Path) -> Result<()> {
         if matches!(self, Self::Wanted) || path.ends_with("power_supply") {
             return Ok(());
@@ -97,8 +94,7 @@ impl<'a> Hiding<'a> {
     }
 }
 
-/// Checks that something can be mounted at the path, and returns the full path. A dead gaugefs there is
-/// detached first.
+/// Checks that something can be mounted at the path, and returns the full path. Detaches a dead gaugefs there first.
 pub(crate) fn prepare(path: &Path, hiding: &Hiding<'_>) -> Result<PathBuf> {
     let (path, mounted) = clear(path)?;
     usable(&path, &mounted)?;
@@ -106,7 +102,7 @@ pub(crate) fn prepare(path: &Path, hiding: &Hiding<'_>) -> Result<PathBuf> {
     Ok(path)
 }
 
-/// Checks a mount point without changing it, and returns the full path. A dead gaugefs may be there.
+/// Checks a mount point without changing it, and returns the full path. It may have a dead gaugefs.
 pub(crate) fn check(path: &Path, hiding: &Hiding<'_>) -> Result<PathBuf> {
     let (path, mounted) = examine(path)?;
     usable(&path, &mounted)?;
@@ -117,8 +113,8 @@ pub(crate) fn check(path: &Path, hiding: &Hiding<'_>) -> Result<PathBuf> {
     Ok(path)
 }
 
-/// The accounts that root trusts with a folder in which it mounts: itself, who has called it by sudo, and accounts that this
-/// user namespace does not have.
+/// Accounts that root trusts with a folder to mount in: root, sudo's caller, and accounts unknown to this user
+/// namespace.
 struct Trusted {
     sudo: [Option<u32>; 2],
     maps: [String; 2],
@@ -154,19 +150,19 @@ fn is_mapped(map: &str, id: u32) -> bool {
         })
 }
 
-/// Checks that only root can take away what root mounts. Who may remove or rename a folder on the way can do that in a mount
-/// namespace of his own, where nothing is mounted, and the kernel then detaches the mount in all of them.
+/// Checks that only root can remove root's mount. Another user who may remove or rename a folder on the way can do that
+/// in a mount namespace of his own, where nothing is mounted, and the kernel then detaches the mount everywhere.
 pub fn keeps_its_mount(path: &Path) -> Result<()> {
     if !geteuid().is_root() {
         return Ok(());
     }
     let trusted = Trusted::read();
     for folder in path.ancestors() {
-        // What is missing root makes.
+        // Root makes what is missing.
         let Ok(status) = fs::symlink_metadata(folder) else { continue };
         let others =
             status.mode() & 0o002 != 0 || status.mode() & 0o020 != 0 && !trusted.has_group(status.gid());
-        // In a sticky folder only the owner of an entry can.
+        // In a sticky folder only an entry's owner can.
         let is_open = folder != path && others && status.mode() & 0o1000 == 0;
         let who = match trusted.has_user(status.uid()) {
             false => format!("belongs to user {}, who", name_of(status.uid())),
@@ -233,7 +229,7 @@ fn usable(path: &Path, mounted: &Mounted) -> Result<()> {
 }
 
 /// Whether this account may mount there: it may write to the folder or, if that is missing, to the nearest one above
-/// it, in which it is created.
+/// it.
 fn assure_can_be_made(path: &Path) -> Result<()> {
     let Some(there) = path.ancestors().find(|folder| folder.exists()) else { return Ok(()) };
     if there == path && geteuid().is_root() {
@@ -253,7 +249,7 @@ fn assure_can_be_made(path: &Path) -> Result<()> {
     })
 }
 
-/// File systems of the kernel's own, in which no folder can be created, whatever its permissions show.
+/// The kernel's own file systems, where no folder can be created, whatever their permissions say.
 const NO_FOLDERS: [&str; 13] = [
     "autofs",
     "binfmt_misc",
@@ -272,7 +268,7 @@ const NO_FOLDERS: [&str; 13] = [
 
 const CANNOT_CREATE: &str = "cannot create the folder";
 
-/// The error for a folder of root's, with the remedy for an ordinary user.
+/// The error for root's folder, with the remedy for an ordinary user.
 fn forbidden(path: &Path, what: &str, errno: Errno) -> Error {
     let error = Error::io(path.display().to_string(), what, &errno.into());
     match errno {
@@ -289,7 +285,7 @@ fn forbidden(path: &Path, what: &str, errno: Errno) -> Error {
 
 /// Detaches mounts whose daemon is gone. Returns the full path, and what is mounted there now.
 fn clear(path: &Path) -> Result<(PathBuf, Mounted)> {
-    // Several of them may be on top of each other.
+    // Several may be on top of each other.
     loop {
         let (path, mounted) = examine(path)?;
         if mounted != Mounted::Dead {
@@ -300,8 +296,8 @@ fn clear(path: &Path) -> Result<(PathBuf, Mounted)> {
     }
 }
 
-/// Detaches all mounts whose daemon is gone. Mounts whose daemon does not answer are not touched, and together
-/// they delay it for the time limit of one look.
+/// Detaches all mounts whose daemon is gone. Mounts with a hanging daemon stay, and together delay it by the limit of
+/// one look.
 pub(super) fn clear_all() -> Result<()> {
     let mut places = list();
     places.sort();
@@ -323,7 +319,7 @@ pub(super) fn clear_all() -> Result<()> {
     outcome
 }
 
-/// The folders that this process has made to mount at, the innermost last.
+/// Folders made by this process to mount at, innermost last.
 static MADE: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
 
 /// Creates the folder if it is missing.
@@ -337,19 +333,19 @@ pub fn make(path: &Path) -> Result<()> {
     keeps_its_mount(path).inspect_err(|_| unmake())
 }
 
-/// Removes the folders that [`make`] has made, as far as they are empty and nothing is mounted there again.
+/// Removes the folders of [`make`], if they are empty and nothing is mounted there again.
 pub(super) fn unmake() {
     let mut made = MADE.lock().unwrap_or_else(PoisonError::into_inner);
     while made.pop().is_some_and(|folder| fs::remove_dir(folder).is_ok()) {}
     made.clear();
 }
 
-/// Creates the folder if it is missing, and mounts at it.
+/// Creates a missing folder, and mounts at it.
 pub(super) fn make_and_mount<T>(path: &Path, mount: impl Fn() -> Result<T>) -> Result<T> {
     make(path)?;
     let mounted = mount().or_else(|error| match path.exists() {
         true => Err(error),
-        // The daemon that was mounted there before has just removed the folder that it had made.
+        // The previous daemon has just removed its folder.
         false => make(path).and_then(|()| mount()),
     });
     mounted.inspect_err(|_| unmake())
@@ -364,17 +360,17 @@ pub fn covered(path: &Path) -> Result<Option<Covered>> {
     is_theirs.then(|| Covered::open(path)).transpose()
 }
 
-/// The remains of a mount that was removed.
+/// What remains of a removed mount.
 #[derive(Default)]
 pub struct Unmounted {
-    /// The processes that keep its daemon running all the same, as far as this user may see them.
+    /// The processes that keep its daemon running, as far as this user may see them.
     pub elsewhere: Option<String>,
-    /// Writes and seals that are still owed, a line for each gauge. The daemon tries once more when it ends, but then
-    /// it cannot report the result.
+    /// Writes and seals still owed, a line per gauge. The daemon tries again at its end, but cannot report the result
+    /// then.
     pub owed: Vec<String>,
 }
 
-/// Unmounts a gaugefs. One whose daemon does not answer is removed by force.
+/// Unmounts a gaugefs, by force if its daemon hangs.
 pub fn unmount(path: &Path) -> Result<Unmounted> {
     let mut remains = Vec::new();
     let (path, mounted) = examine(path)?;
@@ -422,7 +418,7 @@ pub fn unmount(path: &Path) -> Result<Unmounted> {
     Ok(Unmounted { elsewhere, owed: remains })
 }
 
-/// A mount of a gaugefs besides the one that is removed: in the table of a process, or of this one.
+/// Another mount of the same connection: in the table of a process, or of this one.
 struct Elsewhere {
     process: Option<i32>,
     connection: u64,
@@ -430,7 +426,7 @@ struct Elsewhere {
 }
 
 impl Elsewhere {
-    /// The other mounts of a connection, as far as this user may see them. `path` is the mount that is being removed.
+    /// The other mounts of a connection, as far as this user may see them. `path` is the mount to remove.
     fn all(connection: u64, path: &Path) -> Vec<Self> {
         let namespace = |process: &str| fs::read_link(format!("/proc/{process}/ns/mnt")).ok();
         let own = namespace("self");
@@ -451,13 +447,13 @@ impl Elsewhere {
         mounts.filter(|other| other.process.is_some() || other.path != path).collect()
     }
 
-    /// Whether it is still there: the kernel gives the number of a connection again.
+    /// Whether it is still there: the kernel reuses connection numbers.
     fn remains(&self) -> bool {
         mounts_of(self.process, self.connection).contains(&self.path)
     }
 }
 
-/// The mount points of a connection in the view of a process; `None` is this process.
+/// A process's mount points of a connection; `None` is this process.
 fn mounts_of(process: Option<i32>, connection: u64) -> Vec<PathBuf> {
     let process = process.map_or_else(|| "self".to_string(), |process| process.to_string());
     let table = Path::new("/proc").join(process).join("mountinfo");
@@ -479,11 +475,11 @@ impl fmt::Display for Elsewhere {
     }
 }
 
-/// Lets the daemon of a mount pay what it owes to its gauges, and returns what remains.
+/// Lets a mount's daemon settle what it owes, and returns what remains.
 fn owed(path: &Path) -> Vec<String> {
     let mut remains = Vec::new();
     for gauge in Gauge::below(path).into_iter().filter(Gauge::is_owed) {
-        // Before it shows what is owed, it tries to pay it.
+        // Showing it makes the daemon settle it first.
         let _ = gauge.send("gauge/settle", b"show");
         if gauge.is_owed() {
             let why = gauge.last_error().unwrap_or_default();
@@ -493,7 +489,7 @@ fn owed(path: &Path) -> Vec<String> {
     remains
 }
 
-/// Repeats an attempt for a moment: monitors open files only while they read them.
+/// Repeats an attempt for a moment: monitors open files only to read them.
 fn retry_busy(mut attempt: impl FnMut() -> Result<()>) -> Result<()> {
     let clock = RealClock::new();
     loop {
@@ -529,14 +525,14 @@ pub fn detach(path: &Path, lazily: bool) -> Result<()> {
     }
 }
 
-/// Removes the topmost mount without its daemon: every request fails at once, also those under way. If the
-/// daemon runs again, it still completes its work on the gauges.
+/// Removes the topmost mount without its daemon: every request fails at once, even those under way. A daemon that
+/// continues later still completes its work on the gauges.
 fn force(path: &Path) -> Result<()> {
     if geteuid().is_root() {
         return remove(path, MntFlags::MNT_FORCE | MntFlags::MNT_DETACH);
     }
-    // Users have no MNT_FORCE, but the same for the connections of their own mounts. Where this is not
-    // available the mount is removed, and processes that wait for the daemon keep waiting.
+    // Users have no MNT_FORCE, but the same for connections of their own mounts. If that is unavailable the mount is
+    // removed, and processes waiting for the daemon keep waiting.
     if let Some(connection) = topmost(table()?, path).and_then(|mount| mount.connection) {
         let _ = fs::write(format!("/sys/fs/fuse/connections/{connection}/abort"), "1");
     }
@@ -551,7 +547,6 @@ fn failed(path: &Path, errno: Errno) -> Error {
     Error::io(path.display().to_string(), "cannot unmount it", &errno.into())
 }
 
-/// The full path, and what is mounted there.
 fn examine(path: &Path) -> Result<(PathBuf, Mounted)> {
     let Found { path: found, dead, late, .. } = look::at(path)?;
     let path = match found {
@@ -576,13 +571,12 @@ fn examine(path: &Path) -> Result<(PathBuf, Mounted)> {
     Ok((path, mounted))
 }
 
-/// The mounts of this process.
 fn table() -> Result<Vec<Mount>> {
     mounts::all().map_err(|error| Error::io("/proc/self/mountinfo", "cannot read it", &error))
 }
 
-/// The processes that have something open there, as far as this user may see them, without this one and without those that
-/// look, which end by themselves.
+/// Processes with open files there, as far as this user may see them, without this one and those that look, which end
+/// by themselves.
 fn users(path: &Path) -> Vec<String> {
     let inside = |link: PathBuf| fs::read_link(link).is_ok_and(|target| target.starts_with(path));
     let processes = fs::read_dir("/proc").into_iter().flatten().flatten();

@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: MIT
 
-//! `kernel-node`: a gauge as a battery of the kernel's.
+//! `kernel-node`: a gauge as a battery of the kernel.
 //!
-//! The daemon serves an adapter on which there is a Smart Battery, and the kernel's `sbs-battery` makes a power supply of that.
-//! Root's part is [`plug`]: it plugs the adapter in, binds the driver, opens the `uevent` of the supply, and ends. In a service
-//! `gaugefs attach` does it, and passes what it has opened to the daemon, which may open none of it.
+//! The daemon serves an adapter with a Smart Battery, and the kernel's `sbs-battery` makes a power supply of it.
+//! [`plug`] is root's part: it plugs in the adapter, binds the driver, opens the supply's `uevent`, and ends. In a
+//! service `gaugefs attach` does it, and passes the open files to the daemon, which may not open them.
 //!
-//! The kernel lets go of an adapter when its socket is closed, however the daemon ends.
+//! The kernel releases an adapter when its socket closes, however the daemon ends.
 
 use std::fs::{self, File};
 use std::io::{IoSlice, IoSliceMut};
@@ -36,14 +36,12 @@ use gauge_owner::Signal;
 use ti_gauge::chip::Chip;
 
 const OPTION: &str = "kernel-node";
-/// The kernel's driver, and its name for the device that it is bound to.
+/// The kernel's driver, and its name for the bound device.
 const DRIVER: &str = "sbs-battery";
-/// The adapters and devices of I2C.
 const DEVICES: &str = "/sys/bus/i2c/devices";
-/// Between two events: for each the kernel reads everything from the battery. What changes meanwhile is told within a second all
-/// the same.
+/// Between two events: each makes the kernel read everything from the battery. Changes are still told within a second.
 const PAUSE: Duration = Duration::from_millis(500);
-/// Most bytes of a message.
+/// Longest message, in bytes.
 const LONGEST: usize = 256;
 
 impl Target for SmartBattery {
@@ -52,29 +50,27 @@ impl Target for SmartBattery {
     }
 }
 
-/// What root's part passes to the daemon, with an open file.
+/// Items that root's part passes to the daemon, each with an open file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Kind {
-    /// An adapter that is plugged in.
     Adapter = 1,
-    /// The `uevent` of the battery on it.
+    /// The battery's `uevent`.
     Event = 2,
 }
 
-/// Where root's part finds the daemon: a pair of sockets, of which the one with a name is root's.
+/// The meeting point of root's part and the daemon: a pair of sockets. The named one is root's.
 pub(super) struct Offer {
     ours: OwnedFd,
     roots: OwnedFd,
 }
 
-/// A gauge to be offered, by its index in the tree, and its time between two polls.
+/// A wanted battery: its gauge's index in the tree, and its polling interval.
 pub(super) struct Wanted {
     pub(super) gauge: u16,
     pub(super) name: String,
     pub(super) interval: Duration,
 }
 
-/// The adapters that are plugged in.
 #[derive(Clone, Default)]
 pub(super) struct Nodes(Arc<Mutex<State>>);
 
@@ -85,24 +81,24 @@ struct State {
 }
 
 impl Offer {
-    /// A pair of sockets. To be made before root's part is started.
+    /// Makes the pair of sockets. Call it before root's part starts.
     pub(super) fn new() -> Result<Self> {
         let make = || {
             let (ours, roots) =
                 net::socketpair(AddressFamily::UNIX, SocketType::SEQPACKET, SocketFlags::CLOEXEC, None)?;
-            // The kernel chooses a name, which says which of the two it is.
+            // The kernel chooses a name, which tells the two apart.
             net::bind(&roots, &SocketAddrUnix::new_unnamed())?;
             rustix::io::Result::Ok(Self { ours, roots })
         };
         make().map_err(|errno| Error::io(OPTION, "cannot make a socket", &errno.into()))
     }
 
-    /// Serves what root's part passes on, for these gauges, from threads of their own.
+    /// Serves what root's part passes on, for these gauges, from separate threads.
     pub(super) fn serve(&self, tree: &Arc<Fs>, signal: &Arc<Signal>, wanted: Vec<Wanted>) -> Result<Nodes> {
         let failed = |errno: Errno| Error::io(OPTION, "cannot speak to root's part", &errno.into());
         let ours =
             self.ours.try_clone().map_err(|error| Error::io(OPTION, "cannot copy a socket", &error))?;
-        // How many there are, in place of an answer.
+        // The number of gauges stands for an answer.
         net::send(&ours, &(wanted.len() as u16).to_ne_bytes(), SendFlags::NOSIGNAL).map_err(failed)?;
         let nodes = Nodes::default();
         let (tree, signal, kept) = (Arc::clone(tree), Arc::clone(signal), nodes.clone());
@@ -126,7 +122,7 @@ impl Offer {
         Ok(nodes)
     }
 
-    /// Root's part, in the daemon itself.
+    /// Root's part, within the daemon.
     pub(super) fn plug(&self) -> Result<()> {
         plug(self.roots.as_fd(), usize::MAX)
     }
@@ -150,7 +146,7 @@ impl Nodes {
         })
     }
 
-    /// Takes the batteries away from the kernel, and plugs in no other.
+    /// Removes the kernel's batteries, and plugs in no other.
     pub(super) fn end(&self) {
         let mut state = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         state.is_ending = true;
@@ -160,10 +156,10 @@ impl Nodes {
     }
 }
 
-/// Has the kernel send an event whenever something has changed that is worth one.
+/// Makes the kernel send an event after every change that is worth one.
 fn tell(uevent: File, battery: &SmartBattery, signal: &Signal, limit: Duration) {
-    // Within a write the kernel reads the battery, and this thread waits for it, also after SIGKILL. So it keeps no copy of the
-    // socket, which the kernel would take for a battery that only is slow.
+    // During a write the kernel reads the battery, and this thread waits for it, even after SIGKILL. So it keeps no
+    // copy of the socket, which would look to the kernel like a battery that is only slow.
     if unshare(CloneFlags::CLONE_FILES).is_ok() {
         close_all_but(uevent.as_raw_fd());
     }
@@ -174,18 +170,17 @@ fn tell(uevent: File, battery: &SmartBattery, signal: &Signal, limit: Duration) 
         let now = battery.told();
         if now != told {
             if uevent.write_all_at(b"change", 0).is_err() {
-                // It is gone.
                 return;
             }
             told = now;
             clock.sleep(PAUSE);
         }
-        // Values that are not renewed are not shown any more, which raises no signal.
+        // Values that are not renewed disappear without a signal.
         seen = signal.wait(seen, told.is_some().then_some(limit));
     }
 }
 
-/// Closes what this thread has open, but for that descriptor and the standard ones.
+/// Closes this thread's descriptors, except that one and the standard ones.
 fn close_all_but(kept: i32) {
     let open = fs::read_dir("/proc/thread-self/fd").into_iter().flatten().flatten();
     let open: Vec<i32> = open.filter_map(|entry| entry.file_name().to_str()?.parse().ok()).collect();
@@ -199,8 +194,8 @@ fn spawn(name: &str, work: impl FnOnce() + Send + 'static) -> Result<()> {
     thread.map(drop).map_err(|error| Error::io(OPTION, "cannot start a thread", &error))
 }
 
-/// Whether a gauge can be offered: of that chip, if it is known, by a mount that covers the kernel's supplies or does not, and
-/// by who can have root's part done.
+/// Checks that a gauge can be offered: by its chip, if known, by whether the mount covers the kernel's supplies, and by
+/// who can run root's part.
 pub(super) fn check(name: &str, chip: Option<&Chip>, covers: bool, may_plug: bool) -> Result<()> {
     if !may_plug {
         let why = "only root may offer a gauge to the kernel; mount with sudo or as a service, or leave out kernel-node";
@@ -214,7 +209,7 @@ pub(super) fn check(name: &str, chip: Option<&Chip>, covers: bool, may_plug: boo
     chip.map_or(Ok(()), |chip| check_chip(name, chip))
 }
 
-/// Whether gauges of that chip can be offered.
+/// Checks that gauges of that chip can be offered.
 pub(super) fn check_chip(name: &str, chip: &Chip) -> Result<()> {
     let refuse = |why: String| Error::new(name, Cause::Invalid, format!("{why}; leave out kernel-node"));
     battery_obstacle(chip).map_or(Ok(()), |why| Err(refuse(why)))
@@ -233,22 +228,22 @@ pub(crate) fn attach(pid: i32, setup: &Setup) -> Result<()> {
     plug(socket.as_fd(), most)
 }
 
-/// A copy of root's end of the pair of sockets of that process.
+/// A copy of that process's root end of the sockets.
 fn end_of_root(pid: i32) -> Result<Option<OwnedFd>> {
     let is_it = |socket: &OwnedFd| {
         sockopt::socket_domain(socket) == Ok(AddressFamily::UNIX)
             && sockopt::socket_type(socket) == Ok(SocketType::SEQPACKET)
             && net::getsockname(socket).is_ok_and(|name| {
                 let name = SocketAddrUnix::try_from(name).ok();
-                // That of a socket without a name is read as an empty one.
+                // A socket without a name shows an empty one.
                 name.is_some_and(|name| name.abstract_name().is_some_and(|name| !name.is_empty()))
             })
     };
     service::descriptor_of(pid, "end of a socket", |status| status.file_type().is_socket(), is_it)
 }
 
-/// Plugs in an adapter for each gauge that the daemon at the other end of the socket offers, but not more than that many, has
-/// the kernel make a battery of it, and passes on what the daemon needs.
+/// Plugs in an adapter for each gauge that the daemon at the socket's other end offers, up to `most`, makes the kernel
+/// create its battery, and passes on what the daemon needs.
 fn plug(daemon: BorrowedFd<'_>, most: usize) -> Result<()> {
     let failed = |errno: Errno| Error::io(OPTION, "cannot speak to the daemon", &errno.into());
     let mut count = [0; 2];
@@ -265,7 +260,8 @@ fn plug(daemon: BorrowedFd<'_>, most: usize) -> Result<()> {
     Ok(())
 }
 
-/// Has the kernel's driver bound to the Smart Battery on the adapter at that port: the name of the power supply, and its `uevent`.
+/// Binds the kernel's driver to the Smart Battery on the adapter at that port. Returns the power supply's name and
+/// `uevent`.
 fn bind(port: u32) -> Result<(String, File)> {
     let missing = |what: &str| {
         let why = format!(
@@ -305,7 +301,7 @@ fn send(
     net::sendmsg(to, &[IoSlice::new(&message)], &mut files, SendFlags::NOSIGNAL).map(drop)
 }
 
-/// The next message; none when nobody can send one any more.
+/// The next message; `None` when nobody can send one any more.
 fn receive(from: BorrowedFd<'_>) -> std::result::Result<Option<(Kind, u16, String, OwnedFd)>, Errno> {
     let mut message = [0; LONGEST];
     let mut space = [MaybeUninit::uninit(); rustix::cmsg_space!(ScmRights(1))];

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT
 
-//! Checks whether the machine has what a mount needs. The mount reports the first check that fails, before it opens any
-//! gauge; `gaugefs mount --check` reports all of them. It also checks what each gauge needs, and /dev/fuse, with the
-//! functions that open them.
+//! Checks that the machine has what a mount needs. A mount reports the first failure before it opens any gauge;
+//! `gaugefs mount --check` reports all. It also checks each gauge's needs and /dev/fuse, with the functions that open
+//! them.
 
 use std::collections::HashSet;
 use std::path::Path;
@@ -23,10 +23,10 @@ use gauge_owner::{GaugeSetup, Source, journal_dir};
 use gaugefs_screen::watch::Rule;
 
 const CONFIGURATION: &str = "/etc/fuse.conf";
-/// Its line that lets ordinary users open their mounts to others.
+/// Lets ordinary users open their mounts to others.
 const SHARED: &str = "user_allow_other";
-/// The problems of the mount as a whole, whatever its gauges are. `names` are those of the gauges, `covered` the kernel's
-/// supplies that it would cover. A service is mounted by `service::attach`, which has privileges of its own.
+/// Problems of the mount as a whole, whatever its gauges are. `names` are the gauges', `covered` the kernel's supplies
+/// under the mount. `service::attach` mounts services with privileges of its own.
 pub(super) fn mount(
     setup: &Setup,
     names: &[String],
@@ -40,7 +40,7 @@ pub(super) fn mount(
         found.extend([group(mount), needs::rights()]);
     }
     found.extend(mount.log.as_deref().map(log::check));
-    // Nothing is written there without a write to a gauge.
+    // Only writes to a gauge write there.
     found.extend(mount.state_dir.as_deref().filter(|_| !mount.read_only).map(journal_dir::check));
     found.push(super::mains_name(mount, names, &taken).map(drop));
     found.push(distinct(setup));
@@ -70,7 +70,7 @@ pub(crate) fn check(setup: &Setup) -> (Vec<String>, Vec<Error>) {
     let names = super::names(&setup.gauges, &taken);
     found.extend(mount(setup, &names, covered.as_ref(), false));
     found.extend(needs::device().err());
-    // The mount does without them.
+    // The mount does not need alerts.
     #[cfg(feature = "screen")]
     found.extend(setup.alerts.iter().filter_map(|alert| Rule::from(alert.clone()).check().err()));
     for (name, gauge) in names.iter().zip(&setup.gauges) {
@@ -79,7 +79,7 @@ pub(crate) fn check(setup: &Setup) -> (Vec<String>, Vec<Error>) {
     (names, found)
 }
 
-/// Whether no gauge needs the time that a mount is not to wait for.
+/// Checks that no gauge needs a time that the mount must not wait for.
 fn fast(setup: &Setup, names: &[String]) -> Result<()> {
     let real = |gauge: &&GaugeOptions| !matches!(gauge.source(), Source::Sim { .. });
     match names.iter().zip(&setup.gauges).find(|(_, gauge)| real(gauge)) {
@@ -91,7 +91,7 @@ fn fast(setup: &Setup, names: &[String]) -> Result<()> {
     }
 }
 
-/// Whether every file that is written has a name of its own.
+/// Checks that every written file has a name of its own.
 fn distinct(setup: &Setup) -> Result<()> {
     let of_gauges = setup.gauges.iter().flat_map(|gauge| [&gauge.trace, &gauge.sim_state]).flatten();
     let mut seen = HashSet::new();
@@ -104,8 +104,7 @@ fn distinct(setup: &Setup) -> Result<()> {
     }
 }
 
-/// Whether a group can be given access. The kernel opens a mount to others than its owner only if root has mounted it,
-/// or allows it.
+/// Checks that a group can get access. The kernel opens a mount to other users only if root has mounted or allowed it.
 fn group(options: &MountOptions) -> Result<()> {
     let Some(gid) = options.group.map(Gid::from_raw) else { return Ok(()) };
     let name = Group::from_gid(gid).ok().flatten().map_or_else(|| gid.to_string(), |group| group.name);
@@ -138,7 +137,6 @@ fn group(options: &MountOptions) -> Result<()> {
     Ok(())
 }
 
-/// The problems of one gauge.
 fn needs_of(name: &str, gauge: &GaugeSetup, mountpoint: &Path) -> Vec<Error> {
     let mut found: Vec<Error> = Vec::new();
     match gauge.keys(name) {
@@ -165,7 +163,7 @@ fn needs_of(name: &str, gauge: &GaugeSetup, mountpoint: &Path) -> Vec<Error> {
     found
 }
 
-/// A gauge whose part is named need not be there when the mount starts.
+/// A gauge whose part is named may be absent when the mount starts.
 fn waited_for(error: &Error) -> Error {
     Error::host("", error.errno(), format!("{error}; a mount would wait for it"))
 }

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! A report of a gauge that is not mounted: it is opened, as for a mount, for as long as the report takes.
+//! A report of a gauge that is not mounted: it is opened as for a mount while the report is made.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -13,9 +13,8 @@ use crate::report;
 use gauge_bus::clock::RealClock;
 use gauge_owner::{Opening, operations};
 
-/// The text of a report of the gauge.
 pub(crate) fn report(gauge: GaugeOptions) -> Result<String> {
-    // Another gaugefs shows it as the place where the gauge is in use.
+    // Other gaugefs processes show it as the place where the gauge is in use.
     let place = Path::new("/proc").join(std::process::id().to_string());
     let opening =
         Opening { read_only: true, no_backup: true, ..Opening::new(place, Arc::new(RealClock::new())) };

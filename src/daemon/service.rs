@@ -1,15 +1,15 @@
 // SPDX-License-Identifier: MIT
 
-//! A systemd service without the privilege to mount, and the two steps that its unit runs as root.
+//! A systemd service without the privilege to mount, and its unit's two steps as root.
 //!
-//! The daemon of a unit has its own account, no capability and its own mount namespace, in which nobody else
-//! would see a mount. So it opens `/dev/fuse` and mounts nothing. When it has read its gauges it reports that
-//! it is ready; `gaugefs attach` copies the descriptor from it and mounts it for everybody. When the daemon
-//! has ended, for whatever reason, `gaugefs detach` removes the mount.
+//! A unit's daemon has its own account, no capability and its own mount namespace, where nobody else would see a mount.
+//! So it opens `/dev/fuse` and mounts nothing. It reports that it is ready after reading its gauges; `gaugefs attach`
+//! then copies the descriptor and mounts it for everybody. When the daemon has ended, for whatever reason, `gaugefs
+//! detach` removes the mount.
 //!
-//! systemd runs these steps in the namespace of the service too, so the units use `nsenter` to enter that of
-//! process 1. The unit gives `attach` the same options as the daemon. `attach` takes nothing but the
-//! descriptor from the daemon, and the kernel verifies that it is one of FUSE.
+//! systemd runs these steps in the service's namespace too, so the units enter that of process 1 with `nsenter`. The
+//! unit gives `attach` the daemon's options. `attach` takes only the descriptor from the daemon, and the kernel
+//! verifies that it is one of FUSE.
 
 use std::fs::{self, File};
 use std::os::fd::{AsFd, AsRawFd, OwnedFd};
@@ -36,18 +36,18 @@ const DEVICE: &str = "/dev/fuse";
 const MAJOR: u64 = 10;
 const MINOR: u64 = 229;
 
-/// How long the daemon waits for its mount, and the time between two checks.
+/// How long the daemon waits for its mount, and the interval of checks.
 const PATIENCE: Duration = Duration::from_secs(60);
 const STEP: Duration = Duration::from_millis(5);
 
-/// How long a start tries again, and the time between two tries.
+/// How long a start is repeated, and the interval of tries.
 const TRIES: Duration = Duration::from_secs(30);
 const PAUSE: Duration = Duration::from_secs(2);
-/// The exit code by which the unit has it started again: EX_TEMPFAIL of `sysexits.h`.
+/// The exit code after which the unit is started again: EX_TEMPFAIL of `sysexits.h`.
 const AGAIN: i32 = 75;
 
-/// Opens the gauges, again and again while the machine starts. Where they may answer later, the process ends with the exit code
-/// that has it started again; a failure that lasts is returned.
+/// Opens the gauges, repeatedly while the machine starts. If they may answer later, the process ends with the exit code
+/// for another start; lasting failures are returned.
 pub(super) fn open<T>(clock: &dyn Clock, open: impl Fn() -> Result<T>) -> Result<T> {
     let error = match patiently(clock, open) {
         Err(error) if Outlook::of(error.cause()) == Outlook::Later => error,
@@ -74,13 +74,13 @@ fn patiently<T>(clock: &dyn Clock, open: impl Fn() -> Result<T>) -> Result<T> {
     }
 }
 
-/// The daemon's end of a future mount.
+/// The daemon's end of the future mount.
 pub(super) fn device() -> Result<OwnedFd> {
     let device = File::options().read(true).write(true).open(DEVICE);
     device.map(OwnedFd::from).map_err(|error| Error::io(DEVICE, "cannot open it", &error))
 }
 
-/// Waits until the device is mounted, which is when the kernel sends its first request.
+/// Waits for the mount, which the kernel's first request shows.
 pub(super) fn wait(device: &OwnedFd, clock: &dyn Clock) -> Result<()> {
     let start = clock.now();
     loop {
@@ -103,12 +103,12 @@ pub(super) fn wait(device: &OwnedFd, clock: &dyn Clock) -> Result<()> {
 /// Mounts what the daemon in process `pid` serves. For root.
 pub(crate) fn attach(pid: i32, setup: &Setup) -> Result<()> {
     let device = device_of(pid)?;
-    // Everybody may enter the folders that are created, whatever umask the unit sets.
+    // Everybody may enter created folders, whatever umask the unit sets.
     umask(Mode::S_IWGRP | Mode::S_IWOTH);
     let tell = |line: &str| say(format_args!("warning: {line}"));
     let mountpoint = mountpoint::prepare(setup.mountpoint(), &Hiding::by(&setup.mount, true, &tell))?;
     mountpoint::make(&mountpoint)?;
-    // The options that fuser uses for a daemon of root. The mount belongs to root, whoever serves it.
+    // fuser's options for a daemon of root. The mount belongs to root, whoever serves it.
     let others = if setup.mount.private { "" } else { ",allow_other" };
     let data =
         format!("fd={},rootmode=40000,user_id=0,group_id=0,default_permissions{others}", device.as_raw_fd());
@@ -137,7 +137,7 @@ pub(crate) fn device_of(pid: i32) -> Result<OwnedFd> {
     })
 }
 
-/// A copy of the descriptor of a process that is wanted: by what it refers to, and then by the copy itself. `what` it is.
+/// A copy of a process's descriptor, chosen by its target, and then by the copy itself. `what` names it in errors.
 pub(super) fn descriptor_of(
     pid: i32,
     what: &str,
@@ -153,7 +153,7 @@ pub(super) fn descriptor_of(
         let Some(descriptor) = entry.file_name().to_str().and_then(|name| name.parse().ok()) else {
             continue;
         };
-        // Not by the name of the link, which is one of the process's own namespace.
+        // The link's name would be one of the process's own namespace.
         if fs::metadata(entry.path()).is_ok_and(|status| may_be(&status)) {
             let taken = pidfd_getfd(&holder, descriptor, PidfdGetfdFlags::empty())
                 .map_err(|errno| refuse(errno.into()))?;
@@ -175,7 +175,7 @@ mod tests {
     use crate::error::Cause;
     use gauge_bus::error::ErrorKind;
 
-    /// A service whose first start failed at boot stayed failed.
+    /// A service stayed failed after a failed first start at boot.
     #[test]
     fn regression_a_start_gave_up_although_the_gauge_came_a_moment_later() {
         let tries = |cause: Cause, until: u32| {
@@ -191,7 +191,7 @@ mod tests {
             let (is_open, count) = tries(cause, u32::MAX);
             assert!(!is_open && (10..20).contains(&count), "{cause:?}: {count}");
         }
-        // What can never work is told at once.
+        // Lasting failures are reported at once.
         for cause in [Cause::Invalid, Cause::NotPermitted, Cause::Gone, Cause::Adapter(ErrorKind::SmbusOnly)]
         {
             assert_eq!(tries(cause, 3), (false, 1), "{cause:?}");

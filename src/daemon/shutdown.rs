@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! Ending a mount by a signal, according to how far it has come.
+//! Ends a mount after a signal, according to its phase.
 
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError, mpsc};
@@ -17,10 +17,9 @@ use gauge_owner::{Handle, operations as op};
 use gaugefs_client::mounts;
 use gaugefs_host::signals;
 
-/// The phase of a mount.
 #[derive(Default)]
 pub(super) enum Phase {
-    /// Nothing is mounted, and nothing but reads has been sent to a gauge.
+    /// Nothing is mounted, and gauges were only read.
     #[default]
     Starting,
     /// A signal has to unmount this.
@@ -31,11 +30,11 @@ pub(super) enum Phase {
     Ending,
 }
 
-/// The phase of the mount, shared with the thread that handles signals.
+/// The mount's phase, shared with the thread that handles signals.
 pub(super) struct Shutdown(Arc<Mutex<Phase>>);
 
 impl Shutdown {
-    /// Starts the thread that handles signals. To be called before any other thread is started.
+    /// Starts the thread that handles signals. Call it before other threads start.
     pub(super) fn watch() -> Result<Self> {
         let signals = signals::block()?;
         let phase = Arc::new(Mutex::default());
@@ -50,8 +49,8 @@ impl Shutdown {
         Ok(Self(phase))
     }
 
-    /// Mounts. A signal waits until that is done and then finds the phase that comes with the mount: if it ended the
-    /// process in between, it would leave a mount behind without a daemon.
+    /// Mounts. A signal waits for the end and finds the new phase: ending the process in between would leave a mount
+    /// without a daemon.
     pub(super) fn mount<T>(&self, mount: impl FnOnce() -> Result<(T, Phase)>) -> Result<T> {
         let mut phase = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         let (mounted, reached) = mount()?;
@@ -59,7 +58,6 @@ impl Shutdown {
         Ok(mounted)
     }
 
-    /// Sets the phase that the next signal finds.
     pub(super) fn reach(&self, phase: Phase) {
         *self.0.lock().unwrap_or_else(PoisonError::into_inner) = phase;
     }
@@ -103,8 +101,8 @@ fn end(signal: Signal, phase: &mut Phase) {
     }
 }
 
-/// Answers every write that was accepted with its outcome, and accepts no other. When it returns, the answers
-/// have reached the kernel, and the locks are removed. An error is that of [`finish`].
+/// Answers every accepted write with its outcome, and accepts no other. When it returns, the kernel has the answers,
+/// and the locks are removed. An error is that of [`finish`].
 fn answer(handles: &[Handle], announcer: &fuse::Announcer) -> Result<()> {
     announcer.refuse();
     let ended = finish(handles);
@@ -113,8 +111,8 @@ fn answer(handles: &[Handle], announcer: &fuse::Announcer) -> Result<()> {
     ended
 }
 
-/// Waits until the gauges' owners have completed the requests that were submitted, such as transactions, and have paid
-/// what is owed, and keeps them from doing anything else. What is still owed is in the log, and is an error.
+/// Waits until the gauges' owners have completed submitted requests, such as transactions, and have settled what is
+/// owed; then they do nothing else. What is still owed is logged, and is an error.
 pub(super) fn finish(handles: &[Handle]) -> Result<()> {
     let (done, is_done) = mpsc::channel();
     for handle in handles {

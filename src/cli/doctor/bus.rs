@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! I2C adapters: whether there are any, who may use them, what they support, and which drivers use a gauge.
+//! I2C adapters: their presence, access, functions, and the drivers bound to gauges.
 
 use std::fs;
 use std::os::unix::fs::{FileTypeExt, MetadataExt};
@@ -10,9 +10,9 @@ use super::{Finding, ok, problem, warning};
 use gauge_bus::GAUGE_ADDRESS;
 use gauge_bus::linux::{Adapter, adapters, clock_hz, driver};
 
-/// The fastest clock at which the controller below tolerates clock stretching.
+/// Fastest clock at which this controller tolerates clock stretching.
 const SLOW_HZ: u32 = 50_000;
-/// The kernel's name for a controller that shortens bits when a target stretches the clock.
+/// The kernel's name of a controller that shortens bits when a target stretches the clock.
 const NO_STRETCHING: &str = "bcm2835";
 
 pub(super) fn check(host: &Host, configured: &[String]) -> Vec<Finding> {
@@ -33,7 +33,7 @@ fn module(host: &Host, count: usize) -> Finding {
     let what = "i2c-dev";
     let loaded = host.has("/sys/module/i2c_dev") || host.has("/sys/class/i2c-dev");
     match count {
-        // A module that is built in has its folder in /sys, and any other one is listed.
+        // A built-in module has a folder in /sys, others are listed.
         0 if !loaded && host.has_module("i2c-dev") == Some(false) => {
             let says = match host.has("/sys/bus/i2c") {
                 true => "this kernel has I2C, but no /dev/i2c-* and no module for that",
@@ -58,7 +58,7 @@ fn module(host: &Host, count: usize) -> Finding {
     }
 }
 
-/// The bus on the pins of a Raspberry Pi. Those of its HDMI sockets are there also while this one is off.
+/// The bus on a Raspberry Pi's pins. Buses of its HDMI sockets exist even while it is off.
 fn pins(host: &Host, adapters: &[(u64, String)]) -> Option<Finding> {
     let model = host.text("/proc/device-tree/model");
     let model = model.trim_end_matches('\0').trim();
@@ -81,7 +81,7 @@ fn pins(host: &Host, adapters: &[(u64, String)]) -> Option<Finding> {
     })
 }
 
-/// Whether a user who is not root is in the group that may use buses.
+/// Whether an ordinary user is in the group that may use buses.
 fn group(host: &Host) -> Option<Finding> {
     let groups = host.text("/etc/group");
     let gid = groups.lines().find_map(|line| line.strip_prefix("i2c:")?.split(':').nth(1)?.parse().ok())?;
@@ -103,7 +103,7 @@ fn group(host: &Host) -> Option<Finding> {
     })
 }
 
-/// The device node: whether it can be used, and what its adapter supports.
+/// The device node: access, and the adapter's functions.
 fn adapter(host: &Host, number: u64, name: &str, wanted: bool) -> Finding {
     let node = format!("/dev/i2c-{number}");
     let what = format!("{node} ({name})");
@@ -158,7 +158,7 @@ fn stretching(host: &Host, number: u64, name: &str) -> Option<Finding> {
     Some(warning(format!("i2c-{number} ({name})"), says, remedy))
 }
 
-/// Kernel drivers that are bound to gauges.
+/// Kernel drivers bound to gauges.
 fn drivers(host: &Host, number: u64) -> Vec<Finding> {
     let bound = host.names("/sys/bus/i2c/devices").into_iter().filter_map(|device| {
         let (bus, address) = device.split_once('-')?;

@@ -14,7 +14,7 @@ const FOLDER: &str = crate::folders::CONFIGURATION;
 /// The configuration of gaugefs.service, which names its own mount point.
 const MANY: &str = "gaugefs";
 
-/// The buses that the udev rule starts a service for: `i2c-1` for `i2c-1.toml`.
+/// Buses for which the udev rule starts a service: `i2c-1` for `i2c-1.toml`.
 pub(super) fn buses(host: &Host) -> Vec<String> {
     let names = host.names(FOLDER).into_iter();
     let stems = names.filter_map(|name| Some(name.strip_suffix(".toml")?.to_string()));
@@ -44,7 +44,7 @@ pub(super) fn check(host: &Host) -> Vec<Finding> {
 /// Reads a configuration as its service does.
 fn configuration(host: &Host, path: &str, name: &str, key_files: &mut Vec<PathBuf>) -> Finding {
     let device = is_bus(name).then(|| format!("/dev/{name}"));
-    // Any other is for `gaugefs mount --config`, or for the administrator's own rule.
+    // Others are for `gaugefs mount --config`, or for the administrator's own rule.
     let place = (name != MANY).then(|| PathBuf::from(format!("/run/gaugefs/{name}")));
     let over = |mount: &mut MountOptions| mount.mountpoint = place.or(mount.mountpoint.take());
     let bus = device.as_deref().map(Path::new).or((name != MANY).then_some(Path::new("/dev/i2c")));

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! The kernel, FUSE, and the program that mounts for users other than root.
+//! The kernel, FUSE, and the program that mounts for ordinary users.
 
 use std::fs::{self, File};
 use std::os::unix::fs::PermissionsExt;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! The system to check: a root folder, and the user who runs doctor.
+//! The checked system: a root folder, and doctor's user.
 
 use std::fs::{self, Metadata};
 use std::os::unix::fs::MetadataExt;
@@ -12,10 +12,8 @@ use nix::unistd::{AccessFlags, access, geteuid};
 /// Largest list of a kernel's modules, in bytes.
 const MODULES: u64 = 16 << 20;
 
-/// A system below a root folder.
 pub(super) struct Host {
     root: PathBuf,
-    /// The effective user.
     pub(super) uid: u32,
     /// All groups of this process, which may lag behind /etc/group.
     pub(super) groups: Vec<u32>,
@@ -28,7 +26,7 @@ impl Host {
             let line = status.lines().find_map(|line| line.strip_prefix(name));
             line.unwrap_or_default().split_ascii_whitespace().filter_map(|word| word.parse().ok()).collect()
         };
-        // The columns are the real, effective, saved and file-system ID.
+        // Columns: real, effective, saved and file-system ID.
         let uid = numbers("Uid:").get(1).copied().unwrap_or_else(|| geteuid().as_raw());
         let groups = numbers("Gid:").get(1).copied().into_iter().chain(numbers("Groups:")).collect();
         Self { root, uid, groups }
@@ -42,7 +40,6 @@ impl Host {
         self.uid == 0
     }
 
-    /// A path of that system, below the root folder.
     pub(super) fn at(&self, path: &str) -> PathBuf {
         self.root.join(path.trim_start_matches('/'))
     }
@@ -55,7 +52,7 @@ impl Host {
         regular::read_text(&self.at(path), regular::SYSTEM).unwrap_or_default()
     }
 
-    /// Whether the running kernel comes with a module of that name, loaded or not; `None` if its modules are not listed here.
+    /// Whether the running kernel has a module of that name, loaded or not; `None` if its modules are not listed here.
     pub(super) fn has_module(&self, name: &str) -> Option<bool> {
         let release = self.text("/proc/sys/kernel/osrelease");
         let lists = ["modules.dep", "modules.builtin"].map(|list| {
@@ -87,17 +84,15 @@ impl Host {
             _ => 0,
         };
         let both = AccessFlags::R_OK | AccessFlags::W_OK;
-        // An access control list, such as systemd-logind sets, does not show in the mode.
+        // An access control list, such as systemd-logind's, does not show in the mode.
         let listed = || self.uid == geteuid().as_raw() && access(&self.at(path), both).is_ok();
         status.mode() >> shift & 0o6 == 0o6 || listed()
     }
 
-    /// The user's name.
     pub(super) fn user(&self) -> String {
         self.account(0).unwrap_or_else(|| "$USER".into())
     }
 
-    /// The user's home.
     pub(super) fn home(&self) -> String {
         self.account(5).unwrap_or_default()
     }
@@ -110,7 +105,7 @@ impl Host {
         Some((*mine.get(field)?).to_string())
     }
 
-    /// A group's name, and whether /etc/group lists the user as a member.
+    /// A group's name, and whether /etc/group lists the user.
     pub(super) fn group(&self, gid: u32) -> Option<(String, bool)> {
         let (groups, user) = (self.text("/etc/group"), self.user());
         groups.lines().find_map(|line| {

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! Mounts, alive or dead, and who holds which gauge.
+//! Mounts, alive or dead, and the holders of gauges.
 
 use std::fs;
 use std::path::Path;
@@ -21,7 +21,7 @@ const JOURNALS: &str = "/var/lib/gaugefs";
 pub(super) fn check(host: &Host) -> Vec<Finding> {
     let table = regular::read(&host.at("/proc/self/mountinfo"), regular::SYSTEM).unwrap_or_default();
     let all: Vec<_> = parse(&table).collect();
-    // Daemons that do not answer are waited for at the same time.
+    // Silent daemons are waited for together.
     let look = |mount: &Mount| Look::begin_gauges(&host.at(&mount.path.to_string_lossy())).ok();
     let looks = all.iter().map(|mount| mount.is_gaugefs().then(|| look(mount)).flatten());
     let looks: Vec<_> = looks.collect();
@@ -74,7 +74,7 @@ pub(super) fn check(host: &Host) -> Vec<Finding> {
     findings
 }
 
-/// Journals of writes that are in progress or were interrupted, and of seals that are owed.
+/// Journals of writes that are in progress or were interrupted, and of owed seals.
 fn journals(host: &Host) -> Vec<Finding> {
     let own = format!("{}/.local/state/gaugefs", host.home());
     let folders = if host.is_root() { vec![JOURNALS.to_string()] } else { vec![JOURNALS.to_string(), own] };
@@ -107,7 +107,7 @@ fn journals(host: &Host) -> Vec<Finding> {
     paths.map(finding).collect()
 }
 
-/// Locks that are held, and whether their holders have mounted the gauge.
+/// Held locks, and whether their holders have mounted the gauge.
 fn locks(host: &Host, mounted: &dyn Fn(&Path) -> bool) -> Vec<Finding> {
     let state = format!("{}/.local/state/gaugefs", host.home());
     let folders = [PLACE.into(), JOURNALS.into(), format!("/run/user/{}/gaugefs", host.uid), state];
@@ -117,7 +117,7 @@ fn locks(host: &Host, mounted: &dyn Fn(&Path) -> bool) -> Vec<Finding> {
         for name in host.names(&folder) {
             let Some(key) = name.strip_suffix(".lock") else { continue };
             let path = host.at(&format!("{folder}/{name}"));
-            // It is looked up, because trying it would take it.
+            // The list shows it, because trying the lock would take it.
             let Some(pid) = fs::metadata(&path).ok().and_then(|status| holding(&listed, &status)) else {
                 left += 1;
                 continue;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! A gauge that is left in ROM mode, on a bus that the user has named.
+//! A gauge stuck in ROM mode, on a bus that the user has named.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -26,7 +26,7 @@ pub(super) fn check(bus: &Path) -> Result<Finding> {
     Ok(finding(&adapter.to_string(), answers(GAUGE_ADDRESS)?, answers(ROM_ADDRESS)?))
 }
 
-/// The finding from which of the two addresses are acknowledged.
+/// The finding by which of the two addresses is acknowledged.
 fn finding(bus: &str, gauge: bool, rom: bool) -> Finding {
     let what = format!("gauge on {bus}");
     match (gauge, rom) {

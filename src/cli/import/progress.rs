@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! A progress bar on the terminal, while an import programs blocks.
+//! A progress bar on the terminal while an import programs blocks.
 
 use std::sync::mpsc::{self, RecvTimeoutError, Sender};
 use std::thread::JoinHandle;
@@ -9,16 +9,16 @@ use std::time::Duration;
 use crate::output::{errors_are_seen, print_error};
 use gaugefs_client::Gauge;
 
-/// Time between two reads of `df/transaction`, which cause no bus traffic.
+/// Interval of reads of `df/transaction`, which cause no bus traffic.
 const INTERVAL: Duration = Duration::from_millis(100);
-/// Characters in the bar.
+/// In characters.
 const WIDTH: u32 = 30;
 
-/// A bar that follows `df/transaction` while a commit is under way.
+/// A bar that follows `df/transaction` during a commit.
 pub(super) struct Bar(Option<(Sender<()>, JoinHandle<()>)>);
 
 impl Bar {
-    /// Starts the bar, unless standard error is not a terminal.
+    /// Starts the bar if standard error is a terminal.
     pub(super) fn start(gauge: &Gauge) -> Self {
         if !errors_are_seen() {
             return Self(None);
@@ -40,7 +40,6 @@ impl Bar {
         Self(Some((end, thread)))
     }
 
-    /// Removes the bar.
     pub(super) fn end(self) {
         if let Some((end, thread)) = self.0 {
             drop(end);
