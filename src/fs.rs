@@ -2,11 +2,11 @@
 
 //! The tree: names, modes, contents, reads and writes, without any FUSE.
 //!
-//! A [`Node`] identifies one file, folder or link for the whole life of the mount; its content is rendered
-//! each time it is asked for. Nothing here blocks or accesses a bus: a request that needs the gauge is queued
-//! for the thread that owns it, together with a `Done` to be called with the outcome.
+//! A [`Node`] identifies a file, folder or link for the whole life of the mount; its content is rendered on every
+//! request. Nothing here blocks or accesses a bus: a request that needs the gauge is queued for the thread that owns
+//! it, with a `Done` that gets the outcome.
 //!
-//! This file holds the vocabulary and passes each question on to the module of that part of the tree:
+//! This file has the vocabulary, and passes each request to the module of that part of the tree:
 //!
 //! | module | part of the tree |
 //! | --- | --- |
@@ -57,8 +57,7 @@ pub(crate) use smart_battery::{
 use supply::Supply;
 pub use supply::SupplyItem;
 
-/// The kernel passes a write(2) on in pieces, each of which ends with a page of the file or with the data. Pages
-/// that are larger are multiples of this.
+/// The kernel splits a write(2) at pages of the file. Larger pages are multiples of this.
 const PAGE: usize = 4096;
 
 /// Target of `subsystem`, by which programs recognise a power supply.
@@ -66,15 +65,15 @@ const SUBSYSTEM: &str = "/sys/class/power_supply";
 
 /// The files of `sim/`: the settings of a simulated gauge.
 pub trait Knobs: Send + Sync {
-    /// Their names, and whether each may be written.
+    /// The names, and whether each is writable.
     fn list(&self) -> Vec<(&'static str, bool)>;
-    /// The text of one.
+    /// Text of a knob.
     fn get(&self, name: &str) -> Option<String>;
-    /// Changes one.
+    /// Changes a knob.
     fn set(&self, name: &str, text: &str) -> Result<()>;
 }
 
-/// How the measured attributes of a gauge are scaled and shown.
+/// Scaling and display of a gauge's measured attributes.
 #[derive(Clone, Debug)]
 pub struct Scales {
     /// Factor of currents and charges.
@@ -105,21 +104,21 @@ impl Scales {
     }
 }
 
-/// A gauge that gets a folder below the mount point.
+/// A gauge with a folder below the mount point.
 pub struct MountedGauge {
     /// Name of the folder, such as `BAT0`.
     pub name: String,
     /// The gauge.
     pub handle: Handle,
-    /// How its measurements are shown.
+    /// Scaling and display of measurements.
     pub scales: Scales,
     /// The files of `sim/`, for a simulated gauge.
     pub knobs: Option<Box<dyn Knobs>>,
 }
 
 impl MountedGauge {
-    /// What to warn of: scales of the user's that multiply a scale which the gauge reports, and may be meant to be
-    /// the same one; and scales that are missing or given although the gauge says the contrary.
+    /// Warnings about scales: the user's own may repeat a scale that the gauge reports, or may be missing or given
+    /// against what the gauge says.
     pub fn warnings(&self) -> Vec<String> {
         let published = self.handle.published();
         let reading = Reading::new(&self.handle, published.snapshot.as_deref(), &self.scales);
@@ -141,7 +140,7 @@ impl MountedGauge {
         })
     }
 
-    /// What a bit says of scales that the gauge does not have, against the options.
+    /// What a bit says about scales that the gauge lacks, against the options.
     fn contradiction(&self, is_scaled: bool, what: &str) -> Option<String> {
         let scales = &self.scales;
         let kinds = [(Kind::Current, true), (Kind::Energy, scales.energy_shown)];
@@ -163,27 +162,26 @@ impl MountedGauge {
     }
 }
 
-/// The owner of the files, who may write them and read data flash.
+/// Owner of the files, who may write them and read data flash.
 #[derive(Clone, Copy, Debug)]
 pub struct Access {
     /// The mount's owner.
     pub uid: u32,
     /// The group of all files.
     pub gid: u32,
-    /// Whether the group may do what the owner may.
+    /// Whether the group has the owner's permissions.
     pub group: bool,
 }
 
-/// The permissions of a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Mode {
     /// Everybody reads.
     Public,
-    /// Owner reads, and the group if one was given. The next two work alike.
+    /// The owner reads, and the group if one was given; so do the next two.
     Read,
     ReadWrite,
     Write,
-    /// Only the owner writes: a group that may change values must not be able to lock the owner out.
+    /// Only the owner writes: a group that may change values must not be able to lock out the owner.
     OwnerWrite,
 }
 
@@ -200,20 +198,20 @@ impl Access {
     }
 }
 
-/// One file, folder or link.
+/// A file, folder or link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Node {
     /// The mount point.
     Root,
-    /// Something of the Mains supply.
+    /// A part of the Mains supply.
     Mains(MainsItem),
-    /// The link of that number, found in the folder underneath the mount.
+    /// The link of that number, in the folder underneath the mount.
     Covered(u32),
-    /// Something in the folder of the gauge of that index.
+    /// A part of the gauge of that index.
     Of(u16, Item),
 }
 
-/// Something in a gauge's folder.
+/// A part of a gauge's folder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Item {
     /// The folder itself and its attributes.
@@ -226,7 +224,7 @@ pub enum Item {
     Sim(SimItem),
 }
 
-/// Whether a node is a folder, a link or a file.
+/// The kind of a node.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Shape {
     /// A folder.
@@ -237,15 +235,15 @@ pub enum Shape {
     File,
 }
 
-/// The present content of a file.
+/// Present content of a file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Content {
     /// These bytes.
     Bytes(Vec<u8>),
-    /// Bytes that have to be read from the gauge first, by [`Fs::read`]. Until then the file shows this
-    /// size, which is at least that of the bytes to come.
+    /// Bytes that [`Fs::read`] must first read from the gauge. Until then the file shows this size, which is no smaller
+    /// than theirs.
     Unread(u64),
-    /// Nothing: the gauge does not have the value now, and there is no such file.
+    /// The gauge has no value now, so the file does not exist.
     Absent,
 }
 
@@ -255,27 +253,24 @@ impl From<Option<String>> for Content {
     }
 }
 
-/// The nature and behaviour of one node. The implementing types borrow everything that they answer from.
+/// Nature and behaviour of a node. Implementing types borrow the source of their answers.
 trait Operations {
-    /// The folder that holds the node; the root holds itself.
+    /// The folder of the node; the root's is itself.
     fn parent(&self) -> Node;
 
-    /// Folder, link or file.
     fn shape(&self) -> Shape {
         Shape::File
     }
 
-    /// The permissions of a file.
     fn mode(&self) -> Mode {
         Mode::Public
     }
 
-    /// Its name, where that is known without listing the folder that holds it.
+    /// The name, if known without listing the folder.
     fn name(&self) -> Option<&'static str> {
         None
     }
 
-    /// The present entries of a folder.
     fn list(&self) -> Vec<(String, Node)> {
         Vec::new()
     }
@@ -285,17 +280,15 @@ trait Operations {
         find(self.list(), name)
     }
 
-    /// Whether the kernel may keep its name and text until it is told of a change.
+    /// Whether the kernel may keep name and text until it is told of a change.
     fn may_be_cached(&self) -> bool {
         self.shape() != Shape::File
     }
 
-    /// The present content of a file.
     fn content(&self) -> Content {
         Content::Absent
     }
 
-    /// Reads a file's [`Content::Unread`] from the gauge.
     fn read(&self, done: Done<Vec<u8>>) {
         match self.content() {
             Content::Bytes(bytes) => done(Ok(bytes)),
@@ -303,12 +296,11 @@ trait Operations {
         }
     }
 
-    /// Whether a file is written as a stream. In any other file each write is one whole value.
+    /// Whether a file is written as a stream. Elsewhere each write is a whole value.
     fn is_stream(&self) -> bool {
         false
     }
 
-    /// Writes to a file.
     fn write(&self, _: Caller, _data: &[u8], done: Done<()>) {
         done(Err(not_writable()));
     }
@@ -318,7 +310,6 @@ trait Operations {
         false
     }
 
-    /// An open file was closed.
     fn close(&self, _file: u64) {}
 
     /// Refuses a new file of that name in a folder.
@@ -326,12 +317,10 @@ trait Operations {
         Error::host("", Errno::ENOENT, "there is no such file, and none can be made")
     }
 
-    /// The target of a link.
     fn target(&self) -> Option<String> {
         None
     }
 
-    /// The extended attributes of a file.
     fn xattrs(&self) -> Vec<(&'static str, String)> {
         Vec::new()
     }
@@ -353,7 +342,7 @@ fn not_writable() -> Error {
 pub struct Fs {
     supplies: Vec<Arc<Supply>>,
     access: Access,
-    /// Name of the Mains supply's folder.
+    /// Folder name of the Mains supply.
     mains: Option<String>,
     covered: Option<Covered>,
 }
@@ -371,19 +360,18 @@ impl Fs {
         Self { mains: name, ..self }
     }
 
-    /// Also shows the supplies in the folder that the mount covers.
+    /// Adds the supplies in the folder that the mount covers.
     #[must_use]
     pub fn overlay(self, covered: Option<Covered>) -> Self {
         Self { covered, ..self }
     }
 
-    /// Whether the tree shows a covered folder too. Its names come and go without a poll, so the kernel may not
-    /// cache listings of the root.
+    /// Whether the tree shows a covered folder too. Its names change without a poll, so the kernel must not cache
+    /// listings of the root.
     pub fn is_overlay(&self) -> bool {
         self.covered.is_some()
     }
 
-    /// What answers for a node.
     fn at(&self, node: Node) -> Box<dyn Operations + '_> {
         match node {
             Node::Root => Box::new(Root(self)),
@@ -401,7 +389,7 @@ impl Fs {
         }
     }
 
-    /// The folder that holds a node; the root holds itself.
+    /// The folder of a node; the root's is itself.
     pub fn parent(&self, node: Node) -> Node {
         self.at(node).parent()
     }
@@ -416,9 +404,9 @@ impl Fs {
         (self.access.uid, self.access.gid)
     }
 
-    /// Permissions. Everybody may read attributes; data flash and writable files are for the mount's owner,
-    /// and its group where one was named. They also have the folders, in which nothing can be made, so that it is this
-    /// tree that answers when a name is mistyped.
+    /// Permissions. Everybody may read attributes; data flash and writable files are for the mount's owner, and for its
+    /// group if one was named. Folders have the same permissions although nothing can be made in them, so that this
+    /// tree answers a mistyped name.
     pub fn mode(&self, node: Node) -> u16 {
         let node = self.at(node);
         match node.shape() {
@@ -428,25 +416,24 @@ impl Fs {
         }
     }
 
-    /// Whether the kernel may keep the name and the text until it is told of a change. Of the files, that is
-    /// true for attributes only: they change with a poll and at no other time.
+    /// Whether the kernel may keep name and text until it is told of a change. Among files that holds for attributes
+    /// only: they change with a poll and at no other time.
     pub fn may_be_cached(&self, node: Node) -> bool {
         self.at(node).may_be_cached()
     }
 
-    /// Whether anybody may write a file.
+    /// Whether somebody may write a file.
     pub fn may_be_written(&self, node: Node) -> bool {
         self.shape(node) == Shape::File && self.mode(node) & 0o200 != 0
     }
 
-    /// Refuses a file that somebody wants to make, which is one whose name is mistyped. The log and `gauge/last_error`
-    /// name the parameter that was probably meant.
+    /// Refuses a new file, whose name is mistyped. The log and `gauge/last_error` name the parameter that was probably
+    /// meant.
     pub fn refuse_new(&self, folder: Node, name: &str) -> Error {
         self.at(folder).refuse_new(name)
     }
 
-    /// Reports that a defect of gaugefs has stopped something: to the gauge that a node belongs to, or to all. The log
-    /// has the place.
+    /// Reports a defect of gaugefs that has stopped something: to a node's gauge, or to all. The log has the place.
     pub fn report_defect(&self, node: Option<Node>) {
         let why = "a defect of gaugefs has stopped a request; the log has its place; please report it";
         let error = Error::host("", Errno::EIO, why);
@@ -467,14 +454,14 @@ impl Fs {
         self.at(folder).lookup(name)
     }
 
-    /// The name of a file in its folder. An attribute has one even while the gauge does not have its value.
+    /// Name of a file in its folder. An attribute has one even while the gauge lacks its value.
     pub fn file_name(&self, node: Node) -> Option<String> {
         let listed = || self.list(self.parent(node)).into_iter().find(|(_, found)| *found == node);
         let name = self.at(node).name();
         name.map(str::to_string).or_else(|| listed().map(|(name, _)| name))
     }
 
-    /// Where a file is, from its gauge's folder on.
+    /// Path of a file from its gauge's folder on.
     fn path(&self, node: Node) -> String {
         let name = self.file_name(node).unwrap_or_default();
         match self.parent(node) {
@@ -488,20 +475,18 @@ impl Fs {
         self.at(node).content()
     }
 
-    /// Reads a file's [`Content::Unread`] from the gauge. `done` is called with the bytes, either at once or
-    /// from the thread that owns the gauge.
+    /// Reads a file's [`Content::Unread`] from the gauge. `done` gets the bytes, either at once or from the gauge's
+    /// thread.
     pub fn read(&self, node: Node, done: Done<Vec<u8>>) {
         self.at(node).read(done);
     }
 
-    /// Whether a file is written as a stream, each write continuing the one before. In any other file each
-    /// write is one whole value.
+    /// Whether a file is written as a stream, each write continuing the last. Elsewhere each write is a whole value.
     pub fn is_stream(&self, node: Node) -> bool {
         self.at(node).is_stream()
     }
 
-    /// Writes to a file. `offset` is where the data begins in the file. `done` is called with the outcome, either at
-    /// once or from the thread that owns the gauge.
+    /// Writes to a file at `offset`. `done` gets the outcome, either at once or from the gauge's thread.
     pub fn write(&self, node: Node, caller: Caller, offset: u64, data: &[u8], done: Done<()>) {
         let is_cut = data.len() >= PAGE || (offset + data.len() as u64).is_multiple_of(PAGE as u64);
         if self.is_stream(node) || !is_cut {
@@ -517,8 +502,7 @@ impl Fs {
         }
     }
 
-    /// Whether this write is answered otherwise when the open file through which the same process wrote before it has been
-    /// closed.
+    /// Whether this write has another answer after the open file of the process's previous write is closed.
     pub fn awaits_close(&self, node: Node, caller: Caller) -> bool {
         self.at(node).awaits_close(caller)
     }
@@ -538,8 +522,8 @@ impl Fs {
         self.at(node).xattrs()
     }
 
-    /// Marks a node's gauge as changed and wakes whoever waits for the signal. A node of no gauge does so by
-    /// way of the first one.
+    /// Marks a node's gauge as changed and wakes those who wait for the signal. Nodes outside gauges use the first
+    /// gauge.
     pub fn raise(&self, node: Node) {
         let gauge = if let Node::Of(gauge, _) = node { gauge } else { 0 };
         self.supplies[usize::from(gauge)].handle.raise();
@@ -551,7 +535,7 @@ impl Fs {
         self.changing_folders(&[gauge]).contains(&folder)
     }
 
-    /// The folders in which names come and go with the values of these gauges.
+    /// The folders whose names change with these gauges' values.
     pub fn changing_folders(&self, gauges: &[u16]) -> Vec<Node> {
         if gauges.is_empty() {
             return Vec::new();

@@ -44,7 +44,7 @@ use adapter::{Adapter, Waiter};
 use inodes::{Inodes, Now, Value};
 pub use notify::Announcer;
 
-/// How to mount.
+/// Mount options.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Options {
     /// Only the mount's owner has access.
@@ -71,7 +71,7 @@ impl Mounted {
         self.session.guard.is_finished()
     }
 
-    /// The thread that has to be stopped before the process exits while the tree is still mounted.
+    /// The thread that must stop before the process exits with the tree still mounted.
     pub fn announcer(&self) -> Announcer {
         self.announcer.clone()
     }
@@ -80,8 +80,8 @@ impl Mounted {
     pub fn wait(self) {
         // Nothing is sent: the channel disconnects with the session.
         let _ = self.over.recv();
-        // Dropping the session would unmount the path once more, and so remove whatever has been mounted
-        // there since: fuser takes the POLLERR of a closed connection for a mount (in its `is_mounted`).
+        // Dropping the session would unmount the path again, and so remove a newer mount: fuser takes the POLLERR of a
+        // closed connection for a mount (in its `is_mounted`).
         std::mem::forget(self.session);
     }
 }
@@ -92,8 +92,8 @@ fn host(subject: &str, error: &std::io::Error) -> Error {
     Error::host(subject, errno, error.to_string().trim_end())
 }
 
-/// Mounts the tree and serves it from threads of its own until it is unmounted. The caller raises `signal`
-/// whenever something that the tree shows may have changed.
+/// Mounts the tree and serves it from separate threads until it is unmounted. The caller raises `signal` after possible
+/// changes of the tree.
 pub fn mount(fs: Arc<Fs>, mountpoint: &Path, options: Options, signal: Arc<Signal>) -> Result<Mounted> {
     let mut config = Config::default();
     if options.read_only {
@@ -107,9 +107,9 @@ pub fn mount(fs: Arc<Fs>, mountpoint: &Path, options: Options, signal: Arc<Signa
     start(fs, options, signal, |adapter| needs::session(adapter, mountpoint, source, config))
 }
 
-/// Serves the tree through a `/dev/fuse` that is mounted already.
+/// Serves the tree through a mounted `/dev/fuse`.
 pub fn serve(fs: Arc<Fs>, device: OwnedFd, options: Options, signal: Arc<Signal>) -> Result<Mounted> {
-    // The kernel knows from the mount's own options who has access.
+    // The mount's own options tell the kernel who has access.
     start(fs, options, signal, |adapter| {
         Session::from_fd(adapter, device, SessionACL::All, Config::default())
             .map_err(|error| host("/dev/fuse", &error))
@@ -144,10 +144,10 @@ fn start(
     Ok(Mounted { session, over, announcer })
 }
 
-/// The nodeids, shared by the handlers and the thread that notifies the kernel.
+/// The nodeids, shared by the handlers and the notifying thread.
 type Table = Mutex<Inodes<Waiter>>;
 
-/// What several threads share. The tests of `races` have a lock of their own, with which they choose whose turn it is.
+/// Data of several threads. The tests of `races` have their own lock, which chooses whose turn it is.
 trait Shared<T> {
     fn with<R>(&self, work: impl FnOnce(&mut T) -> R) -> R;
 }
@@ -159,11 +159,11 @@ impl<T> Shared<T> for Mutex<T> {
 }
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    // What a thread that has panicked left is a table of values, each of which is whole.
+    // A thread that panicked leaves a table of values, each of them whole.
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// The value that a file has now.
+/// A file's present value.
 fn present(fs: &Fs, node: Node) -> Value {
     Value::of(fs.content(node)).unwrap_or(Value::Gone)
 }

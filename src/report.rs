@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! The text of a [`Report`]: a trace that can be replayed, with everything about the gauge in the lines above it.
+//! The text of a [`Report`]: a trace for replays, below lines with everything about the gauge.
 
 use std::path::Path;
 use std::time::Duration;
@@ -12,12 +12,11 @@ use ti_gauge::dataflash::Place;
 use ti_gauge::notation;
 use ti_gauge::text::{hex, printable};
 
-/// How the line about data flash begins.
+/// Start of the line about data flash.
 const DATA_FLASH: &str = "Data flash: ";
-/// How the line about data flash begins where none was read.
+/// Start of that line if none was read.
 const NOT_READ: &str = "Data flash: not read: ";
 
-/// The text of a report.
 pub(crate) fn text(chip: &Chip, origin: &Origin, report: &Report) -> String {
     let head = format!("{} on {}, {:.0}", chip.name, printable(&origin.place), report.taken);
     let release = Path::new("/proc/sys/kernel/osrelease");
@@ -63,7 +62,7 @@ pub(crate) fn text(chip: &Chip, origin: &Origin, report: &Report) -> String {
     trace::text(&head, &about, origin.address, &report.events)
 }
 
-/// The answers and measurements of the gauge, a line each.
+/// The gauge's answers and measurements, a line each.
 fn gauge(chip: &Chip, report: &Report) -> Vec<String> {
     let (answers, mut about) = (&report.answers, Vec::new());
     if chip.has_table() {
@@ -92,7 +91,7 @@ fn gauge(chip: &Chip, report: &Report) -> Vec<String> {
     about
 }
 
-/// The times of commits and resets that writes since the mount have shown.
+/// Times of commits and resets, from writes since the mount.
 fn times(chip: &Chip, report: &Report) -> Vec<String> {
     if !chip.has_table() {
         return Vec::new();
@@ -127,7 +126,7 @@ fn times(chip: &Chip, report: &Report) -> Vec<String> {
     times
 }
 
-/// AveragePower() beside what it should be, whose unit differs from part to part.
+/// AveragePower() and its expected value; parts differ in its unit.
 fn power(chip: &Chip, report: &Report) -> Option<String> {
     let named = |name: &str| chip.registers.iter().find(|register| register.name == name);
     let value = |register| report.snapshot.value(register);
@@ -138,12 +137,12 @@ fn power(chip: &Chip, report: &Report) -> Option<String> {
     Some(format!("Power: AveragePower() {power} {unit}, Voltage() x {}() {product} mW", current.name))
 }
 
-/// The reason why data flash was not read for the report of that text; `None` if it was, or if the part has none.
+/// Why the report of this text has no data flash; `None` if it was read, or if the part has none.
 pub(crate) fn without_data_flash(text: &str) -> Option<&str> {
     text.lines().find_map(|line| line.strip_prefix("; ")?.strip_prefix(NOT_READ))
 }
 
-/// The name of the chip that the report of that text is about.
+/// The chip of a report's text.
 pub(crate) fn chip(text: &str) -> Option<&str> {
     text.strip_prefix("; gaugefs: ")?.split(" on ").next()
 }
@@ -159,7 +158,7 @@ mod tests {
     use gauge_owner::{Settings, Startup, operations as op};
     use ti_gauge::dataflash::sample;
 
-    /// Mounts a report as `--replay` does, and compares what its gauge shows with what the report says.
+    /// Mounts a report as `--replay` does, and compares its gauge with the report.
     fn replays(file: &Path) -> &'static Chip {
         let name = file.display();
         let text = fs::read_to_string(file).expect("a report");
@@ -195,8 +194,8 @@ mod tests {
             count > 2 && shown.iter().filter(|line| line.starts_with("Register ")).count() == count,
             "{name}"
         );
-        // The bq35100 has the voltage that a write needs in one block with its keys, which is never recorded, and each
-        // read of data flash looks at that too.
+        // The bq35100 has the voltage for writes in one block with its keys, which is never recorded; each read of data
+        // flash looks at it too.
         let is_recorded = without_data_flash(&text).is_none() && chip.name != "bq35100";
         let index = sample(chip).filter(|_| is_recorded);
         if let Some(index) = index {
@@ -227,7 +226,7 @@ mod tests {
         fs::remove_file(&file).expect("it is there");
     }
 
-    /// The observations that would settle what the tables believe.
+    /// Observations that would settle what the tables assume.
     #[test]
     fn a_report_has_what_could_confirm_the_table() {
         for (chip, wanted) in [

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT
 
-//! Adapters that are plugged into the kernel: root's part of `gaugefs sim --device`, and of `kernel-node`.
+//! Adapters plugged into the kernel: root's part of `gaugefs sim --device`, and of `kernel-node`.
 //!
-//! `i2c_server::usb` serves them, which takes no right.
+//! `i2c_server::usb` serves them without privilege.
 
 use std::fs;
 use std::os::fd::AsRawFd;
@@ -17,25 +17,24 @@ use crate::error::{Cause, Error, Result};
 use gauge_bus::clock::{Clock, RealClock};
 use gauge_bus::regular;
 
-/// The host controller.
 const CONTROLLER: &str = "/sys/devices/platform/vhci_hcd.0";
-/// The modules of an adapter.
+/// The kernel modules for an adapter.
 pub(crate) const MODULES: &[&str] = &["vhci-hcd", "i2c-tiny-usb"];
-/// How long the kernel may take from the plug to the adapter.
+/// How long the kernel may take to make the adapter.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(20);
-/// Between two looks for what the kernel is to make.
+/// Interval of looks for what the kernel makes.
 const STEP: Duration = Duration::from_millis(50);
 
-/// An adapter that is plugged in, and not yet served.
+/// An adapter that is plugged in but not yet served.
 #[derive(Debug)]
 pub(crate) struct Plugged {
-    /// What `i2c_server::usb` serves.
+    /// For `i2c_server::usb` to serve.
     pub(crate) socket: UnixStream,
-    /// Its port of the host controller.
+    /// Port of the host controller.
     pub(crate) port: u32,
 }
 
-/// Loads these modules. What is there already is left alone; what cannot be loaded is missed later on.
+/// Loads these modules. Present ones stay; the lack of others shows later.
 pub(crate) fn load(modules: &[&str]) {
     let _ = Command::new("modprobe").arg("-a").args(modules).stderr(Stdio::null()).status();
 }
@@ -55,7 +54,7 @@ pub(crate) fn plug(option: &str) -> Result<Plugged> {
         return Err(Error::new(option, Cause::Busy, why));
     };
     let (socket, theirs) = UnixStream::pair().map_err(|error| failed("cannot make a socket", &error))?;
-    // The number of the device on its bus, which is anybody's choice.
+    // The device's number on its bus, which is arbitrary.
     let number = 0x0001_0002 + port;
     let line = format!("{port} {} {number} {}", theirs.as_raw_fd(), usb::SPEED);
     fs::write(Path::new(CONTROLLER).join("attach"), line)
@@ -63,8 +62,8 @@ pub(crate) fn plug(option: &str) -> Result<Plugged> {
     Ok(Plugged { socket, port })
 }
 
-/// A port of the controller for devices of full speed that nothing is plugged into: `status` has a line for each, of which
-/// `hs 0003 004 ...` is number 3 and free.
+/// A free port of the controller for devices of full speed: `status` has a line per port, such as `hs 0003 004 ...` for
+/// the free port 3.
 fn free_port(status: &str) -> Option<u32> {
     const FREE: &str = "004";
     status.lines().find_map(|line| {
@@ -74,8 +73,7 @@ fn free_port(status: &str) -> Option<u32> {
     })
 }
 
-/// The entry for the adapter at that port in a folder of adapters, `/sys/bus/i2c/devices` or `/sys/class/i2c-dev`, once
-/// the kernel has made it.
+/// The entry of the adapter at a port in `/sys/bus/i2c/devices` or `/sys/class/i2c-dev`, once the kernel has made it.
 pub(crate) fn adapter(folder: &Path, port: u32, patience: Duration) -> Option<PathBuf> {
     // The device is N-P of the controller: bus N, port P of its hub, from 1 on.
     let is_at_port = |name: &str| {
@@ -92,7 +90,7 @@ pub(crate) fn adapter(folder: &Path, port: u32, patience: Duration) -> Option<Pa
     })
 }
 
-/// The first entry of a folder that is wanted, once there is one.
+/// The first wanted entry of a folder, once there is one.
 pub(crate) fn entry(folder: &Path, patience: Duration, wanted: impl Fn(&Path) -> bool) -> Option<PathBuf> {
     let clock = RealClock::new();
     let start = clock.now();

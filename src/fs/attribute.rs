@@ -2,7 +2,7 @@
 
 //! The power_supply attributes, with the names, units and signs of the kernel's ABI (`sysfs-class-power`).
 //!
-//! One row of [`ATTRIBUTES`] is one attribute: its name, and how its text follows from a poll.
+//! A row of [`ATTRIBUTES`] is an attribute: its name, and the rule for its text.
 
 use gauge_owner::{Handle, Snapshot};
 use ti_gauge::chip::{Chip, Condition, Primary, Register, Role, Scale, Signature};
@@ -11,7 +11,6 @@ use ti_gauge::value::Value;
 
 use super::Scales;
 
-/// The source of attributes: one poll of one gauge.
 pub(super) struct Reading<'a> {
     pub(super) chip: &'static Chip,
     pub(super) model: &'static str,
@@ -22,7 +21,7 @@ pub(super) struct Reading<'a> {
 }
 
 impl<'a> Reading<'a> {
-    /// A reading of a gauge, under the name of the part that has answered.
+    /// A reading of a gauge, with the name of the part that has answered.
     pub(super) fn new(handle: &'a Handle, snapshot: Option<&'a Snapshot>, scales: &'a Scales) -> Self {
         let chip = handle.chip();
         let model = handle.published().limited.map_or(chip.model, |limited| limited.name(chip));
@@ -30,7 +29,7 @@ impl<'a> Reading<'a> {
     }
 }
 
-/// A kind of values, which have one scale in common.
+/// A kind of values with a common scale.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Kind {
     Voltage,
@@ -43,7 +42,6 @@ pub(super) enum Kind {
 impl Kind {
     pub(super) const ALL: [Self; 4] = [Self::Voltage, Self::Current, Self::Charge, Self::Energy];
 
-    /// The option that scales them.
     pub(super) fn option(self) -> &'static str {
         match self {
             Kind::Voltage => "voltage-scale",
@@ -52,7 +50,7 @@ impl Kind {
         }
     }
 
-    /// The place of the scale that the gauge has for them.
+    /// The gauge's own scale for them.
     fn scale(self, chip: &Chip) -> Scale {
         let scaling = &chip.scaling;
         match self {
@@ -64,7 +62,7 @@ impl Kind {
     }
 }
 
-/// One attribute. `None` means that the gauge does not have the value, or does not have it now.
+/// An attribute. `None`: the gauge lacks the value, or lacks it now.
 struct Row {
     name: &'static str,
     show: Show,
@@ -90,7 +88,7 @@ const fn hex(name: &'static str, show: fn(&Reading<'_>) -> Option<i64>) -> Row {
     Row { name, show: Show::Hex(show) }
 }
 
-/// All attributes, in the order in which `uevent` lists them: those of `gaugefs_client::names`, which has their units.
+/// All attributes, in the order of `uevent`; `gaugefs_client::names` has their units.
 static ATTRIBUTES: &[Row] = &[
     text("type", |_| Some("Battery")),
     text("status", |reading| reading.status()),
@@ -132,7 +130,7 @@ static ATTRIBUTES: &[Row] = &[
     number("manufacture_day", |reading| Some(reading.manufactured()?[2])),
 ];
 
-/// The kernel's names for chemistries, by the short names that Smart Battery Data has for them.
+/// The kernel's names for chemistries, by their short names in Smart Battery Data.
 pub(super) const CHEMISTRIES: [(&str, &str); 7] = [
     ("LION", "Li-ion"),
     ("LIPO", "Li-poly"),
@@ -143,7 +141,7 @@ pub(super) const CHEMISTRIES: [(&str, &str); 7] = [
     ("NICD", "NiCd"),
 ];
 
-/// The attributes that `uevent` still lists while the gauge is gone.
+/// Attributes that `uevent` still lists while the gauge is gone.
 const LISTED_WHILE_GONE: [&str; 2] = ["type", "present"];
 
 /// One attribute: a row of the table.
@@ -156,7 +154,6 @@ impl Attribute {
         (0..ATTRIBUTES.len() as u8).map(Self)
     }
 
-    /// The attribute of that file name.
     pub(crate) fn by_name(name: &str) -> Option<Self> {
         Self::all().find(|attribute| attribute.name() == name)
     }
@@ -165,12 +162,11 @@ impl Attribute {
         &ATTRIBUTES[usize::from(self.0)]
     }
 
-    /// File name.
     pub(crate) fn name(self) -> &'static str {
         self.row().name
     }
 
-    /// Its text without a newline; `None` where the gauge does not have it, or does not have it now.
+    /// Text without a newline; `None` if the gauge lacks it, or lacks it now.
     pub(super) fn text(self, reading: &Reading<'_>) -> Option<String> {
         match self.row().show {
             Show::Text(show) => show(reading).map(str::to_string),

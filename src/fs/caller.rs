@@ -1,22 +1,22 @@
 // SPDX-License-Identifier: MIT
 
-//! Who writes: an open file, and the process that has called write(2).
+//! The author of a write: an open file, and the process that has called write(2).
 
 use std::fs;
 use std::path::Path;
 
 use gauge_bus::regular;
 
-/// The writer of one write(2).
+/// The author of a write(2).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Caller {
-    /// The open file, by a number that no other one has until it is closed.
+    /// The open file. No other open file has this number.
     pub file: u64,
-    /// The process, if it can be seen: the kernel shows none of another PID namespace.
+    /// The process, if visible: the kernel shows none of another PID namespace.
     pub process: Option<Process>,
 }
 
-/// A process. Its number comes again, but not together with its start time.
+/// A process. Its number may return, but not with its start time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Process {
     id: u32,
@@ -32,9 +32,9 @@ impl Process {
         Some(Self { id, start })
     }
 
-    /// Whether it runs no more.
+    /// Whether it has ended.
     pub(super) fn has_ended(self) -> bool {
-        // Its first thread may end before the others.
+        // The first thread may end before the others.
         let others = || {
             let threads = fs::read_dir(Path::new("/proc").join(self.id.to_string()).join("task"));
             threads.is_ok_and(|threads| threads.flatten().count() > 1)
@@ -50,17 +50,17 @@ impl Process {
     }
 }
 
-/// A file of a process, or of one of its threads.
+/// A file of a process or thread.
 fn proc(id: u32, file: &str) -> Option<String> {
     let path = Path::new("/proc").join(id.to_string()).join(file);
-    // Its name may be no text.
+    // The process's name may be no text.
     Some(String::from_utf8_lossy(&regular::read(&path, regular::SYSTEM).ok()?).into_owned())
 }
 
-/// The state of a process, and when it was started.
+/// A process's state and start time.
 fn state(id: u32) -> Option<(char, u64)> {
     let stat = proc(id, "stat")?;
-    // The second field is its name, which may hold anything.
+    // The second field is the name, which may contain anything.
     let mut fields = stat.rsplit_once(')')?.1.split_ascii_whitespace();
     let state = fields.next()?.chars().next()?;
     Some((state, fields.nth(18)?.parse().ok()?))

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT
 
-//! The folder that the mount covers. If it is the kernel's own folder of power supplies, the tree shows those too,
-//! as the symbolic links that they are: the mount is at the same path, so their relative targets stay valid.
+//! The folder that the mount covers. The kernel's own folder of power supplies is shown in the tree too, as symbolic
+//! links: the mount has the same path, so their relative targets stay valid.
 //!
-//! Nothing is cached. What the kernel adds or removes is there, or gone, the next time anyone looks.
+//! Nothing is cached: additions and removals show at the next look.
 
 use std::collections::BTreeSet;
 use std::os::fd::OwnedFd;
@@ -17,18 +17,18 @@ use nix::sys::stat::Mode;
 use super::{Node, Operations, Shape};
 use crate::error::{Error, Result};
 
-/// A folder, accessible past whatever is mounted over it.
+/// A folder, accessible below mounts over it.
 #[derive(Debug)]
 pub struct Covered {
     folder: OwnedFd,
     /// Every name found so far. Its index identifies it for the life of the mount.
     names: Mutex<Vec<String>>,
-    /// The names that were hidden by the mount's own when the root was last listed.
+    /// Names hidden by the mount's own in the last listing of the root.
     hidden: Mutex<BTreeSet<String>>,
 }
 
 impl Covered {
-    /// Opens the folder, before anything is mounted over it.
+    /// Opens the folder before anything is mounted over it.
     pub fn open(path: &Path) -> Result<Self> {
         let flags = OFlag::O_PATH | OFlag::O_DIRECTORY | OFlag::O_CLOEXEC;
         let folder = open(path, flags, Mode::empty()).map_err(|errno| {
@@ -41,7 +41,7 @@ impl Covered {
         Ok(Self { folder, names: Mutex::default(), hidden: Mutex::default() })
     }
 
-    /// The links that are there now.
+    /// Names of the present links.
     pub fn names(&self) -> Vec<String> {
         let flags = OFlag::O_RDONLY | OFlag::O_DIRECTORY | OFlag::O_CLOEXEC;
         let listed = Dir::openat(&self.folder, ".", flags, Mode::empty()).and_then(|mut folder| {
@@ -78,7 +78,7 @@ impl Covered {
         self.names.lock().unwrap_or_else(PoisonError::into_inner).get(number as usize).cloned()
     }
 
-    /// Logs each name that has become hidden since the last call.
+    /// Logs each name that was hidden since the last call.
     pub(super) fn log_hidden(&self, now: BTreeSet<String>) {
         let mut hidden = self.hidden.lock().unwrap_or_else(PoisonError::into_inner);
         for name in now.difference(&hidden) {
@@ -88,7 +88,6 @@ impl Covered {
     }
 }
 
-/// One of the links.
 pub(super) struct CoveredLink<'a> {
     pub(super) covered: Option<&'a Covered>,
     pub(super) number: u32,

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! `df/`: data flash. The parameters by place and by name, the index of all, and `df/transaction`.
+//! `df/`: data flash. Parameters by place and by name, the index of all, and `df/transaction`.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -20,13 +20,13 @@ use ti_gauge::notation;
 use ti_gauge::text;
 use ti_gauge::value::Value;
 
-/// The size that a file shows before it has been read: as in sysfs.
+/// The size of a file before it is read: as in sysfs.
 const UNREAD: u64 = 4096;
 /// A line of `df/index` is shorter than this.
 const LINE: u64 = 256;
 /// A line of `df/transaction` is shorter than this.
 const STAGED: u64 = 512;
-/// A transaction of more parameters and blocks than this is shown when it is read, and not at each lookup.
+/// A larger transaction is rendered when it is read, and not at each lookup.
 const SHOWN_AT_ONCE: usize = 64;
 /// The text of `df/transaction` while no transaction is open.
 const IDLE: &[u8] = b"idle\n";
@@ -44,7 +44,7 @@ pub enum DfItem {
     Flat,
     /// `df/SUBCLASS`.
     Subclass(u8),
-    /// `df/SUBCLASS/OFFSET` or `df/flash/ADDRESS`: the subclass, and the index of the parameter in it.
+    /// `df/SUBCLASS/OFFSET` or `df/flash/ADDRESS`: the subclass, and the parameter's index in it.
     Parameter(u8, u8),
     /// `df/SUBCLASS/raw`.
     Raw(u8),
@@ -52,12 +52,11 @@ pub enum DfItem {
     ByName,
     /// `df/by-name/CLASS`.
     Class(u8),
-    /// `df/by-name/CLASS/PARAM`: the subclass, and the index of the parameter in it.
+    /// `df/by-name/CLASS/PARAM`: the subclass, and the parameter's index in it.
     Link(u8, u8),
 }
 
 impl DfItem {
-    /// What answers for it.
     pub(super) fn of(self, supply: &Arc<Supply>) -> Box<dyn Operations + '_> {
         match self {
             DfItem::Folder => Box::new(Folder(supply)),
@@ -74,7 +73,6 @@ impl DfItem {
     }
 }
 
-/// `df`.
 struct Folder<'a>(&'a Arc<Supply>);
 
 impl Operations for Folder<'_> {
@@ -101,7 +99,6 @@ impl Operations for Folder<'_> {
     }
 }
 
-/// `df/index`.
 struct Index<'a>(&'a Arc<Supply>);
 
 impl Operations for Index<'_> {
@@ -129,7 +126,6 @@ impl Operations for Index<'_> {
     }
 }
 
-/// `df/transaction`.
 struct Staging<'a>(&'a Arc<Supply>);
 
 impl Operations for Staging<'_> {
@@ -181,8 +177,7 @@ impl Operations for Staging<'_> {
     }
 
     fn write(&self, caller: Caller, data: &[u8], done: Done<()>) {
-        // Reserved bits are compared with those of the gauge, which has to be read for that. If it cannot be, the
-        // commit compares them.
+        // Reserved bits are compared with the gauge's, which requires reading. If that fails, the commit compares them.
         let handle = &self.0.handle;
         let mut unread: Vec<usize> = transaction::compared(self.0.chip(), data).into_iter().collect();
         unread.retain(|&at| handle.kept(at).is_none());
@@ -191,12 +186,11 @@ impl Operations for Staging<'_> {
             return self.0.stage(caller, data, done);
         }
         let (supply, data) = (Arc::clone(self.0), data.to_vec());
-        // What the pack is known by has to be known for the commit to see that it is still the one.
+        // A commit can only check that the pack is the same if its identity is known.
         handle.ask(&op::KNOW, unread, Box::new(move |_| supply.stage(caller, &data, done)));
     }
 }
 
-/// `df/flash`.
 struct Flat<'a>(&'a Arc<Supply>);
 
 impl Operations for Flat<'_> {
@@ -219,7 +213,6 @@ impl Operations for Flat<'_> {
     }
 }
 
-/// `df/SUBCLASS`.
 struct Numbered<'a> {
     supply: &'a Arc<Supply>,
     at: u8,
@@ -245,7 +238,6 @@ impl Operations for Numbered<'_> {
     }
 }
 
-/// `df/SUBCLASS/OFFSET`, or `df/flash/ADDRESS`.
 struct Field<'a> {
     supply: &'a Arc<Supply>,
     at: u8,
@@ -257,7 +249,7 @@ impl Operations for Field<'_> {
         self.supply.folder_of(self.at)
     }
 
-    /// One that may not be written is refused when that is tried, with the reason.
+    /// Writing to a read-only one is refused with the reason.
     fn mode(&self) -> Mode {
         Mode::ReadWrite
     }
@@ -302,7 +294,6 @@ impl Operations for Field<'_> {
     }
 }
 
-/// `df/SUBCLASS/raw`.
 struct Raw<'a> {
     supply: &'a Arc<Supply>,
     at: u8,
@@ -329,7 +320,6 @@ impl Operations for Raw<'_> {
     }
 }
 
-/// `df/by-name`.
 struct ByName<'a>(&'a Arc<Supply>);
 
 impl Operations for ByName<'_> {
@@ -352,7 +342,6 @@ impl Operations for ByName<'_> {
     }
 }
 
-/// `df/by-name/CLASS`.
 struct Class<'a> {
     supply: &'a Arc<Supply>,
     at: u8,
@@ -378,7 +367,6 @@ impl Operations for Class<'_> {
     }
 }
 
-/// `df/by-name/CLASS/PARAM`.
 struct Link<'a> {
     supply: &'a Arc<Supply>,
     at: u8,
@@ -434,12 +422,12 @@ impl Supply {
         items.map(|(name, item)| (name, self.df_node(item))).collect()
     }
 
-    /// The folder that shows the parameters of a subclass by their place.
+    /// The folder with a subclass's parameters by place.
     fn folder_of(&self, at: u8) -> Node {
         self.df_node(if self.subclass(at).id == FLAT { DfItem::Flat } else { DfItem::Subclass(at) })
     }
 
-    /// Reads a subclass, of which a file shows what `text` makes of its bytes.
+    /// Reads a subclass; a file shows the `text` of its bytes.
     fn read<T>(&self, at: u8, done: Done<Vec<u8>>, text: T)
     where
         T: FnOnce(&[u8]) -> Vec<u8> + Send + 'static,
@@ -452,14 +440,12 @@ impl Supply {
         self.handle.ask(&op::READ, vec![at.into()], done);
     }
 
-    /// Refuses a file of that name in a folder of `df`.
     fn refuse_parameter(&self, folder: &str, name: &str) -> Error {
         let error = transaction::unknown(self.chip(), &format!("{folder}/{name}"));
         self.handle.report(Attempt::Other, &error);
         error
     }
 
-    /// Takes the lines of one write(2) to `df/transaction`.
     fn stage(&self, caller: Caller, data: &[u8], done: Done<()>) {
         let (handle, now) = (&self.handle, self.moment());
         let stored = |at| handle.kept(at);
@@ -480,7 +466,6 @@ impl Supply {
         }
     }
 
-    /// The changes of the open transaction.
     fn staged(&self) -> Option<Arc<Staged>> {
         self.transaction.staged(self.moment())
     }
@@ -489,13 +474,13 @@ impl Supply {
         Moment { now: self.handle.now(), presence: self.handle.published().presence }
     }
 
-    /// The subclasses that hold staged changes and have to be read to show the old values.
+    /// Subclasses with staged changes that must be read to show old values.
     fn unread(&self, staged: &[Change]) -> Vec<usize> {
         let touched: BTreeSet<usize> = staged.iter().filter_map(|one| self.index_of(one)).collect();
         touched.into_iter().filter(|&at| self.handle.kept(at).is_none()).collect()
     }
 
-    /// The subclass that a change is in, by its index in the table.
+    /// A change's subclass, by its index in the table.
     fn index_of(&self, change: &Change) -> Option<usize> {
         let mut subclasses = self.chip().subclasses.iter();
         match change.row() {
@@ -530,7 +515,7 @@ impl Supply {
     fn index(&self) -> Vec<u8> {
         let dm_code = self.published().answers.dm_code;
         let rows = self.chip().subclasses.iter().map(|subclass| subclass.parameters.len());
-        // Lines are half as long as they may be, or less.
+        // Lines are at most half as long as allowed.
         let mut lines = String::with_capacity((LINE / 2) as usize * rows.sum::<usize>());
         lines += "subclass\toffset\ttype\tname\tunit\tmin\tmax\tdefault\tflags\tvalue\n";
         for (at, subclass) in self.chip().subclasses.iter().enumerate() {
@@ -561,7 +546,7 @@ fn unless_sealed(read: Result<()>) -> Result<()> {
     read.or_else(|error| if error.errno() == Errno::EPERM { Ok(()) } else { Err(error) })
 }
 
-/// Name of a parameter's file on parts with a flat address space.
+/// A parameter's file name on parts with a flat address space.
 fn address(parameter: &Parameter) -> String {
     format!("0x{:04x}", parameter.offset)
 }
@@ -572,17 +557,18 @@ fn value_text(subclass: &Subclass, parameter: &Parameter, bytes: &[u8]) -> Strin
     notation::render(parameter.kind, &value)
 }
 
-/// A value where `-` means that there is none. Only a string can be a `-` itself.
+/// A value, or `-` for none. Only a string can be a real `-`.
 fn column(text: String) -> String {
     if text == "-" { "%2d".into() } else { text }
 }
 
-/// Smallest and largest value as a source prints them, and the default of a part with that DM_CODE; keys show none of them.
+/// Smallest and largest value as a source prints them, and the default of a part with this DM_CODE; keys have none of
+/// them.
 fn bounds(subclass: &Subclass, parameter: &Parameter, dm_code: Option<u16>) -> [Option<String>; 3] {
     let show = |value: i64| notation::render(parameter.kind, &Value::Int(value));
     match &parameter.range {
         _ if subclass.kind == Kind::Security => [None, None, None],
-        // The limits of a type are none that a source gives.
+        // No source gives the limits of a type.
         Range::Int { .. } if parameter.unprinted => [None, None, parameter.int_default(dm_code).map(show)],
         Range::Int { min, max, .. } => {
             [Some(show(*min)), Some(show(*max)), parameter.int_default(dm_code).map(show)]

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT
 
-//! `gauge/`: what the kernel's ABI has no name for. Nothing in here is kept in the kernel's cache.
+//! `gauge/`: values without a name in the kernel's ABI. The kernel caches nothing of it.
 //!
-//! One row of [`FILES`] is one file. One row of [`GROUPS`] is a group of files whose names come from the
-//! chip's table or another list, in a folder of its own or beside the other files.
+//! A row of [`FILES`] is a file. A row of [`GROUPS`] is a group of files whose names come from the chip's table or
+//! another list, in a folder of their own or beside the other files.
 
 use std::fmt::Display;
 use std::sync::Arc;
@@ -19,24 +19,21 @@ use gauge_owner::{Answers, Done, Failure, Operation, Spoken, operations as op};
 use ti_gauge::authentication;
 use ti_gauge::chip::{Bit, Register, Role, Tier, snake_case};
 
-/// One file.
 struct File {
     name: &'static str,
     mode: Mode,
     show: Show,
-    /// The operation for which a write to it asks.
+    /// The operation that a write to it requests.
     operation: Option<&'static dyn Spoken>,
 }
 
-/// The whole text of a file; `None` while there is no such file. The text of a file that is only written is
-/// empty.
+/// Text of a file; `None` while the file does not exist, and empty if it is only written.
 type Show = fn(&Supply) -> Option<String>;
 
 const fn file(name: &'static str, mode: Mode, show: Show) -> File {
     File { name, mode, show, operation: None }
 }
 
-/// The file of an operation.
 const fn asks<A: Send>(operation: &'static Operation<A>, mode: Mode, show: Show) -> File {
     assert!(operation.has_file());
     File { operation: Some(operation), ..file(operation.name, mode, show) }
@@ -76,20 +73,19 @@ static FILES: &[File] = &[
     }),
 ];
 
-/// Files that are shown by one rule, with mode 0444.
+/// Files with a common rule and mode 0444.
 struct Group {
-    /// The folder that holds them; `None` for `gauge/` itself.
+    /// The folder; `None` for `gauge/` itself.
     folder: Option<&'static str>,
-    /// Name of each file that is there now, and a number that identifies it for the life of the mount.
+    /// Names of the present files, and a number that identifies each for the life of the mount.
     list: fn(&Supply) -> Vec<(u8, String)>,
-    /// The whole text of one; `None` while there is no such file.
+    /// Text of a file; `None` while it does not exist.
     show: fn(&Supply, u8) -> Option<String>,
 }
 
 static GROUPS: &[Group] = &[
     Group { folder: Some("registers"), list: |gauge| registers(gauge, |_| true), show: register },
     Group { folder: Some("statistics"), list: statistics, show: statistic },
-    // Words of flags.
     Group { folder: None, list: |gauge| registers(gauge, |register| !register.bits.is_empty()), show: bits },
 ];
 
@@ -106,7 +102,7 @@ pub enum GaugeItem {
     Member(u8, u8),
 }
 
-/// The folders in which files come and go with what the gauge reports.
+/// Folders whose files change with the gauge's reports.
 pub(super) fn folders() -> impl Iterator<Item = Item> {
     let groups = (0..).zip(GROUPS).filter(|(_, group)| group.folder.is_some());
     let groups = groups.map(|(at, _)| GaugeItem::Group(at));
@@ -114,7 +110,6 @@ pub(super) fn folders() -> impl Iterator<Item = Item> {
 }
 
 impl GaugeItem {
-    /// What answers for it.
     pub(super) fn of(self, supply: &Arc<Supply>) -> Box<dyn Operations + '_> {
         let group = |at: u8| &GROUPS[usize::from(at)];
         match self {
@@ -126,11 +121,9 @@ impl GaugeItem {
     }
 }
 
-/// `gauge`.
 struct Folder<'a>(&'a Supply);
 
 impl Folder<'_> {
-    /// What is in it beside the rows of `FILES`.
     fn groups(&self) -> Vec<(String, Node)> {
         let groups = (0..).zip(GROUPS);
         let list = groups.flat_map(|(at, group)| match group.folder {
@@ -160,7 +153,7 @@ impl Operations for Folder<'_> {
         self.groups().into_iter().chain(files).collect()
     }
 
-    /// Renders no file but the one that is looked up.
+    /// Renders only the file that is looked up.
     fn lookup(&self, name: &str) -> Option<Node> {
         match (0..).zip(FILES).find(|(_, file)| file.name == name) {
             Some((at, file)) => (file.show)(self.0).map(|_| self.file(at)),
@@ -169,7 +162,6 @@ impl Operations for Folder<'_> {
     }
 }
 
-/// A row of `FILES`.
 struct Shown<'a> {
     supply: &'a Supply,
     file: &'static File,
@@ -200,7 +192,6 @@ impl Operations for Shown<'_> {
     }
 }
 
-/// The folder of a row of `GROUPS`.
 struct Members<'a> {
     supply: &'a Supply,
     at: u8,
@@ -222,7 +213,6 @@ impl Operations for Members<'_> {
     }
 }
 
-/// A file of a row of `GROUPS`.
 struct Member<'a> {
     supply: &'a Supply,
     at: u8,
@@ -253,18 +243,16 @@ fn word(word: u16) -> Option<String> {
     line(format_args!("0x{word:04x}"))
 }
 
-/// Names of the bits that are set.
 fn set_bits(bits: &[Bit], word: i64) -> Option<String> {
     let set = bits.iter().filter(|bit| word & i64::from(bit.mask) != 0).map(|bit| bit.name);
     line(set.collect::<Vec<_>>().join(" "))
 }
 
-/// The answers of the gauge when it was identified; `None` if it has not answered yet.
+/// The gauge's answers when it was identified; `None` before its first answer.
 fn identified(gauge: &Supply) -> Option<Answers> {
     Some(gauge.published().answers).filter(|answers| *answers != Answers::default())
 }
 
-/// The last report that was asked for.
 fn report(gauge: &Supply) -> Option<String> {
     let report = gauge.published().report.clone();
     Some(report.map_or_else(String::new, |report| report::text(gauge.chip(), gauge.handle.origin(), &report)))
@@ -292,12 +280,11 @@ fn itpor(gauge: &Supply) -> Option<String> {
     line(u8::from(flags & i64::from(lost) != 0))
 }
 
-/// The factor of the attributes of a kind.
 fn scale(gauge: &Supply, kind: Kind) -> Option<String> {
     line(gauge.reading(Some(&*gauge.fresh()?)).scale(kind)?)
 }
 
-/// The last subcommand that was asked for, and the gauge's answer.
+/// The last requested subcommand, and the gauge's answer.
 fn answered(gauge: &Supply) -> Option<String> {
     match gauge.published().control() {
         Some((code, answer)) => line(format_args!("0x{code:04x} 0x{answer:04x}")),
@@ -327,14 +314,14 @@ fn last_error(gauge: &Supply) -> Option<String> {
     match (shown.trim_end(), amiss) {
         (_, None) => Some(shown),
         ("", Some((since, amiss))) => line(format_args!("{since:.0}: {amiss}")),
-        // Who has just failed looks at the time at the beginning.
+        // After a recent failure, the time at the start matters most.
         (shown, Some((since, amiss))) => line(format_args!("{shown}; since {since:.0}: {amiss}")),
     }
 }
 
-/// Both begin with their time. What is owed goes first: it must not be lost among less important errors.
+/// Both begin with their time. What is owed comes first, so that it is not lost among less important errors.
 fn owed_and(owed: Option<(Timestamp, &str)>, failed: Option<(&Failure, &str)>) -> Option<String> {
-    // The failure that has left what is owed is shown as that.
+    // A failure that has left what is owed is shown as that.
     let failed = failed.filter(|(failed, _)| owed.is_none() || !failed.owed);
     let show = |(at, text)| format!("{at:.0}: {text}");
     match (owed.map(show), failed.map(|(failed, text)| show((failed.at, text)))) {
@@ -349,7 +336,7 @@ fn owed(gauge: &Supply) -> Option<String> {
     line(u8::from(!gauge.published().owed.is_empty())).filter(|_| gauge.has_own_table())
 }
 
-/// What is known of an interrupted write.
+/// Known facts of an interrupted write.
 fn settling(gauge: &Supply) -> Option<String> {
     let published = gauge.published();
     match (published.settling.is_empty(), published.owed.is_empty()) {
@@ -360,7 +347,7 @@ fn settling(gauge: &Supply) -> Option<String> {
     }
 }
 
-/// What is kept of what a gauge with RAM has learned.
+/// What the daemon keeps of a RAM gauge's learned values.
 fn learned(gauge: &Supply) -> Option<String> {
     let published = gauge.published();
     let told = match published.learned.is_empty() {

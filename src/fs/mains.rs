@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT
 
-//! The Mains supply beside the gauges, which looks like those of the kernel's drivers. No gauge measures the
-//! mains: whether they supply power is concluded from the packs' `status`.
+//! The Mains supply beside the gauges, which looks like those of the kernel's drivers. No gauge measures the mains: the
+//! packs' `status` decides whether they supply power.
 
 use super::attribute::plain;
 use super::{Content, Fs, Node, Operations, SUBSYSTEM, Shape};
@@ -22,7 +22,6 @@ pub enum MainsItem {
 }
 
 impl MainsItem {
-    /// What answers for it.
     pub(super) fn of(self, fs: &Fs) -> Box<dyn Operations + '_> {
         match self {
             MainsItem::Folder => Box::new(Folder(fs)),
@@ -34,7 +33,6 @@ impl MainsItem {
     }
 }
 
-/// The folder of the Mains supply.
 struct Folder<'a>(&'a Fs);
 
 impl Operations for Folder<'_> {
@@ -57,7 +55,6 @@ impl Operations for Folder<'_> {
     }
 }
 
-/// `type`.
 struct Type;
 
 impl Operations for Type {
@@ -74,7 +71,6 @@ impl Operations for Type {
     }
 }
 
-/// `online`.
 struct Online<'a>(&'a Fs);
 
 impl Operations for Online<'_> {
@@ -95,7 +91,6 @@ impl Operations for Online<'_> {
     }
 }
 
-/// `uevent`.
 struct Uevent<'a>(&'a Fs);
 
 impl Operations for Uevent<'_> {
@@ -115,7 +110,6 @@ impl Operations for Uevent<'_> {
     }
 }
 
-/// `subsystem`.
 struct Subsystem;
 
 impl Operations for Subsystem {
@@ -132,8 +126,8 @@ impl Operations for Subsystem {
     }
 }
 
-/// Whether the mains supply power. A gauge without a pack has no say, nor has one that has not measured
-/// yet, or one of a primary cell, which the mains never charge.
+/// Whether the mains supply power. Gauges without a pack, without a measurement yet, or of a primary cell, which the
+/// mains never charge, do not count.
 fn is_online(fs: &Fs) -> Option<bool> {
     let gauges = fs.supplies.iter().filter(|supply| supply.chip().condition.primary.is_none());
     let statuses = gauges.filter_map(|supply| {
@@ -144,9 +138,8 @@ fn is_online(fs: &Fs) -> Option<bool> {
     online(&statuses.collect::<Vec<_>>())
 }
 
-/// Whether the mains supply power, concluded from the status of each pack. A pack that is being charged gets
-/// power from them. If none is, a pack that is being discharged shows that the load gets none from them either;
-/// a second pack at rest beside it says nothing.
+/// Whether the mains supply power, by the status of each pack. A charging pack gets power from them. Otherwise a
+/// discharging pack shows that the load gets none either; a second pack at rest says nothing.
 fn online(statuses: &[&str]) -> Option<bool> {
     let any = |wanted: &str| statuses.contains(&wanted);
     (!statuses.is_empty()).then(|| any("Charging") || !any("Discharging"))

@@ -1,19 +1,19 @@
 // SPDX-License-Identifier: MIT
 
-//! The number of each node, from which the node follows: nothing has to be remembered of a node that has been shown.
+//! The number of each node, and back: nothing is remembered of shown nodes.
 
 use super::{Attribute, DfItem, GaugeItem, Item, MainsItem, Node, SimItem, SupplyItem};
 
-/// Of the numbers of a gauge's items, those of `df/SUBCLASS/OFFSET` and of the links to them.
+/// Numbers of `df/SUBCLASS/OFFSET` and of links to them, among those of a gauge's items.
 const PARAMETER: u16 = 0x8000;
 const LINK: u16 = 0xc000;
-/// The number of the first group of `gauge/`, in the upper byte.
+/// Number of the first group of `gauge/`, in the upper byte.
 const MEMBER: u8 = 0x20;
-/// The numbers of the links in the folder underneath the mount begin here. 32 766 gauges come before.
+/// Numbers from here on are links in the folder underneath the mount, after those of 32 766 gauges.
 const COVERED: u32 = 1 << 31;
 
 impl Node {
-    /// Its number, 1 or more.
+    /// The number, 1 or more.
     pub fn place(self) -> u32 {
         match self {
             Node::Root => 1,
@@ -27,7 +27,7 @@ impl Node {
         }
     }
 
-    /// The node of that number; `None` if there is none.
+    /// The node of that number.
     pub fn at(place: u32) -> Option<Self> {
         Some(match place {
             1 => Node::Root,
@@ -111,7 +111,7 @@ mod tests {
         {
             assert_eq!(Node::at(node.place()), Some(node));
         }
-        // Whatever is no item's number is that of no other.
+        // Every other number belongs to no item.
         let items = (0..=u16::MAX).filter_map(|place| Some((place, Item::at(place)?)));
         for (place, item) in items {
             assert_eq!(item.place(), place, "{item:?}");

@@ -9,7 +9,7 @@ use ti_gauge::text;
 
 use crate::error::{Cause, Error, Result};
 
-/// The change that a line `raw PLACE HEX` asks for.
+/// The change in a line `raw PLACE HEX`.
 pub(super) fn change(chip: &'static Chip, line: &str) -> Result<Change> {
     let mut words = line.split_whitespace();
     let (place, digits) = (words.next().unwrap_or_default(), words.next().unwrap_or_default());

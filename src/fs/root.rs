@@ -10,7 +10,6 @@ use super::{Fs, Item, MainsItem, Node, Operations, Shape, SupplyItem, find};
 pub(super) struct Root<'a>(pub(super) &'a Fs);
 
 impl Root<'_> {
-    /// The folders that are gaugefs's own.
     fn own(&self) -> Vec<(String, Node)> {
         let folder = |index| Node::Of(index, Item::Supply(SupplyItem::Folder));
         let gauges = self.0.supplies.iter().map(|supply| (supply.name.clone(), folder(supply.index)));
@@ -28,7 +27,7 @@ impl Operations for Root<'_> {
         Shape::Folder
     }
 
-    /// A gauge hides a supply of the kernel that has the same name.
+    /// A gauge hides the kernel's supply of the same name.
     fn list(&self) -> Vec<(String, Node)> {
         let mut list = self.own();
         let Some(covered) = &self.0.covered else { return list };
@@ -40,7 +39,7 @@ impl Operations for Root<'_> {
         list
     }
 
-    /// Looks only at the one name in the covered folder, which may hold many.
+    /// Looks at the one name only: the covered folder may have many.
     fn lookup(&self, name: &str) -> Option<Node> {
         find(self.own(), name).or_else(|| {
             let covered = self.0.covered.as_ref()?;
@@ -49,7 +48,7 @@ impl Operations for Root<'_> {
     }
 }
 
-/// The names of STEM0, STEM1 ... that are not taken.
+/// The unused names among STEM0, STEM1 ...
 pub fn free_names(stem: &str, taken: &HashSet<&str>) -> impl Iterator<Item = String> {
     (0..).map(move |number| format!("{stem}{number}")).filter(|name| !taken.contains(name.as_str()))
 }

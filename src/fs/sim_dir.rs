@@ -22,7 +22,6 @@ pub enum SimItem {
 }
 
 impl SimItem {
-    /// What answers for it.
     pub(super) fn of(self, supply: &Arc<Supply>) -> Box<dyn Operations + '_> {
         match self {
             SimItem::Folder => Box::new(Folder(supply)),
@@ -31,7 +30,6 @@ impl SimItem {
     }
 }
 
-/// `sim`.
 struct Folder<'a>(&'a Supply);
 
 impl Operations for Folder<'_> {
@@ -50,14 +48,13 @@ impl Operations for Folder<'_> {
     }
 }
 
-/// One file of `sim`.
 struct Knob<'a> {
     supply: &'a Supply,
     at: u8,
 }
 
 impl<'a> Knob<'a> {
-    /// All knobs, the name of this one, and whether it may be written.
+    /// All knobs, this one's name, and whether it is writable.
     fn find(&self) -> Option<(&'a dyn Knobs, &'static str, bool)> {
         let knobs = self.supply.knobs.as_deref()?;
         let (name, writable) = *knobs.list().get(usize::from(self.at))?;
@@ -92,7 +89,7 @@ impl Operations for Knob<'_> {
                 self.supply.handle.succeeded(&attempt);
                 done(Ok(()));
             }
-            // The knob is named as the file that it is.
+            // The error names the file.
             Err(error) => self.supply.handle.refuse(attempt, error.about(format!("sim/{name}")), done),
         }
     }

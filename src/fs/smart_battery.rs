@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: MIT
 
-//! A gauge as a Smart Battery, as the kernel's `sbs-battery` reads one: the commands of Smart Battery Data ("Smart Battery
-//! Data Specification", revision 1.1, section 5).
+//! A gauge as a Smart Battery for the kernel's `sbs-battery`: the commands of Smart Battery Data ("Smart Battery Data
+//! Specification", revision 1.1, section 5).
 //!
-//! Each answer follows from the last poll, by the rules of the attributes. The kernel drops a whole event if one property of
-//! a battery that is there cannot be read. So a battery answers all commands that the driver sends, or, while anything is
-//! missing without which its values would mislead, none: it is not there then. What else the gauge does not have is answered
-//! with the value that says so, where the specification or the kernel's ABI has one.
+//! Each answer follows from the last poll, by the rules of the attributes. The kernel drops a whole event if one
+//! property of a present battery is unreadable. So a battery answers all of the driver's commands or, while it lacks
+//! something without which its values would mislead, none: then it is absent. Anything else that the gauge lacks gets
+//! the answer for an unknown value, where the specification or the kernel's ABI has one.
 
 use std::sync::Arc;
 
@@ -45,14 +45,13 @@ const DEVICE_NAME: u8 = 0x21;
 const DEVICE_CHEMISTRY: u8 = 0x22;
 
 // Bits of BatteryMode().
-/// Capacities are in 10 mWh, and not in mAh.
+/// Capacities are in 10 mWh instead of mAh.
 const CAPACITY_MODE: u16 = 1 << 15;
-/// What the host may change: CAPACITY_MODE, CHARGER_MODE and ALARM_MODE. Nothing is broadcast here anyway.
+/// Bits that the host may change: CAPACITY_MODE, CHARGER_MODE and ALARM_MODE. Nothing is broadcast here.
 const WRITABLE: u16 = CAPACITY_MODE | 1 << 14 | 1 << 13;
 /// CONDITION_FLAG: a conditioning cycle is requested.
 const CONDITION: u16 = 1 << 7;
 
-// Bits of BatteryStatus().
 const OVER_TEMP_ALARM: u16 = 1 << 12;
 const TERMINATE_DISCHARGE_ALARM: u16 = 1 << 11;
 const REMAINING_CAPACITY_ALARM: u16 = 1 << 9;
@@ -61,16 +60,16 @@ const DISCHARGING: u16 = 1 << 6;
 const FULLY_CHARGED: u16 = 1 << 5;
 const FULLY_DISCHARGED: u16 = 1 << 4;
 
-/// SpecificationInfo(): version 1.1 without packet error codes, revision 1; values are not scaled, which drivers expect.
+/// SpecificationInfo(): version 1.1 without packet error codes, revision 1; values are unscaled, as drivers expect.
 const SPECIFICATION: u16 = 0x0021;
-/// There is no such time, in minutes.
+/// An unknown time, in minutes.
 const NO_TIME: u16 = 0xffff;
 
-/// What has to be known of a battery: what its driver, and those who act on a battery that is nearly empty, decide by.
+/// What a present battery must know: the values by which its driver, and programs that act on a low battery, decide.
 const NEEDED: [u8; 6] =
     [TEMPERATURE, VOLTAGE, CURRENT, RELATIVE_STATE_OF_CHARGE, REMAINING_CAPACITY, FULL_CHARGE_CAPACITY];
 
-/// Why gauges of that chip can be no Smart Battery; `None` if they can.
+/// Why gauges of that chip cannot be Smart Batteries.
 pub(crate) fn obstacle(chip: &Chip) -> Option<String> {
     let needed = [Role::Temp, Role::VoltageNow, Role::Capacity, Role::ChargeNow, Role::ChargeFull];
     let is_missing = |role: &Role| chip.register(*role).is_none();
@@ -82,27 +81,25 @@ pub(crate) fn obstacle(chip: &Chip) -> Option<String> {
     })
 }
 
-/// What a change of is worth an event, of a battery that is there.
+/// Values of a present battery whose change is worth an event.
 pub(crate) type Told =
     Option<(Option<&'static str>, Option<u16>, Option<&'static str>, Option<&'static str>)>;
 
-/// A gauge as a Smart Battery, for one host.
 pub(crate) struct SmartBattery {
     tree: Arc<Fs>,
     gauge: u16,
-    /// The bits of BatteryMode() that the host has set.
+    /// Bits of BatteryMode() that the host has set.
     mode: u16,
-    /// The host has looked whether it is there.
+    /// The host has looked for it.
     is_found: bool,
 }
 
 impl SmartBattery {
-    /// The gauge of that index in the tree.
     pub(crate) fn new(tree: Arc<Fs>, gauge: u16) -> Self {
         Self { tree, gauge, mode: 0, is_found: false }
     }
 
-    /// What events are about.
+    /// The subject of events.
     pub(crate) fn told(&self) -> Told {
         self.ask(|reading| {
             let capacity = word(reading, RELATIVE_STATE_OF_CHARGE, false);
@@ -111,12 +108,12 @@ impl SmartBattery {
         })
     }
 
-    /// One transfer to its address, as `i2c_server::Target` has it; `false` if it is not acknowledged.
+    /// A transfer as in `i2c_server::Target`; `false` if it is not acknowledged.
     pub(crate) fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> bool {
         match write {
             [command] if !read.is_empty() => match self.answer(*command) {
                 Some(bytes) => {
-                    // Whoever reads more reads an idle bus.
+                    // Further bytes are those of an idle bus.
                     read.fill(0xff);
                     read.iter_mut().zip(bytes).for_each(|(to, byte)| *to = byte);
                     true
@@ -163,14 +160,14 @@ impl SmartBattery {
                 }
             }
         });
-        // The driver looks once, when it is bound, and would never come back to a battery that is away at that moment. It takes
-        // nothing from this word but that there is one.
+        // The driver looks once, when it is bound, and would never return to an absent battery. It only needs some
+        // answer here.
         let found = (is_first && command == BATTERY_STATUS).then(|| vec![0; 2]);
         answer.or(found)
     }
 }
 
-/// Whether everything is known that a battery needs, and fits.
+/// Whether everything that a battery needs is known and fits.
 fn is_there(reading: &Reading<'_>) -> bool {
     let is_known =
         |&command: &u8| [false, true].iter().all(|&energy| word(reading, command, energy).is_some());
@@ -182,12 +179,11 @@ fn needs_calibration(reading: &Reading<'_>) -> bool {
     reading.health() == Some("Calibration required")
 }
 
-/// The short name of a chemistry.
 fn chemistry(technology: &'static str) -> &'static str {
     CHEMISTRIES.iter().find(|(_, name)| *name == technology).map_or(technology, |(short, _)| short)
 }
 
-/// The word that a command reads; `None` if it has none, or one that does not fit into 16 bits.
+/// The word that a command reads; `None` without one, or if it does not fit into 16 bits.
 fn word(reading: &Reading<'_>, command: u8, in_energy: bool) -> Option<u16> {
     let milli = |micro: i64| u16::try_from((micro as f64 / 1000.0).round() as i64).ok();
     let minutes = |role: Role| Some(u16::try_from(reading.seconds(role)? / 60).unwrap_or(NO_TIME));
@@ -200,7 +196,7 @@ fn word(reading: &Reading<'_>, command: u8, in_energy: bool) -> Option<u16> {
             Some(average) => signed(average),
             None => current(reading),
         },
-        // As after a full reset of a Smart Battery: nothing is known.
+        // Unknown, as after a full reset of a Smart Battery.
         MAX_ERROR => u16::try_from(reading.value(Role::CapacityErrorMargin).unwrap_or(100)).ok(),
         RELATIVE_STATE_OF_CHARGE => u16::try_from(reading.value(Role::Capacity)?).ok(),
         REMAINING_CAPACITY => capacity(reading, reading.micro(Role::ChargeNow, Kind::Charge)?, in_energy),
@@ -209,11 +205,11 @@ fn word(reading: &Reading<'_>, command: u8, in_energy: bool) -> Option<u16> {
         RUN_TIME_TO_EMPTY => time(reading.time_to_empty_now().unwrap_or(Role::TimeToEmptyNow)),
         AVERAGE_TIME_TO_EMPTY => time(Role::TimeToEmptyAvg),
         AVERAGE_TIME_TO_FULL => time(Role::TimeToFullNow),
-        // No current, or voltage, is asked for.
+        // No current or voltage is requested.
         CHARGING_CURRENT => milli(reading.micro(Role::ChargeCurrent, Kind::Current).unwrap_or(0)).or(Some(0)),
         CHARGING_VOLTAGE => milli(reading.charge_voltage().unwrap_or(0)).or(Some(0)),
         BATTERY_STATUS => Some(status(reading)),
-        // The ABI of the kernel: 0 if it is not known.
+        // The kernel's ABI: 0 if unknown.
         CYCLE_COUNT => Some(reading.value(Role::CycleCount).unwrap_or(0).try_into().unwrap_or(0)),
         DESIGN_VOLTAGE => milli(design_voltage(reading).unwrap_or(0)).or(Some(0)),
         SPECIFICATION_INFO => Some(SPECIFICATION),
@@ -229,20 +225,20 @@ fn date([year, month, day]: [i64; 3]) -> u16 {
 
 fn signed(microamperes: i64) -> Option<u16> {
     let milliamperes = microamperes as f64 / 1000.0;
-    // A current that flows is never 0.
+    // A flowing current is never 0.
     i16::try_from(milliamperes.signum() as i64 * milliamperes.abs().round().max(1.0) as i64)
         .ok()
         .map(|current| if microamperes == 0 { 0 } else { current as u16 })
 }
 
-/// By Current() the driver tells whether a battery is charged, discharged or neither, also if it is full. A full battery into
-/// which a little still flows is `Full`, so none is reported then.
+/// The driver decides by Current() whether a battery is charged, discharged or neither, even if it is full. A full
+/// battery with a small charging current is `Full`, so no current is reported then.
 fn current(reading: &Reading<'_>) -> Option<u16> {
     let current = reading.micro(reading.current_now()?, Kind::Current)?;
     if reading.status() == Some("Full") { Some(0) } else { signed(current) }
 }
 
-/// The voltage that a charge is multiplied with for an energy: as UPower takes it from the folder of a gauge.
+/// The voltage that turns a charge into an energy, as UPower takes it from a gauge's folder.
 fn design_voltage(reading: &Reading<'_>) -> Option<i64> {
     reading.design_voltage(Role::VoltageMaxDesign).or_else(|| reading.design_voltage(Role::VoltageMinDesign))
 }
@@ -332,7 +328,7 @@ mod tests {
             self.word(command).map(|word| i32::from(word as u16 as i16))
         }
 
-        /// As the driver reads a block on an adapter that cannot: its length, then all of it.
+        /// As the driver reads a block on an adapter without block reads: length first, then all of it.
         fn text(&mut self, command: u8) -> Option<String> {
             let mut length = [0];
             self.battery.transfer(&[command], &mut length).then_some(())?;
@@ -395,7 +391,7 @@ mod tests {
         }
     }
 
-    /// Attributes with steps that are finer than those of a Smart Battery.
+    /// Attributes with finer steps than a Smart Battery's.
     fn is_near(name: &str, one: &str, other: &str) -> bool {
         let step = if name.starts_with("charge") || name.starts_with("current") { 500 } else { 0 };
         match (one.parse::<i64>(), other.parse::<i64>()) {
@@ -496,7 +492,7 @@ mod tests {
         assert!(host.battery.told().is_some());
         host.turn(&[("power", "off")]);
         assert_eq!(host.shown("present").as_deref(), Some("0"));
-        // The driver's first look, when it is bound, and no other one.
+        // The driver's first look, when it is bound.
         assert_eq!(host.word(BATTERY_STATUS), Some(0));
         for command in 0..=0xff {
             assert_eq!(host.word(command), None, "{command:#04x}");

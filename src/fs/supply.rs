@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! The folder of a gauge: power_supply attributes, `uevent` and `subsystem`, and the folders `df`, `gauge` and
-//! `sim`.
+//! The folder of a gauge: power_supply attributes, `uevent` and `subsystem`, and the folders `df`, `gauge` and `sim`.
 
 use std::sync::Arc;
 
@@ -14,11 +13,9 @@ use super::{
 use gauge_owner::{Context, Done, Handle, Published, Snapshot, Spoken};
 use ti_gauge::chip::Chip;
 
-/// A mounted gauge, with what the tree keeps about it.
+/// A mounted gauge, with the tree's facts about it.
 pub(super) struct Supply {
-    /// Its index in the tree.
     pub(super) index: u16,
-    /// Name of its folder.
     pub(super) name: String,
     pub(super) handle: Handle,
     pub(super) knobs: Option<Box<dyn Knobs>>,
@@ -37,7 +34,6 @@ impl Supply {
         Node::Of(self.index, item)
     }
 
-    /// Its folder.
     pub(super) fn folder(&self) -> Node {
         self.node(Item::Supply(SupplyItem::Folder))
     }
@@ -50,12 +46,12 @@ impl Supply {
         self.handle.published()
     }
 
-    /// Whether the table is the part's own, and not that of a relative with the same standard commands.
+    /// Whether the table is the part's own, not that of a relative with the same standard commands.
     pub(super) fn has_own_table(&self) -> bool {
         self.published().limited.is_none()
     }
 
-    /// The last poll, unless it is older than three poll intervals: then its values are no longer shown.
+    /// The last poll, unless it is older than three poll intervals and so no longer shown.
     pub(super) fn fresh(&self) -> Option<Arc<Snapshot>> {
         let published = self.published();
         let age = self.handle.age()?;
@@ -70,7 +66,7 @@ impl Supply {
         attribute.text(&self.reading(self.fresh().as_deref()))
     }
 
-    /// Asks for what was written to the file of an operation.
+    /// Requests what was written to an operation's file.
     pub(super) fn ask(&self, operation: &'static dyn Spoken, text: &[u8], done: Done<()>) {
         let snapshot = self.fresh();
         let reading = self.reading(snapshot.as_deref());
@@ -98,7 +94,6 @@ pub enum SupplyItem {
 }
 
 impl SupplyItem {
-    /// What answers for it.
     pub(super) fn of(self, supply: &Arc<Supply>) -> Box<dyn Operations + '_> {
         match self {
             SupplyItem::Folder => Box::new(Folder(supply)),
@@ -109,11 +104,9 @@ impl SupplyItem {
     }
 }
 
-/// The folder of a gauge.
 struct Folder<'a>(&'a Supply);
 
 impl Folder<'_> {
-    /// What is in it beside attributes.
     fn rest(&self) -> Vec<(String, Node)> {
         let rest = [
             ("uevent", Some(Item::Supply(SupplyItem::Uevent))),
@@ -148,7 +141,7 @@ impl Operations for Folder<'_> {
         attributes.chain(self.rest()).collect()
     }
 
-    /// Renders no attribute but the one that is looked up.
+    /// Renders only the attribute that is looked up.
     fn lookup(&self, name: &str) -> Option<Node> {
         match Attribute::by_name(name) {
             Some(attribute) => self.0.text_of(attribute).map(|_| self.attribute(attribute)),
@@ -157,7 +150,6 @@ impl Operations for Folder<'_> {
     }
 }
 
-/// A power_supply attribute.
 struct Value<'a> {
     supply: &'a Supply,
     attribute: Attribute,
@@ -181,7 +173,6 @@ impl Operations for Value<'_> {
     }
 }
 
-/// `uevent`.
 struct Uevent<'a>(&'a Supply);
 
 impl Operations for Uevent<'_> {
@@ -199,7 +190,6 @@ impl Operations for Uevent<'_> {
     }
 }
 
-/// `subsystem`.
 struct Subsystem<'a>(&'a Supply);
 
 impl Operations for Subsystem<'_> {

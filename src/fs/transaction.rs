@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: MIT
 
-//! `df/transaction`: lines that stage changes, and one commit that writes them all.
+//! `df/transaction`: lines that stage changes, and a commit that writes them all.
 //!
-//! Nothing is written to the gauge before the commit. A write(2) is staged whole or not at all. One that is refused
-//! stages nothing and spoils the transaction: a shell passes on each line as a write of its own and goes on after one
-//! that fails, so a commit that did not know of it would write the rest. Everything here runs on the thread that
-//! answers readers, so it takes time in proportion to what one write(2) brings, whatever is staged already.
+//! Nothing reaches the gauge before the commit. A write(2) is staged whole or not at all. A refused one stages nothing
+//! and spoils the transaction: a shell passes each line on as a write of its own and continues after a failure, so an
+//! unaware commit would write the rest. Everything here runs on the thread that answers readers, so its time depends on
+//! the size of one write(2), whatever is staged already.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -22,39 +22,38 @@ use ti_gauge::codec::WINDOW;
 use ti_gauge::dataflash::{Change, Place};
 use ti_gauge::epoch::Epoch;
 
-/// A transaction that is open for longer than this is dropped. So is one whose gauge has gone away since, or is another
-/// one: its values were meant for the gauge that was there.
+/// A transaction open for longer is dropped. So is one whose gauge was absent since, or is another one: its values were
+/// meant for the earlier gauge.
 const PATIENCE: Duration = Duration::from_secs(600);
-/// Most blocks with undocumented bytes that a transaction can have, 128 KiB: more than any gauge stores, and little
-/// enough for the daemon. The chip's table limits the number of parameters.
+/// Most blocks with undocumented bytes in a transaction, 128 KiB: more than any gauge stores, and little for the
+/// daemon. The chip's table limits the parameters.
 const RAW_BLOCKS: usize = 4096;
 
 /// The rules for lines.
 pub(super) struct Rules<'a> {
     pub(super) chip: &'static Chip,
     pub(super) allow_unproven: bool,
-    /// A subclass as the gauge stores it, by its index in the table, if that is known.
+    /// A subclass as stored in the gauge, by its index in the table, if known.
     pub(super) stored: &'a dyn Fn(usize) -> Option<Arc<[u8]>>,
     /// See [`Published::presence`](gauge_owner::Published::presence).
     pub(super) presence: Epoch<Presence>,
 }
 
-/// The state of a gauge's transaction.
 #[derive(Default)]
 pub(super) struct Transaction(Mutex<State>);
 
 /// The last transaction, open or not, and the open files that have written to this file.
 #[derive(Default)]
 struct State {
-    /// How many were begun.
+    /// Number of transactions begun.
     number: u64,
-    /// Who has begun it. Where each line opens the file anew, this process goes on with it.
+    /// The process that began it. If each line opens the file anew, this process continues it.
     process: Option<Process>,
     open: Option<Open>,
-    /// Why lines of it were refused since the last `begin` or `abort`; nothing is committed then. It outlives the
-    /// transaction, for whoever goes on after a commit that failed, or after a write that held the `begin` as well.
+    /// Why lines were refused since the last `begin` or `abort`; nothing is committed then. It outlives the
+    /// transaction, for writers that continue after a failed commit, or after a refused write with the `begin` in it.
     spoiled: Option<Error>,
-    /// Why it was dropped, until that has been told.
+    /// Why it was dropped, until that is reported.
     dropped: Option<Dropped>,
     files: BTreeMap<u64, Standing>,
     has_ended: HasEnded,
@@ -64,11 +63,10 @@ struct State {
 enum Standing {
     /// To the transaction of that number.
     Of(u64),
-    /// It was kept out, and nobody knows which of its lines are of a transaction.
+    /// It was kept out, and nobody knows to which transaction its lines belong.
     Refused(Error),
 }
 
-/// Whether a process runs no more.
 struct HasEnded(fn(Process) -> bool);
 
 impl Default for HasEnded {
@@ -77,7 +75,7 @@ impl Default for HasEnded {
     }
 }
 
-/// When something is asked of a transaction.
+/// The time of a request to a transaction.
 #[derive(Clone, Copy)]
 pub(super) struct Moment {
     pub(super) now: Duration,
@@ -87,16 +85,15 @@ pub(super) struct Moment {
 
 struct Open {
     since: Moment,
-    /// Shared with those who are reading it.
+    /// Shared with its readers.
     staged: Arc<Staged>,
 }
 
-/// The reason why a transaction was dropped.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Dropped {
     Old,
     Left,
-    /// Nobody can go on with it: its open file is closed, and its process has ended or was never seen.
+    /// Nobody can continue it: its open file is closed, and its process has ended or was never visible.
     Abandoned,
 }
 
@@ -109,7 +106,7 @@ impl Open {
     }
 }
 
-/// The staged changes. The later of two changes of one place counts.
+/// The staged changes. The later of two changes of a place counts.
 #[derive(Clone, Default)]
 pub(super) struct Staged {
     /// Parameters, and blocks with undocumented bytes, each with the number of its last line.
@@ -118,13 +115,13 @@ pub(super) struct Staged {
     lines: u64,
 }
 
-/// Whether it is a block, its subclass, and its offset there. Subclasses may share their rows.
+/// Whether it is a block, its subclass, and its offset. Subclasses may share rows.
 type Key = (bool, u8, u16);
 
 #[derive(Clone)]
 enum Entry {
     Parameter(Change),
-    /// Bytes of a block, and a bit for each that is staged. A byte takes 64 times as much as a change of its own.
+    /// Bytes of a block, and a bit for each staged one. A change per byte would take 64 times as much.
     Raw {
         bytes: [u8; WINDOW],
         is_staged: u32,
@@ -132,12 +129,12 @@ enum Entry {
 }
 
 impl Staged {
-    /// How many parameters and blocks are staged.
+    /// Number of staged parameters and blocks.
     pub(super) fn len(&self) -> usize {
         self.entries.len()
     }
 
-    /// All changes, those of the latest line last. Adjacent undocumented bytes of a block are one change.
+    /// All changes, in the order of their last lines. Adjacent undocumented bytes of a block are one change.
     pub(super) fn changes(&self, chip: &Chip) -> Vec<Change> {
         let mut changes = Vec::with_capacity(self.entries.len());
         for key @ (_, subclass, base) in self.keys() {
@@ -156,7 +153,6 @@ impl Staged {
         changes
     }
 
-    /// What is staged, by lines.
     fn keys(&self) -> Vec<Key> {
         let mut keys: Vec<_> = self.entries.iter().map(|(key, (line, _))| (*line, *key)).collect();
         keys.sort_unstable();
@@ -180,7 +176,7 @@ impl Staged {
         }
     }
 
-    /// Stages all that `later` has.
+    /// Adds the stages of `later`.
     fn extend(&mut self, mut later: Self) {
         for key in later.keys() {
             if let Some((_, entry)) = later.entries.remove(&key) {
@@ -190,23 +186,23 @@ impl Staged {
     }
 }
 
-/// The effect of the lines of one write(2), which comes when all of them have been accepted.
+/// The effect of one write(2), once all its lines are accepted.
 struct Next {
     is_open: bool,
-    /// The transaction that was open before has ended.
+    /// The earlier open transaction has ended.
     is_new: bool,
-    /// A line that was refused earlier still counts.
+    /// An earlier refused line still counts.
     is_spoiled: bool,
     /// A `begin` was refused.
     is_kept_out: bool,
     commits: bool,
     added: Staged,
-    /// Blocks that `added` has and the transaction did not have before.
+    /// Blocks of `added` that are new to the transaction.
     new_blocks: usize,
 }
 
 impl Next {
-    /// Drops all that was written before.
+    /// Drops everything written before.
     fn restart(&mut self, is_open: bool) {
         *self = Self {
             is_open,
@@ -225,7 +221,7 @@ impl Transaction {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The staged changes; `None` while no transaction is open.
+    /// The staged changes; `None` without an open transaction.
     pub(super) fn staged(&self, at: Moment) -> Option<Arc<Staged>> {
         let mut state = self.lock();
         state.drop_if_due(at);
@@ -237,8 +233,8 @@ impl Transaction {
         self.lock().spoiled.is_some()
     }
 
-    /// Whether a process that goes on with its transaction through another open file is kept out by the one before,
-    /// which may just have been closed.
+    /// Whether the previous open file keeps out a process that continues its transaction through another one, although
+    /// it may just have been closed.
     pub(super) fn awaits_close(&self, caller: Caller) -> bool {
         let state = self.lock();
         state.open.is_some()
@@ -247,12 +243,11 @@ impl Transaction {
             && !state.files.contains_key(&caller.file)
     }
 
-    /// An open file was closed.
     pub(super) fn close(&self, file: u64) {
         self.lock().files.remove(&file);
     }
 
-    /// Takes the lines of one write(2). Returns the changes that are to be written now, if it commits.
+    /// Takes the lines of one write(2). Returns the changes of a commit.
     pub(super) fn write(
         &self,
         rules: &Rules<'_>,
@@ -265,7 +260,6 @@ impl Transaction {
 }
 
 impl State {
-    /// Whether an open file has written to the last transaction.
     fn is_held(&self) -> bool {
         self.files.values().any(|file| matches!(file, Standing::Of(number) if *number == self.number))
     }
@@ -274,7 +268,7 @@ impl State {
         caller.process.is_some() && caller.process == self.process
     }
 
-    /// Whether the last transaction is this writer's: it was begun through this open file or, when that is closed, by this
+    /// Whether the last transaction is this writer's: begun through this open file or, if that is closed, by this
     /// process.
     fn is_own(&self, caller: Caller) -> bool {
         match self.files.get(&caller.file) {
@@ -293,7 +287,7 @@ impl State {
         }
     }
 
-    /// Whatever an open file writes is refused from now on. A transaction of its own has nobody to go on with it.
+    /// Refuses all further writes of an open file. Nobody continues its own transaction.
     fn refuse(&mut self, file: u64, error: &Error) {
         let before = self.files.insert(file, Standing::Refused(error.clone()));
         if matches!(before, Some(Standing::Of(number)) if number == self.number) {
@@ -301,7 +295,7 @@ impl State {
         }
     }
 
-    /// A transaction begins, or would have begun with a write that was refused.
+    /// A transaction begins, or would have begun with a refused write.
     fn begin(&mut self, caller: Caller) {
         self.number += 1;
         self.process = caller.process;
@@ -309,8 +303,8 @@ impl State {
         self.files.insert(caller.file, Standing::Of(self.number));
     }
 
-    /// Lines of a writer's own transaction, or of one that it wants to begin, were refused: also a whole write that
-    /// begins with `begin`, and with `is_kept_out` the `begin` itself.
+    /// Notes refused lines of a writer's own transaction, or of one that it wants to begin: also a whole write with a
+    /// `begin` at its start, and with `is_kept_out` the `begin` itself.
     fn note_refused(&mut self, caller: Caller, begins: bool, is_kept_out: bool, error: &Error) {
         let is_whole = self.open.is_some() && self.spoiled.is_none();
         if self.open.is_none() && (begins || is_kept_out) {
@@ -343,7 +337,7 @@ impl State {
         let is_own = self.is_own(caller);
         if self.open.is_some() && !is_own {
             let error = occupied();
-            // A program that loses a line goes on, as a shell does, and must not commit the rest.
+            // A program that loses a line continues, as a shell does, and must not commit the rest.
             if self.is_of_process(caller) && !begins(data) {
                 self.spoiled = self.spoiled.take().or_else(|| Some(error.clone()));
             }
@@ -394,14 +388,14 @@ impl State {
     }
 }
 
-/// Whether the first line of a write(2) is `begin`, with a presence or without.
+/// Whether the first line of a write(2) is `begin`, with or without a presence.
 pub(super) fn begins(data: &[u8]) -> bool {
     let mut lines = data.split(|&byte| byte == b'\n').map(<[u8]>::trim_ascii);
     let first = lines.find(|line| !line.is_empty());
     first.and_then(|line| line.split(u8::is_ascii_whitespace).next()) == Some(b"begin")
 }
 
-/// Whether a line is `begin`. One with a presence is for the gauge that was there then.
+/// Whether a line is `begin`. A presence means the gauge that was there then.
 fn is_begin(line: &str, presence: Epoch<Presence>) -> Result<bool> {
     let (word, then) = split(line);
     if word != "begin" || then.is_empty() {
@@ -508,12 +502,11 @@ fn raw_entry(change: &Change) -> (Key, Entry) {
     ((true, place.subclass, place.offset - at as u16), Entry::Raw { bytes, is_staged })
 }
 
-/// A line's place and value.
 fn split(line: &str) -> (&str, &str) {
     line.split_once(char::is_whitespace).unwrap_or((line, ""))
 }
 
-/// The subclasses, by their indices in the table, that hold reserved bits which these lines are compared with.
+/// Subclasses, by their indices in the table, whose reserved bits are compared with these lines.
 pub(super) fn compared(chip: &'static Chip, data: &[u8]) -> BTreeSet<usize> {
     if !data.ends_with(b"\n") {
         return BTreeSet::new();
@@ -524,7 +517,7 @@ pub(super) fn compared(chip: &'static Chip, data: &[u8]) -> BTreeSet<usize> {
     reserved.filter_map(|(own, _)| chip.subclasses.iter().position(|row| std::ptr::eq(row, own))).collect()
 }
 
-/// `80/53 3100` or `it-cfg/cell-terminate-voltage 3100`, checked as a write to that file is.
+/// `80/53 3100` or `it-cfg/cell-terminate-voltage 3100`, checked as a write to that file.
 fn change(rules: &Rules<'_>, line: &str) -> Result<Change> {
     let (place, value) = split(line);
     let (subclass, parameter) = rules.chip.find(place).map_err(|unnamed| match unnamed {
@@ -545,14 +538,14 @@ fn change(rules: &Rules<'_>, line: &str) -> Result<Change> {
     Ok(change)
 }
 
-/// The answer to a writer whom another one's transaction keeps out.
+/// The answer to a writer kept out by another one's transaction.
 fn occupied() -> Error {
     let why = "the transaction of another open file is open, and takes no lines but its own; close this one, and begin again \
                when that has ended; all lines of a transaction go to one open file";
     Error::new("", Cause::Busy, why)
 }
 
-/// The answer to whatever a transaction that is open keeps out.
+/// The answer to anything that an open transaction keeps out.
 pub(super) fn busy() -> Error {
     let why = "a transaction is open; `commit` or `abort` ends it";
     Error::new("", Cause::Busy, why)
@@ -562,10 +555,10 @@ fn invalid(why: &str) -> Error {
     Error::new("", Cause::Invalid, why.to_string())
 }
 
-/// The error about a place or a name that is no parameter's, with the one that was probably meant. It does not repeat
-/// what was written, which may be a secret in the wrong place.
+/// The error for an unknown place or name, with the parameter that was probably meant. It does not repeat the text,
+/// which may be a secret in the wrong place.
 pub(super) fn unknown(chip: &Chip, place: &str) -> Error {
-    // A path that no file has may be the name of a parameter in another spelling.
+    // A path without a file may be a parameter's name in another spelling.
     let why = match chip.find(place).ok().or_else(|| chip.nearest(place)) {
         Some(row) => format!("no such parameter; did you mean {} ({})?", Place::of(row), row.1.name),
         None => "no such parameter; df/index lists them all".into(),
@@ -585,16 +578,16 @@ mod tests {
         static ENDED: RefCell<Vec<Process>> = const { RefCell::new(Vec::new()) };
     }
 
-    /// A program that writes to the file.
+    /// A writing program.
     #[derive(Clone, Copy, Debug)]
     struct Writer {
-        /// `None` of one that cannot be seen.
+        /// `None` if it is not visible.
         process: Option<u32>,
-        /// It keeps its file open, and does not open it anew for each line.
+        /// It keeps its file open instead of opening it for each line.
         holds: bool,
     }
 
-    /// Two of one process, one in another PID namespace with one open file, and one there with many.
+    /// Two of one process, and two in another PID namespace, with one open file and with many.
     const WRITERS: [Writer; 5] = [
         Writer { process: Some(1), holds: false },
         Writer { process: Some(2), holds: true },
@@ -630,7 +623,7 @@ mod tests {
         ]
     }
 
-    /// What is true of the last transaction.
+    /// The truth about the last transaction.
     #[derive(Default)]
     struct Truth {
         is_open: bool,
@@ -640,11 +633,11 @@ mod tests {
         lines: BTreeMap<&'static str, u16>,
     }
 
-    /// The model: what each writer is to be answered.
+    /// The model: the right answer to each writer.
     struct Model {
         transaction: Transaction,
         truth: Truth,
-        /// Open files that have begun one, and those that are refused.
+        /// Open files that have begun a transaction, and refused ones.
         begun: BTreeSet<u64>,
         refused: BTreeSet<u64>,
         held: [Option<u64>; WRITERS.len()],
@@ -686,7 +679,6 @@ mod tests {
             }
         }
 
-        /// Nobody can go on with it.
         fn is_abandoned(&self) -> bool {
             let has_ended = |process| ENDED.with_borrow(|ended| ended.contains(&process));
             self.truth.file.is_none() && self.truth.process.is_none_or(has_ended)
@@ -774,7 +766,7 @@ mod tests {
                     *truth = Truth { is_open: true, file: Some(file), process, ..Truth::default() };
                     self.begun.insert(file);
                 }
-                // Its own second one: only the open file that has begun the first is in the way of that.
+                // Only the open file that began the first one prevents its own second one.
                 Does::Begin => {
                     truth.is_open &= truth.file != Some(file);
                     self.refused.insert(file);
@@ -811,7 +803,7 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig { cases: 400, ..ProptestConfig::default() })]
 
-        /// Writers that know nothing of each other write lines in turn, each through an open file or many.
+        /// Writers unknown to each other write lines in turn, each through one open file or many.
         #[test]
         fn no_writer_gets_a_line_of_another(
             writers in proptest::sample::subsequence((0..WRITERS.len()).collect::<Vec<_>>(), 2..=3),
@@ -822,7 +814,7 @@ mod tests {
                 let place = if first { "80/53" } else { "48/11" };
                 model.step(writers[writer % writers.len()], does, place);
             }
-            // Whatever they have left keeps nobody out for good.
+            // Their remains keep nobody out for good.
             for writer in writers {
                 model.step(writer, Does::Close, "");
                 model.step(writer, Does::End, "");

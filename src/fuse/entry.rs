@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT
 
-//! The answer to a LOOKUP, written to `/dev/fuse` past the crate `fuser`, which would show the nodeid as the inode number.
-//! A nodeid is larger than 2^32, and a file's attributes have to be valid together with its name.
+//! The answer to a LOOKUP, written to `/dev/fuse` without the crate `fuser`, which would show the nodeid as the inode
+//! number. A nodeid is larger than 2^32, and a file's attributes must be valid together with its name.
 
 use std::fs::File;
 use std::io::Write;
@@ -15,7 +15,6 @@ use fuser::{Errno, FileAttr, FileType, ReplyEntry, Request};
 #[derive(Clone, Default)]
 pub(super) struct Device(Arc<OnceLock<File>>);
 
-/// What a LOOKUP finds.
 pub(super) struct Entry {
     pub(super) nodeid: u64,
     pub(super) attr: FileAttr,
@@ -30,13 +29,11 @@ impl Device {
         Ok(())
     }
 
-    /// Writes a message to the kernel.
     pub(super) fn write(&self, message: &[u8]) -> std::io::Result<()> {
         let mut device = self.0.get().ok_or(nix::errno::Errno::EBADF)?;
         device.write_all(message)
     }
 
-    /// Answers a LOOKUP.
     pub(super) fn answer(&self, request: &Request, entry: &Entry, reply: ReplyEntry) {
         match self.write(&entry.message(request.unique().into())) {
             Ok(()) => give_up(reply),
@@ -45,9 +42,9 @@ impl Device {
     }
 }
 
-/// Gives up a reply whose request is answered. The crate answers once more for one that is dropped, and one that is forgotten
-/// leaves a count behind, which overflows after 2^31 LOOKUPs of a 32-bit program and ends it. There the kernel refuses a second
-/// answer.
+/// Gives up the reply to an answered request. The crate would answer again for a dropped reply, and a forgotten one
+/// leaves a count behind, which overflows after 2^31 LOOKUPs of a 32-bit program and ends it. On 32 bits the kernel
+/// refuses the second answer.
 fn give_up(reply: ReplyEntry) {
     if cfg!(target_pointer_width = "64") {
         std::mem::forget(reply);
@@ -69,7 +66,7 @@ impl Entry {
         let seconds = times.map(|time| time.as_secs());
         let [entry_ttl, attr_ttl] = [self.entry_ttl, self.attr_ttl];
         let mut body = Message(Vec::with_capacity(144));
-        // What goes into the header is known before the body: its length does not vary.
+        // The header comes before the body is known: its length does not vary.
         body.words32(&[144, 0]).words64(&[unique]);
         body.words64(&[self.nodeid, 0, entry_ttl.as_secs(), attr_ttl.as_secs()]);
         body.words32(&[entry_ttl.subsec_nanos(), attr_ttl.subsec_nanos()]);
@@ -112,7 +109,7 @@ mod tests {
     use super::*;
     use fuser::INodeNo;
 
-    /// As a kernel's header has the structures.
+    /// In the order of a kernel's header.
     #[test]
     fn an_entry_has_its_place_for_each_field() {
         let at = |seconds, nanos| SystemTime::UNIX_EPOCH + Duration::new(seconds, nanos);

@@ -37,19 +37,19 @@ const SETTLING: Duration = Duration::from_millis(50);
 /// [`RENEWAL_DELAY`] without asking, so that it asks before it uses one that rests.
 const IN_USE: Duration = RENEWAL_DELAY.saturating_mul(2);
 
-/// How long such a nodeid is in use if the kernel has been given the whole value, has nothing to drop of it, and asks for the
-/// name each time.
+/// How long such a nodeid is in use if the kernel has its whole value, has nothing to drop, and asks for the name each
+/// time.
 const READ_THROUGH: Duration = Duration::from_secs(1);
 
-/// As many nodeids as this are in the table whether they are in use or not.
+/// The table keeps so many nodeids, in use or not.
 const SPARE: usize = 128;
 /// For how long the kernel keeps a folder's names.
 const LISTING_KEPT: Duration = Duration::from_secs(10);
 
-/// A nodeid's bits from this one on distinguish it from others of the same file; those below are the number of its node.
-/// The numbers of folders and links have only those.
+/// A nodeid's bits from here on tell it apart from others of the same file; the lower ones are its node's number.
+/// Folders and links have only those.
 const TURN: u32 = 32;
-/// How many nodeids a file can have until one comes again, if the kernel does not know it any more.
+/// Number of nodeids of a file before one repeats, if the kernel has forgotten it.
 const TURNS: u64 = 1 << 31;
 
 /// The present time on both clocks: one measures delays, the other is shown as a file's time.
@@ -61,14 +61,13 @@ pub(super) struct Now {
     pub(super) time: SystemTime,
 }
 
-/// The value that a nodeid shows.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Value {
     /// A file's bytes.
     Bytes(Arc<[u8]>),
-    /// A file that has not been read from the gauge yet, and its apparent size.
+    /// A file not yet read from the gauge, and its apparent size.
     Unread(u64),
-    /// A file held open whose value does not exist any more.
+    /// A file held open whose value no longer exists.
     Gone,
 }
 
@@ -84,7 +83,7 @@ impl Value {
 
     fn size(&self) -> u64 {
         match self {
-            // Not 0: the kernel answers a read at the end of a file by itself, and would not return ENODEV.
+            // Not 0: the kernel answers a read at a file's end by itself, and would not return ENODEV.
             Value::Gone => 4096,
             Value::Bytes(bytes) => bytes.len() as u64,
             Value::Unread(size) => *size,
@@ -92,60 +91,55 @@ impl Value {
     }
 }
 
-/// What `stat` shows of a nodeid, apart from what follows from its node.
+/// What `stat` shows of a nodeid, besides what follows from its node.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Shown {
     pub(super) number: u64,
     pub(super) node: Node,
     pub(super) size: u64,
-    /// When the nodeid got its present value.
     pub(super) since: SystemTime,
-    /// How long the kernel may keep this, which is not longer than until a renewal.
+    /// How long the kernel may keep this: at most until a renewal.
     pub(super) valid: Duration,
 }
 
-/// Which lookups find a nodeid.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Sharing {
-    /// None but the first one.
+    /// Only the first one.
     Alone,
-    /// All, as long as the value is the same; of an unread value those of this thread.
+    /// All while the value is the same; with an unread value only this thread's.
     By(u32),
-    /// All, as long as the value is the same. The kernel may keep its name.
+    /// All while the value is the same. The kernel may keep its name.
     All,
 }
 
-/// How soon a program reads on after an `fstat` that has failed.
+/// Limit for a read after a failed `fstat`.
 const FOLLOWS: Duration = Duration::from_secs(1);
 
-/// One nodeid. `W` is a request that waits for the value.
 #[derive(Debug)]
 pub(super) struct Inode<W> {
-    /// How often the kernel has looked it up and not forgotten it; [`UNKNOWN`] of one that has rested.
+    /// Lookups that the kernel has not forgotten; [`UNKNOWN`] after a rest.
     lookups: u64,
     sharing: Sharing,
     value: Value,
     since: SystemTime,
-    /// When another value took its place, while that is not yet shown under this nodeid.
+    /// When another value took its place, until that is shown under this nodeid.
     superseded: Option<Instant>,
-    /// When it was last renewed, if that is less than [`SETTLING`] ago.
     renewed: Option<Instant>,
-    /// Writes that have not been answered. The kernel keeps the file's page locked until they are.
+    /// Unanswered writes. The kernel keeps the file's page locked meanwhile.
     writing: u32,
     /// Requests that wait for an unread value, from the first READ until the value arrives.
     waiting: Option<Vec<W>>,
-    /// A thread that may be about to write, and how often it has asked for the attribute that says so.
+    /// A thread that may be about to write, and how often it has asked for the attribute that shows this.
     asked: (u32, u32),
-    /// How often its attributes were asked for since it was looked up; `None` once it was opened to be overwritten.
+    /// Requests for its attributes since the lookup; `None` once it was opened for overwriting.
     looks: Option<u32>,
     /// The errno of a value that `fstat` asked for, until a read has got it as well.
     refusal: Option<(Errno, Instant)>,
-    /// When something was last asked of it.
     used: Instant,
-    /// The kernel has been given the whole value.
+    /// The kernel has the whole value.
     is_read: bool,
-    /// The kernel has been told to drop its bytes. Even if it has been given them again: the answer to another reader, which
-    /// says so too, may be on its way, and that reader then asks for them once more.
+    /// The kernel was told to drop its bytes. It stays set after they are read again: another reader's answer with the
+    /// same order may be on its way, and that reader then asks once more.
     was_dropped: bool,
 }
 
@@ -172,7 +166,6 @@ impl<W> Inode<W> {
         }
     }
 
-    /// The value that it shows.
     pub(super) fn value(&self) -> &Value {
         &self.value
     }
@@ -182,12 +175,10 @@ impl<W> Inode<W> {
         self.waiting.is_some()
     }
 
-    /// Whether its value has to be read from the gauge.
     pub(super) fn is_unread(&self) -> bool {
         matches!(self.value, Value::Unread(_))
     }
 
-    /// Whether its value does not exist any more.
     pub(super) fn is_gone(&self) -> bool {
         self.value == Value::Gone
     }
@@ -196,7 +187,6 @@ impl<W> Inode<W> {
         self.writing == 0 && !self.is_awaited()
     }
 
-    /// Whether nothing needs to be known of it.
     fn rests(&self, now: Now) -> bool {
         let is_done = self.is_read && !self.was_dropped && self.sharing != Sharing::All;
         let delay = if is_done { READ_THROUGH } else { IN_USE };
@@ -205,18 +195,18 @@ impl<W> Inode<W> {
 
     /// When it is renewed; `None` while it is up to date or in use.
     fn due(&self) -> Option<Instant> {
-        // Whoever opened a file alone asks before each read, and reads what it was answered.
+        // A file opened alone is asked for before each read, and shows that answer.
         let delay = if self.sharing == Sharing::Alone { Duration::ZERO } else { RENEWAL_DELAY };
         self.superseded.filter(|_| self.is_idle()).map(|since| since + delay)
     }
 
-    /// What `stat` shows of it; `number` is its own.
     fn shown(&self, number: u64, now: Now) -> Option<Shown> {
         let node = node(number)?;
-        // One that is not shared may rest sooner, and whoever reads past the kernel's copy (O_DIRECT) has to ask before.
+        // A nodeid that is not shared may rest sooner, and readers past the kernel's copy (O_DIRECT) have to ask
+        // before.
         let most = if self.sharing == Sharing::All { RENEWAL_DELAY } else { READ_THROUGH / 2 };
         let valid = match self.superseded {
-            // Whoever reads an unread value has to ask before: from Linux 7.2 on, only that answer's errno reaches programs.
+            // Readers of an unread value must ask before: from Linux 7.2 on, only that answer's errno reaches programs.
             _ if self.renewed.is_some() || self.is_unread() => Duration::ZERO,
             // Even if it is superseded at once, it is not renewed earlier.
             None => most,
@@ -228,17 +218,14 @@ impl<W> Inode<W> {
     }
 }
 
-/// The file, folder or link of a nodeid.
 pub(super) fn node(number: u64) -> Option<Node> {
     Node::at(number as u32)
 }
 
-/// A listing that the kernel may keep.
 #[derive(Debug)]
 struct Listing {
-    /// Of its names; `None` if it is certain that the kernel keeps another one.
+    /// Hash of the names; `None` if the kernel certainly keeps others.
     hash: Option<u64>,
-    /// When it changed.
     since: SystemTime,
     /// When the kernel was given it; `None` if it keeps none.
     given: Option<Instant>,
@@ -251,17 +238,16 @@ pub(super) struct Inodes<W> {
     turn: u64,
     started: SystemTime,
     live: BTreeMap<u64, Inode<W>>,
-    /// The nodeid that a lookup of the node of that number finds, unless the value has changed.
+    /// The nodeid that a lookup of a node finds, unless the value has changed.
     current: BTreeMap<u32, u64>,
     listings: HashMap<Node, Listing>,
-    /// How many nodeids there may be before those that rest are dropped.
+    /// Number of nodeids above which resting ones are dropped.
     room: usize,
     /// When that was last done.
     tidied: Instant,
 }
 
 impl<W> Inodes<W> {
-    /// A table that holds nothing yet.
     pub(super) fn new(now: Now) -> Self {
         Self {
             turn: 0,
@@ -274,24 +260,20 @@ impl<W> Inodes<W> {
         }
     }
 
-    /// A nodeid of a file, if it is in use.
     pub(super) fn get(&self, number: u64) -> Option<&Inode<W>> {
         self.live.get(&number)
     }
 
-    /// What `stat` shows of a nodeid of a file, if it is in use.
     pub(super) fn shown(&self, number: u64, now: Now) -> Option<Shown> {
         self.get(number)?.shown(number, now)
     }
 
-    /// What `stat` shows of a folder or a link.
     pub(super) fn fixed(&self, node: Node) -> Shown {
         let number = node.place().into();
         let since = self.listings.get(&node).map_or(self.started, |listing| listing.since);
         Shown { number, node, size: 0, since, valid: Duration::ZERO }
     }
 
-    /// A new nodeid of a file.
     fn next(&mut self, node: Node) -> u64 {
         loop {
             self.turn = self.turn % (TURNS - 1) + 1;
@@ -302,8 +284,8 @@ impl<W> Inodes<W> {
         }
     }
 
-    /// Drops the nodeids that rest, if there are many: at once if many were entered since the last time, and otherwise when
-    /// those of that time may rest by now.
+    /// Drops resting nodeids if there are many: at once after many additions, otherwise when those of the last time may
+    /// rest.
     pub(super) fn tidy(&mut self, now: Now) {
         let is_time = self.live.len() > SPARE && now.instant >= self.tidied + IN_USE;
         if self.live.len() < self.room && !is_time {
@@ -314,20 +296,19 @@ impl<W> Inodes<W> {
         self.current.retain(|_, number| self.live.contains_key(number));
     }
 
-    /// A nodeid that rests is used again: it shows the file's present value from now on.
+    /// Uses a resting nodeid again: it shows the file's present value from now on.
     pub(super) fn wake(&mut self, number: u64, value: Value, sharing: Sharing, now: Now) {
-        // The kernel may have the bytes that it showed before.
+        // The kernel may have the earlier bytes.
         let renewed = Some(now.instant);
         let inode = Inode { lookups: UNKNOWN, renewed, was_dropped: true, ..Inode::new(value, sharing, now) };
         self.live.entry(number).or_insert(inode);
     }
 
-    /// The nodeid of a node's present value, if one is in use.
     pub(super) fn current(&self, node: Node) -> Option<u64> {
         self.current.get(&node.place()).copied()
     }
 
-    /// Counts a lookup of a node that has this value now, and returns its nodeid.
+    /// Counts a lookup of a node with this value, and returns its nodeid.
     ///
     /// An unread file has a nodeid for each thread that looks it up. The kernel corrects the file's
     /// estimated size when a READ returns less, but only if no LOOKUP or GETATTR of that nodeid was answered
@@ -360,7 +341,7 @@ impl<W> Inodes<W> {
         shown
     }
 
-    /// The kernel has been given a nodeid's bytes up to there.
+    /// Notes that the kernel has a nodeid's bytes up to `end`.
     pub(super) fn served(&mut self, number: u64, end: u64, now: Now) {
         let Some(inode) = self.live.get_mut(&number) else { return };
         inode.used = now.instant;
@@ -370,7 +351,7 @@ impl<W> Inodes<W> {
     /// Marks a nodeid as superseded: its node has another value now.
     pub(super) fn retire(&mut self, number: u64, now: Now) {
         let Some(inode) = self.live.get_mut(&number) else { return };
-        // An unread nodeid has not shown any value yet, so there is nothing to keep.
+        // An unread nodeid has not shown any value, so nothing is kept.
         if !matches!(inode.value, Value::Unread(_)) {
             inode.superseded.get_or_insert(now.instant);
         }
@@ -385,8 +366,7 @@ impl<W> Inodes<W> {
         }
     }
 
-    /// The files of which a change has to be noticed: those that show a value which was read and is not
-    /// superseded.
+    /// Files whose changes must be noticed: those that show a read value that is not superseded.
     pub(super) fn up_to_date(&self) -> impl Iterator<Item = (u64, Node, &Value)> {
         let files = self
             .live
@@ -395,8 +375,8 @@ impl<W> Inodes<W> {
         files.filter_map(|(&number, inode)| Some((number, node(number)?, &inode.value)))
     }
 
-    /// Adds a request that waits for an unread value. Returns whether it is the first, so that the caller
-    /// has to ask for the value.
+    /// Adds a request that waits for an unread value. Returns whether it is the first, which means that the caller has
+    /// to ask for the value.
     pub(super) fn wait(&mut self, number: u64, waiter: W) -> bool {
         let Some(inode) = self.live.get_mut(&number) else { return false };
         let first = inode.waiting.is_none();
@@ -404,8 +384,8 @@ impl<W> Inodes<W> {
         first
     }
 
-    /// Takes the value that was asked for, `None` if it could not be read. Returns what the nodeid shows now,
-    /// and the requests that waited.
+    /// Takes the requested value, `None` if it could not be read. Returns what the nodeid shows now, and the requests
+    /// that waited.
     pub(super) fn arrived(
         &mut self,
         number: u64,
@@ -444,8 +424,8 @@ impl<W> Inodes<W> {
         }
     }
 
-    /// The attributes of a nodeid are asked for. Returns whether somebody has it open: both `stat` and `open` look the name up
-    /// and ask once, so that only `fstat` can ask again. Nobody who has opened the file to overwrite it wants its value.
+    /// Counts a request for a nodeid's attributes. Returns whether somebody has it open: both `stat` and `open` look
+    /// the name up and ask once, so only `fstat` can ask again. An opener for overwriting does not want the value.
     pub(super) fn ask(&mut self, number: u64) -> bool {
         let Some(looks) = self.live.get_mut(&number).and_then(|inode| inode.looks.as_mut()) else {
             return false;
@@ -454,43 +434,43 @@ impl<W> Inodes<W> {
         *looks > 1
     }
 
-    /// Keeps the errno of a value that only `fstat` has asked for. Many programs read on after an `fstat` that fails, and would
-    /// not hear of a gauge that stays open.
+    /// Keeps the errno of a value that only `fstat` has asked for. Many programs read on after a failed `fstat`, and
+    /// would not hear of a gauge that stays open.
     pub(super) fn refuse(&mut self, number: u64, errno: Errno, now: Now) {
         if let Some(inode) = self.live.get_mut(&number) {
             inode.refusal = Some((errno, now.instant));
         }
     }
 
-    /// The errno for a read, once, and only for one that follows on the `fstat`.
+    /// The errno for a read that follows the `fstat`, once.
     pub(super) fn take_refusal(&mut self, number: u64, now: Now) -> Option<Errno> {
         let (errno, since) = self.live.get_mut(&number)?.refusal.take()?;
         (now.instant.saturating_duration_since(since) < FOLLOWS).then_some(errno)
     }
 
-    /// A nodeid is to be overwritten.
+    /// Notes that a nodeid will be overwritten.
     pub(super) fn overwrite(&mut self, number: u64) {
         if let Some(inode) = self.live.get_mut(&number) {
             inode.looks = None;
         }
     }
 
-    /// A thread asks for the attribute that the kernel asks for before a write.
+    /// Notes that a thread asks for the attribute that precedes a write.
     pub(super) fn asks(&mut self, number: u64, thread: u32) {
         let Some(inode) = self.live.get_mut(&number) else { return };
         let before = if inode.asked.0 == thread { inode.asked.1 } else { 0 };
         inode.asked = (thread, before + 1);
     }
 
-    /// The thread removes that attribute. Returns whether this is because it writes: before that the kernel asks twice,
-    /// and before it changes the owner once.
+    /// The thread removes that attribute. Returns whether it is about to write: the kernel asks twice before a write,
+    /// and once before a change of owner.
     pub(super) fn is_about_to_write(&mut self, number: u64, thread: u32) -> bool {
         let Some(inode) = self.live.get_mut(&number) else { return false };
         let (by, count) = std::mem::take(&mut inode.asked);
         by == thread && count >= 2
     }
 
-    /// A write through this nodeid has begun. Whatever comes of it, the kernel's copy holds what was written.
+    /// A write through this nodeid begins. The kernel's copy has the written text, whatever the outcome.
     pub(super) fn write_begins(&mut self, number: u64, now: Now) {
         self.retire(number, now);
         if let Some(inode) = self.live.get_mut(&number) {
@@ -498,8 +478,8 @@ impl<W> Inodes<W> {
         }
     }
 
-    /// The write is about to be answered. The nodeid shows the file's present value from now on, so that the
-    /// writer reads the result of its write.
+    /// A write is about to be answered. The nodeid now shows the file's present value, so that the writer reads the
+    /// write's result.
     pub(super) fn write_ends(&mut self, number: u64, value: Value, now: Now) {
         let Some(inode) = self.live.get_mut(&number) else { return };
         inode.writing -= 1;
@@ -508,7 +488,7 @@ impl<W> Inodes<W> {
         }
     }
 
-    /// The node of a nodeid that has to be renewed before it is shown; `None` if it need not be.
+    /// The node of a nodeid that must be renewed before it is shown.
     pub(super) fn due(&self, number: u64, now: Now) -> Option<Node> {
         let inode = self.get(number)?;
         inode.due().filter(|due| *due <= now.instant).and_then(|_| node(number))
@@ -525,8 +505,8 @@ impl<W> Inodes<W> {
         self.touch(number);
     }
 
-    /// Ends the time of settling, or gives the nodeid a new file time until then. During a write it gets one each time:
-    /// the kernel's page has what is being written, and whoever drops it waits until the write is answered.
+    /// Ends settling, or until then gives the nodeid a new file time. During a write it gets one each time: the
+    /// kernel's page has what is being written, and a reader that drops it waits until the write is answered.
     pub(super) fn settle(&mut self, number: u64, now: Now) {
         let Some(inode) = self.live.get_mut(&number) else { return };
         inode.used = now.instant;
@@ -536,7 +516,7 @@ impl<W> Inodes<W> {
         }
     }
 
-    /// The kernel has been given a folder's names, or with `continued` more of them, and may keep them.
+    /// The kernel got a folder's names, or with `continued` more of them, and may keep them.
     pub(super) fn listed(&mut self, folder: Node, hash: u64, continued: bool, now: Now) {
         let since = self.started;
         let listing = self.listings.entry(folder).or_insert(Listing { hash: None, since, given: None });
@@ -544,8 +524,8 @@ impl<W> Inodes<W> {
         listing.given = Some(now.instant);
     }
 
-    /// Whether the kernel is to drop a folder's names although they have not changed: to compare them at every poll costs
-    /// more than to give them again to whoever still uses them. The folder's time differs by a nanosecond then.
+    /// Whether the kernel must drop a folder's unchanged names: comparing them at every poll costs more than sending
+    /// them again to a later reader. The folder's time then differs by a nanosecond.
     pub(super) fn has_rested(&mut self, folder: Node, now: Now) -> bool {
         let Some(listing) = self.listings.get_mut(&folder) else { return false };
         if listing.given.is_none_or(|given| now.instant < given + LISTING_KEPT) {
@@ -556,12 +536,11 @@ impl<W> Inodes<W> {
         true
     }
 
-    /// Whether the kernel may keep a folder's names.
     pub(super) fn is_listed(&self, folder: Node) -> bool {
         self.listings.get(&folder).is_some_and(|listing| listing.given.is_some())
     }
 
-    /// Whether the names that the kernel may keep are other ones than these. The folder has another time then.
+    /// Whether the kernel may keep other names than these. The folder then has another time.
     pub(super) fn has_outdated(&mut self, folder: Node, hash: u64, now: Now) -> bool {
         let Some(listing) = self.listings.get_mut(&folder).filter(|listing| listing.hash != Some(hash))
         else {
@@ -571,8 +550,7 @@ impl<W> Inodes<W> {
         true
     }
 
-    /// Changes a nodeid's file time, because the kernel drops the bytes that it has when it sees another one. It asks for
-    /// them again then.
+    /// Changes a nodeid's file time, so that the kernel drops its bytes and asks for them again.
     pub(super) fn touch(&mut self, number: u64) {
         if let Some(inode) = self.live.get_mut(&number) {
             inode.since += Duration::from_nanos(1);
@@ -581,8 +559,8 @@ impl<W> Inodes<W> {
     }
 }
 
-/// Counts a lookup of a node, whose value is asked for under the lock: if it changed in between, nobody would notify the
-/// kernel of it. `None` if the file does not exist.
+/// Counts a lookup of a node. The value is asked for under the lock: nobody would notify the kernel of a change in
+/// between. `None` if the file does not exist.
 pub(super) fn look_up<W>(
     table: &impl Shared<Inodes<W>>,
     node: Node,
@@ -593,7 +571,7 @@ pub(super) fn look_up<W>(
     table.with(|inodes| content().map(|value| inodes.enter(node, value, sharing, now)))
 }
 
-/// A write through a nodeid is about to be answered; its file's value is asked for under the lock.
+/// A write through a nodeid is about to be answered; the file's value is asked for under the lock.
 pub(super) fn end_write<W>(
     table: &impl Shared<Inodes<W>>,
     number: u64,
@@ -603,7 +581,7 @@ pub(super) fn end_write<W>(
     table.with(|inodes| inodes.write_ends(number, present(), now));
 }
 
-/// Retires every nodeid whose file has another value now. Returns whether the kernel keeps the name of one.
+/// Retires every nodeid whose file has another value now. Returns whether the kernel keeps one of their names.
 pub(super) fn retire_outdated<W>(
     table: &impl Shared<Inodes<W>>,
     has_changed: impl Fn(Node) -> bool,
@@ -622,7 +600,7 @@ pub(super) fn retire_outdated<W>(
             continue;
         }
         table.with(|inodes| {
-            // The kernel asks for other names each time they are used.
+            // The kernel asks again for other names at each use.
             outdated |= inodes.current(node) == Some(number) && may_be_cached(node);
             inodes.retire(number, now());
         });
@@ -818,7 +796,7 @@ mod tests {
         }
     }
 
-    /// Reading whole trees enters many at once, and then nobody enters any more.
+    /// Reading whole trees adds many at once, and nothing afterwards.
     #[test]
     fn regression_nodeids_of_a_burst_stayed_for_as_long_as_nobody_entered_another_one() {
         let mut inodes = inodes();
@@ -848,8 +826,8 @@ mod tests {
         assert_eq!(inodes.live.len(), 2, "they are to be read now");
     }
 
-    /// Somebody has set its times, for example: a reader that is slow then got ESTALE. So did one of two whose answer the
-    /// kernel took up only after the other had read.
+    /// Somebody sets its times, for example: a slow reader then got ESTALE. So did one of two readers whose answer the
+    /// kernel used only after the other had read.
     #[test]
     fn regression_a_nodeid_whose_bytes_the_kernel_drops_rested_as_one_that_was_read() {
         for (sharing, is_read_again) in
@@ -1028,7 +1006,7 @@ mod tests {
         assert_eq!(shown(&inodes, number, 300).valid, Duration::ZERO);
     }
 
-    /// Whoever reads past the kernel's copy is answered only while it is in use.
+    /// Readers past the kernel's copy are answered only while it is in use.
     #[test]
     fn attributes_are_not_valid_for_longer_than_a_nodeid_that_was_read_is_in_use() {
         for sharing in [Sharing::Alone, THREAD, Sharing::All] {
@@ -1192,7 +1170,7 @@ mod tests {
             as_value(self.bytes(file).as_deref())
         }
 
-        /// Any nodeid that the kernel knows.
+        /// A nodeid known to the kernel.
         fn pick(&self, at: usize) -> Option<u64> {
             self.known.keys().nth(at.checked_rem(self.known.len())?).copied()
         }

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! What the machine has to have before anything can be mounted, and the only way to mount.
+//! What the machine needs before anything can be mounted, and the only way to mount.
 
 use std::env;
 use std::ffi::OsStr;
@@ -19,7 +19,7 @@ use crate::error::{Error, Result};
 /// The kernel's end of a mount.
 const DEVICE: &str = "/dev/fuse";
 
-/// The programs that mount for ordinary users. The crate `fuser` finds them in the same places.
+/// Programs that mount for ordinary users, in the places where `fuser` finds them.
 const HELPERS: [&str; 2] = ["fusermount3", "fusermount"];
 
 /// The program that mounts and unmounts for users other than root.
@@ -37,7 +37,7 @@ pub fn helper() -> Option<PathBuf> {
     }
 }
 
-/// Whether this process can mount: by itself, as root and as whoever has a user namespace, or with fusermount3.
+/// Whether this process can mount: by itself, as root or in its user namespace, or with fusermount3.
 pub fn rights() -> Result<()> {
     let is_able = capabilities(None).is_ok_and(|sets| sets.effective.contains(CapabilitySet::SYS_ADMIN));
     if is_able || geteuid().is_root() || helper().is_some() {
@@ -63,8 +63,8 @@ pub fn device() -> Result<()> {
     Err(Error::host(DEVICE, error.errno(), format!("{}; {remedy}", error.reason())))
 }
 
-/// Mounts a file system, whose name in the mount table begins with `source`. What the machine lacks for it is told before
-/// the crate `fuser` tries, which has only an errno for it.
+/// Mounts a file system whose name in the mount table begins with `source`. Reports what the machine lacks before the
+/// crate `fuser` tries, which has only an errno for it.
 pub(super) fn session<F: Filesystem + 'static>(
     filesystem: F,
     path: &Path,

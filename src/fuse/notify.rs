@@ -33,10 +33,10 @@ use crate::error::{Cause, Error, Result};
 use crate::fs::{Fs, Node};
 use gauge_owner::Signal;
 
-/// The code of the notification that makes the kernel look up every name again.
+/// The notification that makes the kernel look up every name again.
 const FUSE_NOTIFY_INC_EPOCH: u32 = 8;
 
-/// An answer to a write, given when the kernel has been notified of everything that the write changed.
+/// The answer to a write, given when the kernel knows everything that the write changed.
 pub(super) type Answer = Box<dyn FnOnce() + Send>;
 
 /// Controls the thread that notifies the kernel.
@@ -54,9 +54,8 @@ pub struct Announcer {
 #[derive(Default)]
 pub(super) struct Queue {
     answers: Vec<Answer>,
-    /// The thread has to end after these answers.
+    /// The thread ends after these answers.
     stopping: bool,
-    /// The thread has ended.
     stopped: bool,
 }
 
@@ -76,8 +75,8 @@ impl Queue {
     }
 }
 
-/// What the thread does: whenever it was woken it announces what has changed, and then gives the answers that were
-/// waiting before, so that whoever reads right after a write gets the result of the write.
+/// The thread's work: whenever woken it announces changes, and then gives the answers that waited before, so that a
+/// read right after a write gets the write's result.
 pub(super) fn serve(queue: &impl Shared<Queue>, mut wait: impl FnMut(), mut announce: impl FnMut()) {
     loop {
         wait();
@@ -90,7 +89,7 @@ pub(super) fn serve(queue: &impl Shared<Queue>, mut wait: impl FnMut(), mut anno
     }
 }
 
-/// The thread has ended. However that came, no write is left without an answer.
+/// The thread has ended. No write stays without an answer, however that came.
 pub(super) fn end(queue: &impl Shared<Queue>) {
     let answers = queue.with(|queue| {
         queue.stopped = true;
@@ -100,13 +99,13 @@ pub(super) fn end(queue: &impl Shared<Queue>) {
 }
 
 impl Announcer {
-    /// An announcer whose thread has not been started; `signal` wakes it.
+    /// An announcer without a thread; `signal` wakes it.
     pub(super) fn new(signal: Arc<Signal>) -> Self {
         let (queue, device, ending) = Default::default();
         Self { queue, signal, device, keeps_names: Arc::default(), ending }
     }
 
-    /// Lets the kernel keep the names of files, if it can be notified that they are out of date.
+    /// Lets the kernel keep names of files, if it can be told when they are outdated.
     pub(super) fn keep_names(&self) {
         match look_up_again(&self.device) {
             Ok(()) => self.keeps_names.store(true, Ordering::Relaxed),
@@ -114,22 +113,21 @@ impl Announcer {
         }
     }
 
-    /// Whether the kernel may keep the names of files.
     pub(super) fn keeps_names(&self) -> bool {
         self.keeps_names.load(Ordering::Relaxed)
     }
 
-    /// Starts the thread, before the first request is answered. It ends when the session has ended.
+    /// Starts the thread before the first request is answered. It ends after the session.
     pub(super) fn start(&self, fs: Arc<Fs>, table: Arc<Table>, notifier: Notifier) -> Result<()> {
-        // The kernel knows no mode of a folder until its first GETATTR is answered, and drops an answer that a notification
-        // overtakes: ordinary users are then refused. So none is sent before the folder has been listed.
+        // The kernel knows no mode of a folder until its first GETATTR is answered, and drops an answer that a
+        // notification overtakes, which refuses ordinary users. So none is sent before the folder was listed.
         let mut announcing = Announcing { fs, table, notifier, announcer: self.clone() };
         let builder = std::thread::Builder::new().name("notify".into()).stack_size(128 * 1024);
         let started = builder.spawn(move || announcing.run());
         started.map(drop).map_err(|error| host("a thread", &error))
     }
 
-    /// Gives an answer when the kernel has been notified of everything that has changed until now.
+    /// Gives an answer when the kernel knows everything that has changed until now.
     pub(super) fn answer(&self, answer: Answer) {
         match self.add(answer, false) {
             Some(answer) => answer(),
@@ -137,29 +135,29 @@ impl Announcer {
         }
     }
 
-    /// Refuses every later write, and every later read of a value that has to be read from a gauge.
+    /// Refuses later writes, and later reads of values from a gauge.
     pub fn refuse(&self) {
         *lock(&self.ending) = true;
     }
 
-    /// Passes a request on to a gauge's owner, or refuses it because the daemon is ending. A request that is
-    /// passed on precedes whatever the daemon sends to the owner after [`Self::refuse`].
+    /// Passes a request to a gauge's owner, or refuses it because the daemon is ending. A passed request comes before
+    /// what the daemon sends to the owner after [`Self::refuse`].
     pub(super) fn pass_on(&self, request: impl FnOnce(Option<Error>)) {
         let ending = lock(&self.ending);
         let why = "gaugefs is ending, so nothing was sent; mount again and try again";
         request(ending.then(|| Error::new("", Cause::NotNow, why)));
     }
 
-    /// Gives the answers that are waiting. When it returns, no notification is under way, and none will follow.
+    /// Gives the waiting answers. When it returns, no notification is under way or will follow.
     pub fn stop(&self) {
         let (last, is_given) = mpsc::channel::<()>();
         self.add(Box::new(move || drop(last)), true);
         self.signal.raise();
-        // Nothing is sent: the channel disconnects when the last answer is given.
+        // Nothing is sent: the channel disconnects with the last answer.
         let _ = is_given.recv();
     }
 
-    /// Has the thread give the answers that are waiting, and end.
+    /// Makes the thread give the waiting answers and end.
     pub(super) fn close(&self) {
         lock(&self.queue).stopping = true;
         self.signal.raise();
@@ -171,7 +169,6 @@ impl Announcer {
     }
 }
 
-/// The thread.
 struct Announcing {
     fs: Arc<Fs>,
     table: Arc<Table>,
@@ -190,20 +187,20 @@ impl Announcing {
         let (mut seen, queue, signal) = (0, self.announcer.queue.clone(), self.announcer.signal.clone());
         let wait = || seen = signal.wait(seen, None);
         serve(&*queue, wait, || {
-            // After a panic the kernel is notified of these values with the next ones.
+            // After a panic the kernel is told of these values with the next ones.
             if catch_unwind(AssertUnwindSafe(|| self.announce())).is_err() {
                 self.fs.report_defect(None);
             }
         });
     }
 
-    /// Retires every nodeid whose file has another value now, then notifies the kernel if it keeps one of their
-    /// names. Looks only at the gauges that have changed, because many gauges are polled one after the other.
+    /// Retires every nodeid whose file has another value now, then notifies the kernel if it keeps one of their names.
+    /// Looks only at changed gauges, because many gauges are polled one after the other.
     fn announce(&mut self) {
         let gauges = self.announcer.signal.take_changed();
         let has_changed = |node: Node| match node {
             Node::Of(gauge, _) => gauges.contains(&gauge),
-            // The Mains supply's values follow from all gauges.
+            // The Mains supply follows from all gauges.
             Node::Mains(_) => !gauges.is_empty(),
             Node::Root | Node::Covered(_) => false,
         };
@@ -223,12 +220,12 @@ impl Announcing {
         self.announce_folders(&gauges);
     }
 
-    /// The kernel keeps listings as well; some change when a value appears or disappears. It drops a listing when
-    /// it finds that the folder's time has changed.
+    /// The kernel also keeps listings; some change when a value appears or disappears. It drops a listing after a
+    /// change of the folder's time.
     fn announce_folders(&mut self, gauges: &[u16]) {
         for folder in self.fs.changing_folders(gauges) {
             if !lock(&self.table).is_listed(folder) {
-                // The kernel has not asked for its names.
+                // The kernel has not asked for the names.
                 continue;
             }
             let is_outdated = lock(&self.table).has_rested(folder, Now::read()) || {
@@ -236,22 +233,22 @@ impl Announcing {
                 lock(&self.table).has_outdated(folder, names, Now::read())
             };
             if is_outdated {
-                // It fails if the kernel has forgotten the folder. Without an offset, only what `stat` shows is
-                // invalid from now on; the pages of the listing stay, and so nothing waits for them.
+                // It fails if the kernel has forgotten the folder. Without an offset, only what `stat` shows becomes
+                // invalid; the listing's pages stay, so nothing waits for them.
                 let _ = self.notifier.inval_inode(INodeNo(folder.place().into()), -1, 0);
             }
         }
     }
 }
 
-/// A hash of a folder's listing, to notice that it has changed.
+/// A hash of a listing, to notice changes.
 pub(super) fn hash(names: &[(String, Node)]) -> u64 {
     let mut hasher = DefaultHasher::new();
     names.hash(&mut hasher);
     hasher.finish()
 }
 
-/// Makes the kernel look up every name again before it uses it. The crate `fuser` does not have this notification.
+/// Makes the kernel look up every name again before using it. The crate `fuser` lacks this notification.
 fn look_up_again(device: &Device) -> std::io::Result<()> {
     // struct fuse_out_header: length, code, and 0 in place of a request's number.
     let mut message = [0; 16];

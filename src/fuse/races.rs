@@ -1,12 +1,11 @@
 // SPDX-License-Identifier: MIT
 
-//! Schedules of the threads of a mount: owners that publish, the thread that notifies, and the kernel that looks up,
-//! reads, writes and forgets. The table of nodeids and the queue of answers are the real ones; whose turn it is when one
-//! of them is locked is chosen by the crate `shuttle`, from a seed. GAUGEFS_SEEDS sets how many schedules there are,
-//! GAUGEFS_SEED which is the first one.
+//! Schedules of a mount's threads: owners that publish, the thread that notifies, and the kernel that looks up, reads,
+//! writes and forgets. The table of nodeids and the queue of answers are the real ones; the crate `shuttle` chooses
+//! from a seed whose turn it is at each lock. GAUGEFS_SEEDS sets the number of schedules, GAUGEFS_SEED the first one.
 //!
-//! The kernel of these tests keeps a name as Linux does: with the epoch at which it asked for it, so that one that was
-//! asked for before a notification is not used after it.
+//! The kernel of these tests keeps a name as Linux does, with the epoch of its request, so that a name requested before
+//! a notification is not used after it.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant, SystemTime};
@@ -23,7 +22,7 @@ use crate::fs::{DfItem, Item, Node};
 
 /// Schedules of each test in the everyday run.
 const SCHEDULES: usize = 300;
-/// Of those that are drawn so: how often another thread goes first.
+/// Schedules with a fixed number of switches to another thread.
 const SWITCHES: usize = 3;
 
 const FILE: Node = Node::Of(0, Item::Df(DfItem::Raw(0)));

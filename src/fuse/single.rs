@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT
 
-//! A mount that is one file, whose requests the caller answers itself.
+//! A mount of one file whose requests the caller answers itself.
 //!
-//! The crate `fuser` mounts it and agrees with the kernel on the protocol. It does not answer the requests: of an ioctl it
-//! passes on the number, but not the argument.
+//! The crate `fuser` mounts it and agrees with the kernel on the protocol. It does not answer the requests: it passes
+//! on an ioctl's number, but not its argument.
 
 use std::io;
 use std::mem;
@@ -15,7 +15,7 @@ use fuser::{Config, Filesystem, KernelConfig, Request};
 use super::needs;
 use crate::error::{Error, Result};
 
-/// Most bytes of a write that the kernel passes on at once.
+/// Largest write, in bytes.
 pub const MAX_WRITE: u32 = 64 * 1024;
 
 struct Single;
@@ -26,12 +26,12 @@ impl Filesystem for Single {
     }
 }
 
-/// Mounts at an existing regular file. The kernel's end of it is where the requests are read and answered; the mount is
-/// over when it has been unmounted.
+/// Mounts on an existing regular file. Requests are read and answered at the returned kernel's end; the mount is over
+/// when it is unmounted.
 pub fn mount(path: &Path, source: &str) -> Result<OwnedFd> {
     let session = needs::session(Single, path, (source, "i2c"), Config::default())?;
     let device = session.as_fd().try_clone_to_owned();
-    // Dropping it would unmount the path, and so whatever has been mounted there since.
+    // Dropping it would unmount the path, and so remove a newer mount.
     mem::forget(session);
     device.map_err(|error| Error::io("/dev/fuse", "cannot be used twice", &error))
 }

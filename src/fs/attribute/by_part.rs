@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT
 
-//! The section "Attributes by part" of docs/ATTRIBUTES.md: that it lists what the tables of the parts have, and that
-//! simulated gauges show what its conversions yield.
+//! The section "Attributes by part" of docs/ATTRIBUTES.md: it lists what the parts' tables have, and simulated gauges
+//! show the results of its conversions.
 //!
 //! After an intended change, run the tests once with GAUGEFS_GOLDEN=write and read the difference before you commit it.
 
@@ -16,8 +16,8 @@ use gauge_owner::operations as op;
 use gauge_owner::rig::Rig;
 use ti_gauge::chip::{FLAT, Parameter, Subclass};
 
-/// Attributes that are numbers: the roles that they follow from, the first of which a part has, how many of their units
-/// are in one of the role, and what is subtracted.
+/// Numeric attributes: the roles that they may follow from, in order of preference, how many of their units make one of
+/// the role, and what is subtracted.
 const NUMBERS: &[(&str, &[Role], i64, i64)] = &[
     ("capacity", &[Role::Capacity], 1, 0),
     ("capacity_error_margin", &[Role::CapacityErrorMargin], 1, 0),
@@ -43,7 +43,7 @@ const NUMBERS: &[(&str, &[Role], i64, i64)] = &[
     ("state_of_health", &[Role::StateOfHealth], 1, 0),
 ];
 
-/// Attributes that follow from a value in another way, which the table names.
+/// Attributes that follow from a value in another way, named by the table.
 const OTHERS: &[(&str, Role, &str)] = &[
     ("technology", Role::Technology, "the kernel's name for it"),
     ("serial_number", Role::SerialNumber, "four hexadecimal digits"),
@@ -55,7 +55,7 @@ const OTHERS: &[(&str, Role, &str)] = &[
 /// Attributes that every part has, or that follow from several values.
 const REST: &[&str] = &["type", "status", "present", "scope", "manufacturer", "model_name"];
 
-/// A value of a part that feeds an attribute.
+/// A part's value behind an attribute.
 enum Feed {
     Register(&'static Register),
     Stored(&'static Subclass, &'static Parameter),
@@ -88,7 +88,7 @@ impl Feed {
         }
     }
 
-    /// Its unit, and how a reading becomes the attribute.
+    /// The unit, and how a reading becomes the attribute.
     fn conversion(&self, chip: &Chip, role: Role, units: i64, less: i64) -> String {
         let (unit, (numerator, denominator), discharge) = match self {
             Feed::Register(register) => (register.unit, register.step, register.discharge),
@@ -128,7 +128,7 @@ impl Feed {
     }
 }
 
-/// The readings that are no value of an attribute, and who says so.
+/// Readings without a meaning, and the source that says so.
 fn absent(chip: &Chip, role: Role, source: &Feed) -> Option<(String, &'static str)> {
     let (values, register) = match source {
         Feed::Register(register) => (register.values, Some(*register)),
@@ -154,7 +154,7 @@ fn divisor(a: i64, b: i64) -> i64 {
     if b == 0 { a } else { divisor(b, a % b) }
 }
 
-/// The words that flags decide, each with the names of its bits.
+/// Words decided by flags, each with the names of its bits.
 fn words(chip: &Chip, words: &[(u16, &str)]) -> Option<(String, String)> {
     let flags = chip.register(Role::Flags)?;
     let names = |mask: u16| {
@@ -167,7 +167,7 @@ fn words(chip: &Chip, words: &[(u16, &str)]) -> Option<(String, String)> {
     (!words.is_empty()).then(|| (Feed::Register(flags).name(), listed))
 }
 
-/// Source and conversion of an attribute on a part.
+/// Source and conversion of a part's attribute.
 fn entry(chip: &Chip, attribute: &str) -> Option<(String, String)> {
     let condition = &chip.condition;
     match attribute {
@@ -183,7 +183,6 @@ fn entry(chip: &Chip, attribute: &str) -> Option<(String, String)> {
     Some((source.name(), source.conversion(chip, role, *units, *less)))
 }
 
-/// The generated part of the section.
 fn tables() -> String {
     let mut text = "| attribute | parts | from | conversion |\n| --- | --- | --- | --- |\n".to_string();
     for name in Attribute::all().map(Attribute::name).filter(|name| !REST.contains(name)) {
@@ -255,7 +254,7 @@ fn every_attribute_has_a_place_in_the_table_by_part() {
     assert_eq!(Attribute::all().map(Attribute::name).collect::<BTreeSet<_>>(), listed);
 }
 
-/// What a conversion makes of a reading, such as `mV × 1000` of 3700.
+/// The result of a conversion, such as `mV × 1000` of 3700.
 fn convert(conversion: &str, reading: i64) -> i64 {
     let after = |sign: &str| {
         let digits = conversion.split_once(sign)?.1;
@@ -266,7 +265,7 @@ fn convert(conversion: &str, reading: i64) -> i64 {
     reading * after(" × ").unwrap_or(1) / after(" / ").unwrap_or(1) - after(" - ").unwrap_or(0)
 }
 
-/// Reads what the attributes need of data flash, as somebody would who reads `df`.
+/// Reads the places of data flash that attributes need, as a reader of `df` would.
 pub(super) fn read_places(rig: &mut Rig) {
     let chip = rig.handle.chip();
     let holds = |row: &Subclass, (id, offset): (u8, u16)| {
@@ -322,7 +321,7 @@ fn simulated_gauges_show_what_the_conversions_yield() {
             }
         }
     }
-    // The simulated gauge of primary cells is not in the mode that measures a resistance.
+    // The simulated gauge of primary cells is not in the mode that measures resistance.
     let missing: Vec<_> =
         NUMBERS.iter().map(|(name, ..)| *name).filter(|name| !compared.contains(name)).collect();
     assert_eq!(missing, ["internal_resistance"]);

@@ -16,7 +16,7 @@ use gauge_owner::{Settings, Startup, operations as op};
 use gauge_sim::SimBus;
 use ti_gauge::chip::{Source, Tier};
 
-/// What the kernel's ABI lets a battery report (`Documentation/ABI/testing/sysfs-class-power` and
+/// What a battery may report by the kernel's ABI (`Documentation/ABI/testing/sysfs-class-power` and
 /// `Documentation/power/power_supply_class.rst`).
 const ABI: &[&str] = &[
     "authentic",
@@ -117,10 +117,10 @@ fn names_are_unique() {
     assert!(LISTED_WHILE_GONE.iter().all(|name| names.contains(name)));
 }
 
-/// The register and what it reads, if it is another value than the gauge's.
+/// A register and its reading, if that is not the gauge's own.
 type Other = Arc<Mutex<Option<(u8, Vec<u8>)>>>;
 
-/// A bus on which a register reads otherwise.
+/// A bus with another reading of one register.
 struct Reads {
     bus: SimBus,
     other: Other,
@@ -141,7 +141,7 @@ impl Bus for Reads {
     }
 }
 
-/// The attributes of a gauge after a poll in which a register has read that.
+/// The attributes after a poll with this reading of a register.
 fn reading(chip: &Chip, register: &Register, value: i64, name: &str) -> Option<String> {
     let other = Other::default();
     let wrap = |bus| Box::new(Reads { bus, other: other.clone() }) as Box<dyn Bus>;
@@ -153,7 +153,7 @@ fn reading(chip: &Chip, register: &Register, value: i64, name: &str) -> Option<S
     show(&rig, name)
 }
 
-/// The attribute that a register alone decides.
+/// Attributes that one register decides.
 const SHOWN: &[(Role, &str)] = &[
     (Role::Capacity, "capacity"),
     (Role::CapacityErrorMargin, "capacity_error_margin"),
@@ -450,8 +450,8 @@ fn regression_a_bq27000_whose_flags_are_all_set_is_absent() {
     }
 }
 
-/// The attributes of the driver of Linux 6.12 that are not the same for all, and `time_to_empty_avg` of the parts whose
-/// register for it only the driver's other parts show.
+/// Attributes of Linux 6.12's driver that not all parts have, and `time_to_empty_avg` of parts whose register for it
+/// the driver shows only for other parts.
 #[rustfmt::skip]
 const OF_THE_DRIVER: &[(&[&str], &str)] = &[
     (&["bq27000"], "capacity charge_full charge_full_design charge_now current_now cycle_count energy_now power_avg temp time_to_empty_avg time_to_empty_now time_to_full_now voltage_now"),
