@@ -94,7 +94,7 @@ pub(crate) fn run(setup: Setup, mode: Mode) -> Result<()> {
     let Gauges { entries, handles, nodes, batteries, locks, places } = opened;
     entries.iter().flat_map(MountedGauge::warnings).for_each(|line| warn(&line));
     adapters::watch(nodes.into_iter());
-    // Root's mount belongs to root, whoever serves it.
+    // Root's mount belongs to root, also if a service's account serves it.
     let (uid, gid) = match mode {
         Mode::Service => (0, 0),
         Mode::Background | Mode::Foreground => (geteuid().as_raw(), getegid().as_raw()),

@@ -51,7 +51,7 @@ pub(super) struct Sim {
     /// Offer a gauge of this recording too, which mount --trace made; - is standard input
     #[arg(long, value_name = "FILE")]
     replay: Option<PathBuf>,
-    /// File that keeps the flash of the gauge, of which there must be only one; created if missing
+    /// File that keeps the flash of the only gauge; created if missing
     #[arg(long, value_name = "FILE")]
     state: Option<PathBuf>,
     /// Seal state in which the gauges begin, sealed or unsealed [default: new gauges with flash are sealed, those with RAM

@@ -108,7 +108,7 @@ pub(crate) fn attach(pid: i32, setup: &Setup) -> Result<()> {
     let tell = |line: &str| say(format_args!("warning: {line}"));
     let mountpoint = mountpoint::prepare(setup.mountpoint(), &Hiding::by(&setup.mount, true, &tell))?;
     mountpoint::make(&mountpoint)?;
-    // fuser's options for a daemon of root. The mount belongs to root, whoever serves it.
+    // fuser's options for a daemon of root. The mount belongs to root, not to the service's account.
     let others = if setup.mount.private { "" } else { ",allow_other" };
     let data =
         format!("fd={},rootmode=40000,user_id=0,group_id=0,default_permissions{others}", device.as_raw_fd());

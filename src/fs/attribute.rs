@@ -182,11 +182,11 @@ impl Reading<'_> {
         self.snapshot?.value(self.chip.register(role)?)
     }
 
-    /// A measured value: none without a battery, none before the gauge has measured, and no current of a primary
-    /// cell outside of GAUGE_START and GAUGE_STOP.
+    /// A measured value. There is no value without a battery, before the first measurement, and for a primary cell's
+    /// current outside of GAUGE_START and GAUGE_STOP.
     pub(super) fn value(&self, role: Role) -> Option<i64> {
         let snapshot = self.snapshot.filter(|snapshot| snapshot.is_valid && self.is_present())?;
-        // What the gauge measures, whatever is in its data memory.
+        // Measured whatever data memory contains.
         let is_measured = matches!(role, Role::VoltageNow | Role::CurrentNow | Role::CurrentAvg | Role::Temp);
         if !is_measured && !snapshot.is_configured {
             return None;
@@ -205,18 +205,18 @@ impl Reading<'_> {
         self.raw(Role::Flags)
     }
 
-    /// A register in that fraction of the unit of its role, without the rest, as in the kernel's driver.
+    /// A register in that fraction of its role's unit, rounded down as in the kernel's driver.
     pub(super) fn steps(&self, role: Role, fraction: i64) -> Option<i64> {
         Some(self.chip.register(role)?.in_unit(self.value(role)?, fraction))
     }
 
-    /// A register in thousandths of a unit, in millionths of it.
+    /// A register in thousandths of a unit, converted to millionths.
     pub(super) fn micro(&self, role: Role, kind: Kind) -> Option<i64> {
         Some((self.steps(role, 1000)? as f64 * self.scale(kind)?).round() as i64)
     }
 
-    /// A value of data flash, while it is known and the pack is there. A firmware that keeps its data flash elsewhere,
-    /// as the signature shows, has none.
+    /// A value of data flash, while it is known and the pack is present. Firmware that keeps its data flash elsewhere,
+    /// as the signature shows, has no such value.
     fn stored(&self, role: Role) -> Option<Value> {
         let is_known = self.is_present() && self.snapshot.is_some_and(|snapshot| snapshot.is_configured);
         let (subclass, parameter) = self.chip.stored(role).filter(|_| is_known)?;
@@ -233,7 +233,7 @@ impl Reading<'_> {
         }
     }
 
-    /// The number of cells in series that a value of data flash counts for: 1 if the table has no such number.
+    /// The number of cells in series that a value of data flash applies to; 1 if the table has no such number.
     fn cells(&self) -> Option<i64> {
         if self.chip.stored(Role::Cells).is_none() {
             return Some(1);
@@ -241,7 +241,7 @@ impl Reading<'_> {
         self.stored_number(Role::Cells)
     }
 
-    /// A number in thousandths of a unit, in millionths of it.
+    /// Converts a number from thousandths of a unit to millionths.
     fn scaled(&self, number: i64, kind: Kind) -> Option<i64> {
         Some(((number * 1000) as f64 * self.scale(kind)?).round() as i64)
     }
@@ -251,7 +251,7 @@ impl Reading<'_> {
         self.scaled(millivolts * self.cells()?, Kind::Voltage)
     }
 
-    /// From a register, or from data flash where the part has no such register.
+    /// From a register, or from data flash if the part has no such register.
     pub(super) fn charge_full_design(&self) -> Option<i64> {
         match self.chip.register(Role::ChargeFullDesign) {
             Some(_) => self.micro(Role::ChargeFullDesign, Kind::Charge),
@@ -259,8 +259,8 @@ impl Reading<'_> {
         }
     }
 
-    /// The voltage that the pack is to be charged with. No document says whether that of a gauge for several cells is a
-    /// cell's: it is, unless it is far above the cell's in data flash.
+    /// The pack's charging voltage. No document says whether a multi-cell gauge shows a cell's: it does, unless the
+    /// value is far above the cell's in data flash.
     pub(super) fn charge_voltage(&self) -> Option<i64> {
         let reading = self.micro(Role::ChargeVoltage, Kind::Voltage)?;
         let cells = self.cells()?;
@@ -271,19 +271,19 @@ impl Reading<'_> {
         Some(pack_voltage(reading, cell, cells))
     }
 
-    /// The date that data flash holds; none while that is 0 or another one that does not exist.
+    /// The date in data flash, unless it is 0 or impossible.
     pub(super) fn manufactured(&self) -> Option<[i64; 3]> {
         date::of(self.stored_number(Role::ManufactureDate)?)
     }
 
-    /// The chemistry that data flash holds, if the kernel has a name for it.
+    /// The chemistry in data flash, if the kernel has a name for it.
     pub(super) fn technology(&self) -> &'static str {
         let Some(Value::Text(chemistry)) = self.stored(Role::Technology) else { return self.chip.technology };
         let names = CHEMISTRIES.iter().find(|(short, _)| chemistry.eq_ignore_ascii_case(short.as_bytes()));
         names.map_or(self.chip.technology, |(_, name)| name)
     }
 
-    /// The resistance that the gauge has measured, in µΩ, only in some of its modes.
+    /// The measured resistance in µΩ, in some of the gauge's modes.
     fn resistance(&self) -> Option<i64> {
         let measures = |primary: &Primary| self.is_in_mode(primary.resistance_modes) == Some(true);
         let milliohms = self.value(Role::InternalResistance).filter(|_| self.primary().is_none_or(measures));
@@ -291,18 +291,18 @@ impl Reading<'_> {
         Some(((milliohms? * 1000) as f64 * ratio).round() as i64)
     }
 
-    /// The register that `time_to_empty_now` shows. Parts with a single one compute it with the average current; it is
-    /// shown there too, as by the kernel's driver.
+    /// The register of `time_to_empty_now`. Parts with a single one compute it with the average current; it is shown
+    /// there too, as in the kernel's driver.
     pub(super) fn time_to_empty_now(&self) -> Option<Role> {
         self.first_of([Role::TimeToEmptyNow, Role::TimeToEmptyAvg])
     }
 
-    /// The factor of the values of one kind: the scale that the gauge reports times the user's.
+    /// The factor of a kind of values: the gauge's scale times the user's.
     pub(super) fn scale(&self, kind: Kind) -> Option<f64> {
         Some(f64::from(self.reported_scale(kind)?) * self.scales.of(kind))
     }
 
-    /// The scale that the gauge reports, 1 if the part has none; `None` while it is not known. With 0 nothing is.
+    /// The gauge's scale, or 1 if the part has none; `None` while it is unknown, or 0.
     pub(super) fn reported_scale(&self, kind: Kind) -> Option<u32> {
         let register = match kind.scale(self.chip) {
             Scale::None => return Some(1),
@@ -313,8 +313,8 @@ impl Reading<'_> {
         snapshot.value(register).and_then(|scale| scale.try_into().ok()).filter(|&scale| scale > 0)
     }
 
-    /// Whether the gauge says that its values are scaled by a factor that it does not have, and what says so; `None`
-    /// if the part never says that.
+    /// Whether the gauge says that its values have a factor unknown to it, and the source; `None` if the part never
+    /// says that.
     pub(super) fn is_scaled(&self) -> Option<(bool, String)> {
         let (source, bit) = self.chip.scaling.scaled?;
         let register = self.chip.register_at(source)?;
@@ -322,13 +322,13 @@ impl Reading<'_> {
         Some((word & i64::from(bit.mask) != 0, format!("[{}] of {}()", bit.name, register.name)))
     }
 
-    /// The register that `current_now` shows. Parts with a single current register average it. Monitors
-    /// look for `current_now`, so the average is shown there too, as by the kernel's driver.
+    /// The register of `current_now`. Parts with a single current register average it. Monitors look for `current_now`,
+    /// so the average is shown there too, as in the kernel's driver.
     pub(super) fn current_now(&self) -> Option<Role> {
         self.first_of([Role::CurrentNow, Role::CurrentAvg])
     }
 
-    /// The first of these properties that has a register.
+    /// The first of these properties with a register.
     fn first_of<const N: usize>(&self, roles: [Role; N]) -> Option<Role> {
         roles.into_iter().find(|&role| self.chip.register(role).is_some())
     }
@@ -342,8 +342,8 @@ impl Reading<'_> {
         self.micro(role, Kind::Energy).filter(|_| self.scales.energy_shown)
     }
 
-    /// Negative while discharging, as the current. A register that measures discharges only has no value while the
-    /// average current says that another one flows, and no 0 while any does.
+    /// Negative while discharging, like the current. A register for discharges only has no value while the average
+    /// current is positive, and no 0 while any current flows.
     fn power(&self) -> Option<i64> {
         let power = self.energy(Role::PowerAvg)?;
         if !self.chip.register(Role::PowerAvg)?.discharge {
@@ -354,7 +354,6 @@ impl Reading<'_> {
         is_so.then_some(-power)
     }
 
-    /// A register in minutes.
     pub(super) fn seconds(&self, role: Role) -> Option<i64> {
         self.value(role).map(|minutes| minutes * 60)
     }
@@ -363,8 +362,8 @@ impl Reading<'_> {
         self.chip.condition.primary.as_ref()
     }
 
-    /// Whether the gauge computes StateOfHealth(). On a gauge of primary cells the mode in data flash decides, which is
-    /// not known before it has been read.
+    /// Whether the gauge computes StateOfHealth(). On a gauge of primary cells the mode in data flash decides, which
+    /// must be read first.
     fn computes_health(&self) -> Option<bool> {
         self.primary().map_or(Some(true), |primary| self.is_in_mode(primary.health_modes))
     }
@@ -376,12 +375,12 @@ impl Reading<'_> {
         Some(modes.contains(&mode))
     }
 
-    /// Whether any of the flags is set; `None` if that is not known.
+    /// Whether some of the flags are set, if that is known.
     fn has_flag(&self, mask: u16) -> Option<bool> {
         if self.value(Role::Flags)? & i64::from(mask) != 0 {
             return Some(true);
         }
-        // A flag that is not let through is never set.
+        // A flag that the configuration blocks is never set.
         let Some(primary) = self.primary() else { return Some(false) };
         let shown = u16::from(self.handle.kept_byte(primary.alerts)?);
         (mask & !shown == 0).then_some(false)
@@ -392,13 +391,13 @@ impl Reading<'_> {
         self.snapshot.is_some() && self.chip.condition.shows_battery(self.flags())
     }
 
-    /// The same, also while an access takes so long that no poll is recent enough to be shown.
+    /// The same, even while a long access keeps the last poll too old to be shown.
     fn is_there(&self) -> bool {
         if self.snapshot.is_some() { self.is_present() } else { self.handle.is_present() }
     }
 
-    /// By the current that `current_now` shows. The full flag counts more than a charging current, which hardly ever is
-    /// 0 at the end of a charge, as in the kernel's driver; but a pack that is being discharged is not `Full`.
+    /// By the current of `current_now`. The full flag comes before a charging current, which is hardly ever 0 at the
+    /// end of a charge, as in the kernel's driver; but a pack that is being discharged is not `Full`.
     pub(super) fn status(&self) -> Option<&'static str> {
         let condition = &self.chip.condition;
         if !self.is_present() {
@@ -416,7 +415,7 @@ impl Reading<'_> {
         })
     }
 
-    /// The full flag; a primary cell has none.
+    /// A primary cell has no full flag.
     fn has_full_flag(&self) -> Option<bool> {
         if self.chip.condition.full == 0 { Some(false) } else { self.has_flag(self.chip.condition.full) }
     }
@@ -431,8 +430,8 @@ impl Reading<'_> {
         self.first_set(&level(&self.chip.condition), "Normal")
     }
 
-    /// The word of the first of the flags that is set, or else another one; `Unknown` if none is set, but not all of
-    /// them are known. `None` where no document has the flags.
+    /// The word of the first set flag, or another word without one; `Unknown` if some flags are unknown. `None` where
+    /// no document has the flags.
     fn first_set(&self, flags: &[(u16, &'static str)], otherwise: &'static str) -> Option<&'static str> {
         if !self.is_present() {
             return None;
@@ -448,7 +447,7 @@ impl Reading<'_> {
     }
 }
 
-/// The flags that decide `health`, the first one that is set before the others.
+/// The flags that decide `health`, in order of precedence.
 fn health(condition: &Condition) -> [(u16, &'static str); 6] {
     [
         (condition.overheat, "Overheat"),
@@ -460,18 +459,18 @@ fn health(condition: &Condition) -> [(u16, &'static str); 6] {
     ]
 }
 
-/// The flags that decide `capacity_level`, likewise.
+/// The flags that decide `capacity_level`, in order of precedence.
 fn level(condition: &Condition) -> [(u16, &'static str); 3] {
     [(condition.full, "Full"), (condition.critical, "Critical"), (condition.low, "Low")]
 }
 
-/// The charging voltage of a pack of cells in series, from a reading that is either that or a cell's, and from the
-/// highest one of a cell.
+/// The charging voltage of a pack of cells in series, from a reading for the pack or for a cell, and from a cell's
+/// highest one.
 fn pack_voltage(reading: i64, cell: i64, cells: i64) -> i64 {
     if 2 * reading < 3 * cell { reading * cells } else { reading }
 }
 
-/// The value of a register, with the sign that the flags give it; `None` for a reading that is none, as a 0 that the flags
+/// A register's value with the sign from the flags; `None` for a meaningless reading, such as a 0 that the flags
 /// contradict.
 fn valid(register: &Register, reading: i64, flags: i64) -> Option<i64> {
     let is_set = |mask: u16| mask == 0 || flags & i64::from(mask) != 0;
@@ -494,7 +493,7 @@ pub(super) fn uevent(name: &str, reading: &Reading<'_>) -> String {
     lines
 }
 
-/// What a user or a gauge supplies, for `uevent`. Shells source that file, so whatever they would act on becomes `_`.
+/// Text of a user or a gauge for `uevent`. Shells source that file, so characters with a meaning for them become `_`.
 pub(super) fn plain(text: &str) -> String {
     let keep = |letter: char| letter.is_ascii_alphanumeric() || "._+-".contains(letter);
     text.chars().map(|letter| if keep(letter) { letter } else { '_' }).collect()

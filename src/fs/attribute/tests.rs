@@ -198,7 +198,7 @@ fn regression_a_reading_that_is_no_value_was_shown_as_one() {
     assert_eq!(compared.len(), SHOWN.len(), "{compared:?}");
 }
 
-/// psutil computes a percentage of 0 where `charge_full` is 0, and takes `capacity` where there is none.
+/// psutil computes a percentage of 0 if `charge_full` is 0, and takes `capacity` if it is missing.
 #[test]
 fn regression_a_full_charge_capacity_of_0_was_a_value() {
     let chip = Chip::by_name("bq34z100-g1").expect("it has a table");
