@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: MIT
 
-//! What a bench ends with: its rows of the README's table, and its exit code.
+//! What a bench ends with: its rows of the table in docs/MEASUREMENTS.md, and its exit code.
 
 use std::process::ExitCode;
 
-/// Rows of the README's table "How good is it", and the promises that did not hold.
+/// Rows of the table "Figures" in docs/MEASUREMENTS.md, and the promises that did not hold.
 #[derive(Default)]
 pub(crate) struct Report {
     rows: Vec<String>,
@@ -17,7 +17,7 @@ impl Report {
         self.rows.push(format!("| {what} | {figure} | {beside} |"));
     }
 
-    /// A promise of the README or of the documentation. `found` says what was measured instead.
+    /// A promise of the documentation. `found` says what was measured instead.
     pub(crate) fn promise(&mut self, holds: bool, found: impl FnOnce() -> String) {
         if !holds {
             self.broken.push(found());

@@ -1,25 +1,23 @@
 // SPDX-License-Identifier: MIT
 
-//! The numbers of the README, and what produces each:
+//! The numbers of the README and of the pages that it sends to for them, and what produces each:
 //!
 //! | numbers | produced by |
 //! | --- | --- |
-//! | parameters of each part, "eleven", "26 more", "thirty-five" | `parts_and_parameters_are_counted` |
+//! | parameters of each part, "37", "26 more", "thirty-five" | `parts_and_parameters_are_counted` |
+//! | its length, and that of all pages | `no_page_is_longer_than_its_reader_needs` |
 //! | what its commands print | `pages::the_readme` |
 //! | commands | `every_command_is_in_the_default_build` |
 //! | exit codes | `exit_codes_are_those_of_the_commands` |
-//! | the table "How good is it", and the transfers of "Compared with others" | `benches/run`, which fails if a promise is broken; `each_figure_has_a_measurement` |
-//! | `--cells 7 --divider 33000 --voltage-now 26985` | `room::calibrating` |
-//! | `--actual -2000` | `room::calibrating` |
-//! | what `--check` prints of the example | `config::the_example_mounts_as_it_is_shipped` |
-//! | 3000 -> 3100 mV of diff and import | `room::diff_shows_what_a_gauge_has_changed` |
+//! | the figures of MEASUREMENTS.md | `benches/run`, which fails if a promise is broken; `each_figure_has_a_measurement` |
+//! | those of "What is proven" | `the_figures_of_the_readme_are_those_of_the_measurements` |
 
 use std::collections::BTreeSet;
 use std::fs;
 
 use ti_gauge::chip::{CHIPS, Chip, kernel};
 
-use super::room::{gaugefs, readme, root, rows};
+use super::room::{gaugefs, page, readme, root, rows, section};
 
 fn first_number(text: &str) -> Option<usize> {
     let digits = text.trim_start_matches(|letter: char| !letter.is_ascii_digit());
@@ -30,27 +28,30 @@ fn first_number(text: &str) -> Option<usize> {
 fn parts_and_parameters_are_counted() {
     let count = |chip: &Chip| chip.subclasses.iter().map(|subclass| subclass.parameters.len()).sum::<usize>();
     let mut told = 0;
-    for row in rows("Gauges") {
+    for row in rows(&readme(), "Gauges") {
         if let Some(chip) = CHIPS.iter().find(|chip| chip.model.eq_ignore_ascii_case(&row[0])) {
-            assert_eq!(first_number(&row[2]), Some(count(chip)), "{}: {}", row[0], row[2]);
+            assert_eq!(first_number(&row[1]), Some(count(chip)), "{}: {}", row[0], row[1]);
             told += 1;
         } else if row[0].contains("26 more") {
             assert_eq!(kernel::GAUGES.len(), 26);
         }
     }
-    assert_eq!((told, CHIPS.len()), (11, 11), "the README says eleven");
-    // "some thirty-five of TI's, on I2C; eleven with data flash"
+    assert_eq!((told, CHIPS.len()), (11, 11), "the README says ten relatives");
     let all = Chip::all().count();
+    let text = readme().split_whitespace().collect::<Vec<_>>().join(" ");
+    let claim = format!("Of [{all} gauges](#gauges), {} are only read.", kernel::GAUGES.len());
+    assert!(text.contains(&claim), "the README has no `{claim}`");
     assert!((34..=37).contains(&all), "{all} parts");
-    assert!(readme().contains("some thirty-five of TI's, on I2C; eleven with data flash"));
+    assert!(page("COMPARISON.md").contains("some thirty-five of TI's, on I2C; eleven with data flash"));
 }
 
 #[test]
 fn exit_codes_are_those_of_the_commands() {
-    let text = readme();
-    for (claim, help, code) in
-        [("exits with 3 instead of 0", "import", "3"), ("by parameter; exit codes of diff(1)", "diff", "0")]
-    {
+    let text = page("IMAGES.md");
+    for (claim, help, code) in [
+        ("| 3 | written, except for what was passed over |", "import", "3"),
+        ("exit codes are those of diff(1)", "diff", "0"),
+    ] {
         assert!(text.contains(claim), "{claim}");
         let help = gaugefs(&[help, "--help"]).done();
         assert!(help.contains(code), "{claim}");
@@ -61,7 +62,7 @@ fn exit_codes_are_those_of_the_commands() {
     assert_eq!(gaugefs(&["diff", image, "/none"]).code, Some(2));
 }
 
-/// Each row of "How good is it" is one that `benches/run` prints.
+/// Each row of "Figures" is one that `benches/run` prints.
 #[test]
 fn each_figure_has_a_measurement() {
     // The tests of a station print rows of their own.
@@ -79,8 +80,10 @@ fn each_figure_has_a_measurement() {
         .iter()
         .map(|text| text.replace("\\\n", "").split_whitespace().collect::<Vec<_>>().join(" "))
         .collect();
-    let figures: Vec<_> =
-        rows("How good is it").into_iter().filter(|row| !row[0].is_empty() && row[0] != "---").collect();
+    let figures: Vec<_> = rows(&page("MEASUREMENTS.md"), "Figures")
+        .into_iter()
+        .filter(|row| !row[0].is_empty() && row[0] != "---")
+        .collect();
     assert!(figures.len() >= 12, "{figures:?}");
     // `benches/run` prints these for every part, or in other words.
     let in_other_words = [
@@ -115,6 +118,34 @@ fn each_figure_has_a_measurement() {
     }
 }
 
+/// The numbers in a text, without the commas of thousands.
+fn numbers(text: &str) -> BTreeSet<u64> {
+    let text = text.replace(',', "");
+    text.split(|letter: char| !letter.is_ascii_digit()).filter_map(|digits| digits.parse().ok()).collect()
+}
+
+#[test]
+fn the_figures_of_the_readme_are_those_of_the_measurements() {
+    let (readme, measured) = (readme(), page("MEASUREMENTS.md"));
+    let lines = section(&readme, "What is proven").lines().filter(|line| line.starts_with("- "));
+    let told: BTreeSet<u64> =
+        lines.map(|line| line.replace("bq34z100-G1", "")).flat_map(|line| numbers(&line)).collect();
+    let measured = numbers(section(&measured, "Figures"));
+    assert!(told.len() >= 7, "{told:?}");
+    assert!(told.is_subset(&measured), "{:?} were not measured", told.difference(&measured));
+}
+
+/// Counted as wc(1) does.
+fn words(text: &str) -> usize {
+    text.split_whitespace().count()
+}
+
+#[test]
+fn no_page_is_longer_than_its_reader_needs() {
+    let of_readme = words(&readme());
+    assert!(of_readme <= 1500, "README.md has {of_readme} words");
+}
+
 /// An example that mounts where only root may says so.
 #[test]
 fn examples_for_root_say_sudo() {
@@ -135,11 +166,11 @@ fn examples_for_root_say_sudo() {
     assert!(seen >= 6, "{seen}");
 }
 
-/// `cargo run -- VERB` and `cargo install` have every command of the README: there is one program, and what draws is
-/// part of its default features.
+/// `cargo run -- VERB` and `cargo install` have every command of these pages: what draws is part of the default features.
 #[test]
 fn every_command_is_in_the_default_build() {
-    let text = readme();
+    let pages = ["HISTORIES.md", "CALIBRATION.md", "FLEET.md", "IMAGES.md", "COMMANDS.md"].map(page);
+    let text = readme() + &pages.concat();
     let commands = text.lines().filter_map(|line| {
         let line = line.strip_prefix("$ ")?;
         line.strip_prefix("sudo ").unwrap_or(line).strip_prefix("gaugefs ")?.split(' ').next()

@@ -20,7 +20,7 @@ pub(crate) use commands::{
     CHIP, Foreground, LONG, Ran, as_nobody, can_mount, command, gaugefs, read, run, same_as_golden, shown,
     stop, users_can_mount, within,
 };
-pub(crate) use documents::{TEXT, readme, root, rows, table, within_code};
+pub(crate) use documents::{TEXT, page, readme, root, rows, section, table, within_code};
 pub(crate) use mounted::{Mount, Swift, errno, mapped, quiet, statistic, swift, write_cut};
 pub(crate) use scratch::{Connections, Folder, folder, folder_named, remove};
 pub(crate) use session::{Session, Step, steps};

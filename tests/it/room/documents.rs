@@ -23,12 +23,20 @@ pub(crate) fn readme() -> String {
     fs::read_to_string(root().join("README.md")).expect("the README")
 }
 
+/// A page of `docs/`.
+pub(crate) fn page(name: &str) -> String {
+    fs::read_to_string(root().join("docs").join(name)).expect(name)
+}
+
+/// The text below a heading of a page.
+pub(crate) fn section<'a>(text: &'a str, heading: &str) -> &'a str {
+    let after = text.split_once(&format!("\n## {heading}\n")).expect("the section").1;
+    after.split("\n## ").next().expect("its text")
+}
+
 /// The cells of the rows of a section's tables.
-pub(crate) fn rows(section: &str) -> Vec<Vec<String>> {
-    let text = readme();
-    let after = text.split_once(&format!("\n## {section}\n")).expect("the section").1;
-    let section = after.split("\n## ").next().expect("its text");
-    let rows = section.lines().filter_map(|line| line.strip_prefix("| ")?.strip_suffix('|'));
+pub(crate) fn rows(text: &str, heading: &str) -> Vec<Vec<String>> {
+    let rows = section(text, heading).lines().filter_map(|line| line.strip_prefix("| ")?.strip_suffix('|'));
     rows.map(|row| row.split('|').map(|cell| cell.trim().to_string()).collect()).collect()
 }
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! Where the time of a pack goes: each wait by the functions that wait, held against the table of docs/PRODUCTION.md. A wait
+//! Where the time of a pack goes: each wait by the functions that wait, held against the table of docs/MEASUREMENTS.md. A wait
 //! that no row explains fails.
 
 use std::backtrace::Backtrace;
@@ -104,15 +104,15 @@ fn programmed(image: Option<&str>) -> (Entry, BTreeMap<&'static str, Duration>) 
 
 #[test]
 fn every_wait_of_a_pack_has_its_reason_in_the_document() {
-    let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/PRODUCTION.md");
+    let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/MEASUREMENTS.md");
     // What crates.io has of this crate is without it.
     if !page.parent().is_some_and(Path::exists) {
         eprintln!("SKIPPED: there is no {}", page.display());
         return;
     }
     let page = fs::read_to_string(page).expect("the page");
-    let section = page.split_once("\n### How long it takes\n").expect("the section").1;
-    let section = section.split("\n### ").next().unwrap_or_default();
+    let section = page.split_once("\n## A pack at a station\n").expect("the section").1;
+    let section = section.split("\n## ").next().unwrap_or_default();
     let image = format!("chip = \"{CHIP}\"\n[it-cfg]\ncell-terminate-voltage = 3100\n");
     let (pass, spent) = programmed(Some(&image));
     let (seconds, transfers) =
