@@ -3,20 +3,22 @@
 //! `gaugefs sim`, and the process that it starts for a command.
 
 use std::ffi::OsString;
+use std::iter;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
 
 use clap::Args;
 
+use super::align;
 use crate::bus::{self, Cuse, Gauge, Panel, Vhci};
 use crate::config::{address, seal, standard_input};
 use crate::error::{Cause, Error, Result};
-use crate::output::is_standard_output;
+use crate::output::{is_standard_output, print};
 use gauge_bus::GAUGE_ADDRESS;
 use gauge_bus::clock::{Clock, RealClock};
-use gauge_owner::{Script, Source};
-use gauge_sim::Level;
+use gauge_owner::{Script, Source, of_sim};
+use gauge_sim::{FAULTS, Level, Options};
 use gaugefs_host::signals;
 use ti_gauge::chip::Chip;
 use ti_gauge::text;
@@ -29,6 +31,7 @@ Examples:
   gaugefs sim bq34z100-g1 bq27220@0x56 /tmp/bus          a file, for any program
   gaugefs sim bq34z100-g1 --knobs /tmp/knobs /tmp/bus &  with the gauge's knobs
   echo 500 > /tmp/knobs/load_ma                          a load of 500 mA
+  gaugefs sim bq34z100-g1 --list                         what its knobs and faults are
   gaugefs sim --replay pack.log /tmp/bus                 a recording
   sudo gaugefs sim bq34z100-g1 --cuse i2c-9              as /dev/i2c-9
   sudo gaugefs sim bq34z100-g1 --device                  for drivers
@@ -39,7 +42,7 @@ programs have to be yours. `i2cdetect -l` does not list the bus.";
 
 /// Offer simulated gauges to any program as an I2C bus
 #[derive(Args, Debug)]
-#[command(after_help = SIM, override_usage = "gaugefs sim [OPTIONS] <CHIP[@ADDRESS]>... <PATH>\n       gaugefs sim [OPTIONS] <CHIP[@ADDRESS]>... [PATH] -- <COMMAND>...\n       gaugefs sim [OPTIONS] <CHIP[@ADDRESS]>... <--device|--cuse <NAME>>")]
+#[command(after_help = SIM, override_usage = "gaugefs sim [OPTIONS] <CHIP[@ADDRESS]>... <PATH>\n       gaugefs sim [OPTIONS] <CHIP[@ADDRESS]>... [PATH] -- <COMMAND>...\n       gaugefs sim [OPTIONS] <CHIP[@ADDRESS]>... <--device|--cuse <NAME>>\n       gaugefs sim <CHIP>... --list")]
 pub(super) struct Sim {
     /// Gauges to simulate, as `gaugefs chips` lists them, each at 0x55 or the given address; the last word is the PATH to
     /// serve at, if it contains a slash
@@ -81,6 +84,9 @@ pub(super) struct Sim {
     /// Transfers take no time on the bus
     #[arg(long)]
     fast: bool,
+    /// Print the knobs of these gauges, and the faults that the knob `fault` takes, and exit
+    #[arg(long, conflicts_with_all = ["command", "replay", "state", "seal", "scenario", "knobs", "cuse", "device", "speed", "fast"])]
+    list: bool,
 }
 
 /// Chip and address.
@@ -100,6 +106,10 @@ pub(super) struct Inside {
 
 impl Sim {
     pub(super) fn run(self) -> Result<ExitCode> {
+        if self.list {
+            print(&self.listed()?)?;
+            return Ok(ExitCode::SUCCESS);
+        }
         let (chips, path) = self.parts()?;
         let signals = signals::block()?;
         let cuse = self.cuse.as_ref().map(|name| Cuse::open(name, self.state.as_deref())).transpose()?;
@@ -120,6 +130,30 @@ impl Sim {
             (Some(path), []) => bus::at(&path, adapter, panel, signals, &names.join(", ")),
             (path, command) => bus::with_command(path.as_deref(), adapter, signals, command),
         }
+    }
+
+    /// The knobs of each gauge, and the faults.
+    fn listed(&self) -> Result<String> {
+        if self.words.is_empty() {
+            let why = "no gauge; name a CHIP, as `gaugefs chips` lists them";
+            return Err(Error::new("sim", Cause::Invalid, why));
+        }
+        let mut text = String::new();
+        for word in &self.words {
+            let (chip, _) = chip(&word.to_string_lossy())?;
+            let sim = gauge_sim::Sim::new(chip.name, &Options::default(), Arc::new(RealClock::new()))
+                .map_err(of_sim)?;
+            let head = ["KNOB", "ACCESS", chip.model].map(String::from);
+            let rows = sim.knobs().into_iter().map(|knob| {
+                let access = if knob.writable { "read, write" } else { "read" };
+                [knob.name, access, knob.help].map(String::from)
+            });
+            text += &align(&iter::once(head).chain(rows).collect::<Vec<_>>());
+            text.push('\n');
+        }
+        let head = ["FAULT".to_string(), "N counts transfers: 1 is the next one".to_string()];
+        let faults = FAULTS.iter().map(|fault| [fault.to_string(), fault.help.to_string()]);
+        Ok(text + &align(&iter::once(head).chain(faults).collect::<Vec<_>>()))
     }
 
     /// The gauges' chips and addresses, and the path.

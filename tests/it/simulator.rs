@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT
 
-//! Holds docs/SIMULATOR.md to the simulated gauges: each knob and each fault has a row there with the same words, its
-//! example works, and a refusal says what would be accepted.
+//! Holds the simulated gauges to what docs/SIMULATOR.md promises: each knob and each fault is listed and can be written,
+//! and a refusal says what would be accepted.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;
 use std::sync::Arc;
@@ -100,63 +100,168 @@ fn is_one_of(chip: &Chip, gauges: &str) -> bool {
     }
 }
 
+/// Each knob, the gauges that have it, and a value that shows an effect; `None` for a knob that is only read.
+const KNOBS: &[(&str, &str, Option<&str>)] = &[
+    ("load_ma", "all", Some("500")),
+    ("temperature", "all", Some("-50")),
+    ("soc", "all", Some("15")),
+    ("voltage_mv", "all", Some("2700")),
+    ("speed", "all", Some("60")),
+    ("clock", "all", None),
+    ("cells", "block access", Some("7")),
+    ("real_mah", "block access", Some("2400")),
+    ("real_soc", "block access", None),
+    ("power", "all", Some("off")),
+    ("fault", "all", Some("lost 3")),
+    ("nack_as", "all", Some("eio")),
+    ("drop_resets", "data flash", Some("2")),
+    ("drop_seals", "data flash", Some("1")),
+    ("drop_keys", "data flash", Some("1")),
+    ("tear", "data flash", Some("neighbour")),
+    ("endurance", "data flash", Some("3")),
+    ("board_divider", "block access", Some("33000")),
+    ("shunt_error", "block access", Some("-12.5")),
+    ("board_offset_ma", "block access", Some("3")),
+    ("cc_offset_ma", "block access", Some("-2")),
+    ("bat_det", "block access", Some("out")),
+    ("temperature_error", "block access", Some("20")),
+    ("noise_mv", "block access", Some("4")),
+    ("noise_ma", "block access", Some("2.5")),
+    ("cc_gain_inverted", "block access", Some("on")),
+    ("load_ms", "data flash", Some("60")),
+    ("sealed_load_ms", "block access", Some("40")),
+    ("block_ms", "data flash", Some("50")),
+    ("early", "data flash", Some("blank")),
+    ("word_ms", "data flash", Some("4")),
+    ("commit_ms", "data flash", Some("250")),
+    ("commit_busy", "data flash", Some("old")),
+    ("reset_ms", "data flash", Some("900")),
+    ("reset_busy", "data flash", Some("nack")),
+    ("first_ms", "all", Some("3000")),
+    ("first_values", "data flash", Some("nonsense")),
+    ("status_ms", "data flash", Some("300")),
+    ("cfgupdate_ms", "data flash", Some("1100")),
+    ("cfgexit_ms", "data flash", Some("500")),
+    ("auth_ms", "block access", Some("200")),
+    ("bus_free_us", "all", Some("66")),
+    ("firmware", "data flash", Some("0x0201")),
+    ("hardware", "data flash", Some("0x0081")),
+    ("protocol", "block access", Some("hdq")),
+    ("seal", "data flash", Some("unsealed")),
+    ("sealed_writes", "block access", Some("ignore")),
+    ("auth_order", "block access", Some("as-sent")),
+    ("watchdog", "all", Some("on")),
+    ("single_byte", "all", Some("on")),
+    ("df_shift", "MAC", Some("1")),
+    ("battery", "in the unit of a resistor", Some("out")),
+    ("rewrite_ms", "data flash", Some("5000")),
+    ("rewrite_every", "data flash", Some("40")),
+    ("lock_ms", "block access", Some("6000")),
+    ("key_lock", "block access", Some("on")),
+    ("key_quiet_ms", "data flash", Some("100")),
+    ("full_access_quiet_ms", "data flash", Some("5000")),
+    ("refused_quiet_ms", "data flash", Some("4000")),
+    ("mode", "all", None),
+    ("wear", "data flash", None),
+    ("programmed", "data flash", None),
+    ("dropped", "data flash", None),
+    ("resets", "data flash", None),
+    ("state", "data flash", None),
+    ("transfers", "all", None),
+    ("bytes", "all", None),
+    ("bus_us", "all", None),
+    ("stretched_us", "all", None),
+    ("nacks", "all", None),
+];
+
+/// Each fault as it may be written, in the order in which they are listed.
+const WRITTEN: &[&str] = &[
+    "none",
+    "nack 1",
+    "eio 2",
+    "etimedout 2 0",
+    "eagain 2",
+    "flip 3 4 7",
+    "burst 1 0 32 255",
+    "short 2",
+    "lost 5",
+    "stuck 2 1",
+    "arbitration 1",
+    "stretch 1 25",
+    "silence 1 300",
+    "power-cut 12 500",
+    "power-cut-after 12",
+    "drop-commit",
+    "corrupt-commit",
+    "torn-commit 5",
+    "drop-reset",
+    "drop-seal",
+    "drop-key; drop-key",
+    "random 20",
+];
+
 #[test]
-fn simulator_rows_are_the_knobs_of_every_gauge() {
-    let documented = rows("knob");
+fn each_gauge_has_the_knobs_of_its_kind() {
     for chip in Chip::all().filter(|chip| Sim::knows(chip.name)) {
-        let knobs: BTreeMap<_, _> =
-            sim(chip.name).knobs().into_iter().map(|Knob { name, help, .. }| (name, help)).collect();
-        let rows: BTreeMap<_, _> = documented
-            .iter()
-            .filter(|row| is_one_of(chip, &row[1]))
-            .map(|row| (quoted(&row[0]), &*row[2]))
-            .collect();
-        assert_eq!(knobs, rows, "{}: knobs; rows", chip.name);
+        let knobs: BTreeSet<_> = sim(chip.name).knobs().into_iter().map(|knob| knob.name).collect();
+        let expected: BTreeSet<_> =
+            KNOBS.iter().filter(|(_, gauges, _)| is_one_of(chip, gauges)).map(|(name, ..)| *name).collect();
+        assert_eq!(knobs, expected, "{}: has; should have", chip.name);
     }
 }
 
 #[test]
-fn simulator_examples_of_knobs_work() {
-    for row in rows("knob") {
-        let (name, example) = (quoted(&row[0]), quoted(&row[3]));
-        let gauges = Chip::all().filter(|chip| Sim::knows(chip.name) && is_one_of(chip, &row[1]));
+fn each_knob_shows_what_was_written_to_it() {
+    for (name, gauges, value) in KNOBS {
+        let gauges = Chip::all().filter(|chip| Sim::knows(chip.name) && is_one_of(chip, gauges));
         let sims: Vec<_> = gauges.map(|chip| sim(chip.name)).collect();
-        let is_writable = |sim: &Sim| sim.knobs().iter().any(|knob| knob.name == name && knob.writable);
-        let ending = format!(" > sim/{name}");
-        match example.strip_prefix("echo ").and_then(|example| example.strip_suffix(&*ending)) {
+        let is_writable = |sim: &Sim| sim.knobs().iter().any(|knob| knob.name == *name && knob.writable);
+        match value {
             Some(text) => {
                 // No specimen of some parts has what a knob sets.
                 let works = |sim: &Sim| {
                     let before = sim.get(name);
                     sim.set(name, text).is_ok() && sim.get(name) != before
                 };
-                assert!(sims.iter().any(works), "{example}: shows no effect on any part");
+                assert!(sims.iter().any(works), "{name}: {text} shows no effect on any part");
                 assert!(sims.iter().all(is_writable), "{name}");
             }
-            None => {
-                assert_eq!(example, format!("cat sim/{name}"));
-                assert!(!sims.iter().any(is_writable), "{name} has no example of setting it");
-            }
+            None => assert!(!sims.iter().any(is_writable), "{name} has no value to write"),
         }
     }
 }
 
 #[test]
-fn simulator_rows_are_the_faults() {
-    let documented: BTreeSet<_> =
-        rows("fault").iter().map(|row| (quoted(&row[0]).to_string(), row[1].clone())).collect();
-    let known: BTreeSet<_> = FAULTS.iter().map(|word| (word.to_string(), word.help.to_string())).collect();
-    assert_eq!(known, documented);
-    for row in rows("fault") {
-        let example = quoted(&row[2]);
-        let text = example.strip_prefix("echo \"").and_then(|text| text.strip_suffix("\" > sim/fault"));
-        let text = text.expect("an example");
-        let name = quoted(&row[0]).split(' ').next().expect("a name");
-        assert!(text.starts_with(name), "{example}");
+fn each_fault_can_be_written() {
+    assert_eq!(FAULTS.len(), WRITTEN.len());
+    for (fault, text) in FAULTS.iter().zip(WRITTEN) {
+        assert!(text.starts_with(fault.name), "{text}");
         let sim = sim(CHIP);
-        sim.set("fault", text).unwrap_or_else(|error| panic!("{example}: {error}"));
-        assert_eq!(sim.get("fault").as_deref(), Some(text));
+        sim.set("fault", text).unwrap_or_else(|error| panic!("{text}: {error}"));
+        assert_eq!(sim.get("fault").as_deref(), Some(*text));
     }
+}
+
+/// docs/SIMULATOR.md sends its readers to this list.
+#[test]
+fn knobs_and_faults_are_listed_by_the_program() {
+    assert!(TEXT.contains("$ gaugefs sim bq34z100-g1 --list"));
+    for chip in Chip::all().filter(|chip| Sim::knows(chip.name)) {
+        let list = gaugefs(&["sim", chip.name, "--list"]).done();
+        let rows: Vec<Vec<&str>> = list
+            .lines()
+            .map(|line| line.split("  ").map(str::trim).filter(|cell| !cell.is_empty()).collect())
+            .collect();
+        for Knob { name, help, writable, .. } in sim(chip.name).knobs() {
+            let access = if writable { "read, write" } else { "read" };
+            assert!(rows.contains(&vec![name, access, help]), "{}: {name} is not in {list}", chip.name);
+        }
+        for fault in FAULTS {
+            assert!(rows.contains(&vec![&*fault.to_string(), fault.help]), "{fault} is not in {list}");
+        }
+    }
+    gaugefs(&["sim", "--list"]).failed(&["no gauge", "gaugefs chips"]);
+    assert_eq!(gaugefs(&["sim", CHIP, "--list", "--fast"]).code, Some(2));
 }
 
 /// Nothing that is refused is repeated, because it may be a key.
