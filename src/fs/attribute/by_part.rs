@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT
 
-//! The section "Attributes by part" of docs/ATTRIBUTES.md: it lists what the parts' tables have, and simulated gauges
-//! show the results of its conversions.
+//! docs/attributes.tsv, where each attribute of each part comes from: it lists what the parts' tables have, and simulated
+//! gauges show the results of its conversions.
 //!
 //! After an intended change, run the tests once with GAUGEFS_GOLDEN=write and read the difference before you commit it.
 
@@ -183,67 +183,41 @@ fn entry(chip: &Chip, attribute: &str) -> Option<(String, String)> {
     Some((source.name(), source.conversion(chip, role, *units, *less)))
 }
 
-fn tables() -> String {
-    let mut text = "| attribute | parts | from | conversion |\n| --- | --- | --- | --- |\n".to_string();
-    for name in Attribute::all().map(Attribute::name).filter(|name| !REST.contains(name)) {
-        let mut rows: Vec<((String, String), Vec<&str>)> = Vec::new();
-        for chip in Chip::all() {
-            let Some(entry) = entry(chip, name) else { continue };
-            match rows.iter_mut().find(|(known, _)| *known == entry) {
-                Some((_, chips)) => chips.push(chip.name),
-                None => rows.push((entry, vec![chip.name])),
-            }
-        }
-        assert!(!rows.is_empty(), "{name} follows from nothing");
-        for ((from, conversion), chips) in rows {
-            writeln!(text, "| `{name}` | {} | {from} | {conversion} |", chips.join(", ")).expect("a string");
-        }
-    }
-    text += "\n| attribute | parts | readings that are no value | by |\n| --- | --- | --- | --- |\n";
-    for (name, roles, ..) in NUMBERS {
-        let mut rows: Vec<((String, &str), Vec<&str>)> = Vec::new();
-        for chip in Chip::all() {
-            let Some((role, source)) = source(chip, roles) else { continue };
-            let Some(absent) = absent(chip, role, &source) else { continue };
-            match rows.iter_mut().find(|(known, _)| *known == absent) {
-                Some((_, chips)) => chips.push(chip.name),
-                None => rows.push((absent, vec![chip.name])),
-            }
-        }
-        let all = Chip::all().filter(|chip| source(chip, roles).is_some()).count();
-        for ((readings, by), chips) in rows {
-            let parts = if chips.len() == all { "all".into() } else { chips.join(", ") };
-            writeln!(text, "| `{name}` | {parts} | {readings} | {by} |").expect("a string");
+/// The table, one line for each attribute of each part.
+fn table() -> String {
+    let mut text = "part\tattribute\tfrom\tconversion\treadings that are no value\tby\n".to_string();
+    let mut followed = BTreeSet::new();
+    for chip in Chip::all() {
+        for name in Attribute::all().map(Attribute::name).filter(|name| !REST.contains(name)) {
+            let Some((from, conversion)) = entry(chip, name) else { continue };
+            followed.insert(name);
+            let number = NUMBERS.iter().find(|(number, ..)| *number == name);
+            let no_value = number.and_then(|(_, roles, ..)| {
+                let (role, source) = source(chip, roles)?;
+                absent(chip, role, &source)
+            });
+            let (readings, by) = no_value.unwrap_or_default();
+            let cells =
+                [chip.name, name, &from, &conversion, &readings, by].map(|cell| cell.replace('`', ""));
+            writeln!(text, "{}", cells.join("\t").trim_end()).expect("a string");
         }
     }
-    text += "\n| part | documents |\n| --- | --- |\n";
-    for chip in Chip::all().filter(|chip| chip.has_table()) {
-        writeln!(text, "| {} | {} |", chip.name, chip.documents.join("; ")).expect("a string");
-    }
-    let others: BTreeSet<_> =
-        Chip::all().filter(|chip| !chip.has_table()).map(|chip| chip.documents).collect();
-    assert_eq!(others.len(), 1);
-    for documents in others {
-        writeln!(text, "| the others | {} |", documents.join("; ")).expect("a string");
-    }
+    let all: BTreeSet<_> =
+        Attribute::all().map(Attribute::name).filter(|name| !REST.contains(name)).collect();
+    assert_eq!(followed, all, "these follow from something; all");
     text
 }
 
-const BEGIN: &str = "<!-- what follows is checked by src/fs/attribute/by_part.rs -->\n";
-const END: &str = "<!-- end of what is checked -->\n";
-
 #[test]
 fn the_table_by_part_is_what_the_tables_of_the_parts_have() {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/ATTRIBUTES.md");
-    let document = std::fs::read_to_string(&path).expect("the document");
-    let (before, rest) = document.split_once(BEGIN).expect("the beginning");
-    let (then, after) = rest.split_once(END).expect("the end");
-    let now = tables();
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/attributes.tsv");
+    let now = table();
     if std::env::var_os("GAUGEFS_GOLDEN").is_some_and(|what| what == "write") {
-        std::fs::write(&path, [before, BEGIN, &now, END, after].concat()).expect("the document");
+        std::fs::write(&path, now).expect("the table");
         return;
     }
-    assert!(now == then, "docs/ATTRIBUTES.md differs; if that is intended, GAUGEFS_GOLDEN=write\n{now}");
+    let then = std::fs::read_to_string(&path).expect("the table");
+    assert!(now == then, "docs/attributes.tsv differs; if that is intended, GAUGEFS_GOLDEN=write\n{now}");
 }
 
 #[test]
