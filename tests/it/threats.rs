@@ -16,21 +16,29 @@ struct Threat {
     tests: String,
 }
 
+/// The ways in of docs/SECURITY.md, with the tests of each from `threats.list`, which has the same ways in the same order.
 fn threats() -> Vec<Threat> {
     let page = fs::read_to_string(root().join("docs/SECURITY.md")).expect("the page");
     let mut is_threat = false;
     let rows = page.lines().filter(|line| {
-        is_threat = line.starts_with('|') && (is_threat || line.starts_with("| attacker | way in |"));
-        is_threat && !line.starts_with("| attacker |") && !line.starts_with("| ---")
+        is_threat = line.starts_with('|') && (is_threat || line.starts_with("| way in |"));
+        is_threat && !line.starts_with("| way in |") && !line.starts_with("| ---")
     });
     let cells = |row: &str| row.trim_matches('|').split('|').map(|cell| cell.trim().to_string()).collect();
-    rows.map(|row| {
-        let [attacker, way_in, holds, tests] = <[String; 4]>::try_from(Vec::from_iter::<Vec<_>>(cells(row)))
-            .unwrap_or_else(|cells| panic!("four cells: {cells:?}"));
-        assert!(![&attacker, &way_in, &holds].iter().any(|cell| cell.is_empty()), "{row}");
-        Threat { way_in, tests }
-    })
-    .collect()
+    let ways: Vec<String> = rows
+        .map(|row| {
+            let [way_in, holds] = <[String; 2]>::try_from(Vec::from_iter::<Vec<_>>(cells(row)))
+                .unwrap_or_else(|cells| panic!("two cells: {cells:?}"));
+            assert!(!way_in.is_empty() && !holds.is_empty(), "{row}");
+            way_in
+        })
+        .collect();
+    let list = fs::read_to_string(root().join("tests/it/threats.list")).expect("the list");
+    let attacks = list.lines().filter(|line| !line.starts_with('#'));
+    let attacks: Vec<(&str, &str)> =
+        attacks.map(|line| line.split_once(" | ").expect("a way in, and its tests")).collect();
+    assert_eq!(ways, Vec::from_iter(attacks.iter().map(|(way, _)| *way)), "the page; the list");
+    attacks.into_iter().map(|(way_in, tests)| Threat { way_in: way_in.into(), tests: tests.into() }).collect()
 }
 
 /// The files of a kind below the folders with code and tests.
