@@ -144,6 +144,13 @@ fn words(text: &str) -> usize {
 fn no_page_is_longer_than_its_reader_needs() {
     let of_readme = words(&readme());
     assert!(of_readme <= 1500, "README.md has {of_readme} words");
+    let folder = fs::read_dir(root().join("docs")).expect("a folder");
+    let names = folder.map(|entry| entry.expect("an entry").file_name().to_string_lossy().into_owned());
+    let pages: Vec<_> =
+        names.filter(|name| name.ends_with(".md")).map(|name| (words(&page(&name)), name)).collect();
+    let all = of_readme + pages.iter().map(|(words, _)| words).sum::<usize>();
+    println!("README.md {of_readme}, all pages {all}: {pages:?}");
+    assert!(pages.len() > 20 && all <= 40_000, "all pages have {all} words: {pages:?}");
 }
 
 /// An example that mounts where only root may says so.

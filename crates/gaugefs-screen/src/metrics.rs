@@ -31,7 +31,7 @@ const METRICS: &str = "\
 Prometheus's node_exporter reads the attributes of a power supply. These metrics are the rest:
 learning, state of health, wear, seal, writes that wait for a decision, polls, age; and part,
 firmware and serial number as labels of gaugefs_chip_info. They have the label power_supply, as
-node_exporter's have it. docs/FLEET.md lists them.
+node_exporter's have it, and each comes with its meaning.
 
 gaugefs_mount_up is 0 for a mount whose daemon does not answer, and for one that is gone although it
 is expected: by --expect, or else by a file in /etc/gaugefs. Another user's private mount has none.
