@@ -120,7 +120,7 @@ pub static BELIEFS: &[Belief] = &[
     },
     Belief {
         name: "Voltage() before the first measurement",
-        parts: "those of which only the standard commands are known",
+        parts: "parts with standard commands only",
         holds: "Voltage() is 0 until the gauge has measured after its power-up",
         decided_by: "a recording of the first two seconds after power-up (`gaugefs mount --trace`)",
         otherwise: "values from before the power-up are shown for up to 2 s",
