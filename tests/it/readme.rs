@@ -176,7 +176,7 @@ fn examples_for_root_say_sudo() {
 /// `cargo run -- VERB` and `cargo install` have every command of these pages: what draws is part of the default features.
 #[test]
 fn every_command_is_in_the_default_build() {
-    let pages = ["HISTORIES.md", "CALIBRATION.md", "FLEET.md", "IMAGES.md", "COMMANDS.md"].map(page);
+    let pages = ["CALIBRATION.md", "FLEET.md", "IMAGES.md", "COMMANDS.md", "SIMULATOR.md"].map(page);
     let text = readme() + &pages.concat();
     let commands = text.lines().filter_map(|line| {
         let line = line.strip_prefix("$ ")?;
