@@ -31,9 +31,9 @@ use std::time::{Duration, Instant};
 
 use gauge_bus::clock::{Clock, RealClock};
 use gauge_bus::{Bus, BusError};
-use gauge_owner::{self as owner, Handle, Settings, Signal};
+use gauge_owner::{self as owner, Handle, Run, Signal};
 use gauge_sim::{Options, Sim, SimBus};
-use gaugefs::fs::{Access, Fs, MountedGauge, Scales};
+use gaugefs::fs::{Access, Fs, Supply};
 use gaugefs::fuse;
 use ti_gauge::chip::{Chip, Register, Role};
 
@@ -130,16 +130,11 @@ impl Bench {
             registers: registers.collect(),
         };
         let signal = Arc::new(Signal::default());
-        let settings = Settings { interval: INTERVAL, ..Settings::default() };
-        let handle = owner::spawn(chip, Box::new(bus), clock, settings, signal.clone()).expect("a gauge");
+        let run = Run { interval: INTERVAL, ..Run::default() };
+        let handle = owner::spawn(chip, Box::new(bus), clock, run, signal.clone()).expect("a gauge");
         let folder = std::env::temp_dir().join(format!("gaugefs-bench-{}", std::process::id()));
         fs::create_dir_all(&folder).expect("a folder");
-        let entry = MountedGauge {
-            name: "BAT0".into(),
-            handle: handle.clone(),
-            scales: Scales::default(),
-            knobs: None,
-        };
+        let entry = Supply::new("BAT0".into(), handle.clone());
         let tree = Fs::new(vec![entry], Access { uid: 0, gid: 0, group: false });
         let mounted =
             fuse::mount(Arc::new(tree), &folder, fuse::Options::default(), signal).expect("a mount");

@@ -345,7 +345,8 @@ mod tests {
     use super::*;
     #[cfg(feature = "screen")]
     use crate::config::AlertOptions;
-    use crate::config::{At, GaugeOptions, MountOptions, Options};
+    use crate::config::{At, MountOptions, Options};
+    use gauge_owner::GaugeOptions;
 
     #[test]
     fn clap_accepts_the_definition() {

@@ -7,47 +7,31 @@ use std::os::unix::fs::MetadataExt as _;
 use std::path::{Path, PathBuf};
 
 use crate::error::{Cause, Error, Result};
-use crate::fs::Scales;
+use gauge_owner::{GaugeOptions, Source};
 
 mod choice;
 mod file;
 mod node;
 mod option;
 mod options;
-mod source;
 mod station;
 mod values;
 
 pub(crate) use choice::ChoiceOptions;
 use node::Node;
-pub(crate) use option::{At, Given, Opt, Options, names};
-pub(crate) use options::{AlertOptions, GaugeOptions, MountOptions};
+pub(crate) use option::{At, Given, Opt, Options, names, written};
+pub(crate) use options::{AlertOptions, MountOptions};
 pub(crate) use station::station;
 pub(crate) use values::{address, celsius, chip_names, chips, divider, meter_current, pack_voltage, seal};
 
-impl MountOptions {
-    fn check_log(&self) -> Result<()> {
-        check_kept(self.log.as_ref(), "--log", "with --foreground the log goes to standard error without it")
-    }
+/// Whether a gauge is simulated in this process.
+pub(crate) fn is_simulated(options: &GaugeOptions) -> bool {
+    matches!(Source::of(options), Ok(Source::Sim { .. }))
 }
 
-impl GaugeOptions {
-    /// Completes the options from the device tree if `bus` is a device in sysfs.
-    fn of_node(self) -> Result<Self> {
-        let node = self.bus.as_deref().map(Node::find).transpose()?.flatten();
-        let Some(Node { bus, address, chip }) = node else { return Ok(self) };
-        Ok(Self { bus: Some(bus), address: self.address.or(Some(address)), chip: self.chip.or(chip), ..self })
-    }
-
-    pub(crate) fn scales(&self) -> Scales {
-        Scales {
-            current: self.current_scale.unwrap_or(1.0),
-            voltage: self.voltage_scale.unwrap_or(1.0),
-            energy: self.energy_scale.unwrap_or(1.0),
-            absolute_current: self.absolute_current,
-            energy_shown: self.energy,
-        }
-    }
+/// Whether a gauge is a recording.
+fn is_recorded(options: &GaugeOptions) -> bool {
+    matches!(Source::of(options), Ok(Source::Recording(_)))
 }
 
 /// The settings of `gaugefs mount`, from the command line and the configuration file. Paths are absolute, because the
@@ -65,22 +49,13 @@ pub(crate) struct Setup {
 }
 
 impl Setup {
-    pub(crate) fn one(mut mount: MountOptions, gauge: GaugeOptions) -> Result<Self> {
-        let mut gauge = gauge.of_node()?;
-        let all = "a mount goes on when the command has returned, which standard output does not";
-        check_kept(gauge.trace.as_ref(), "--trace", all)?;
-        check_kept(
-            gauge.sim_state.as_ref(),
-            "--sim-state",
-            "the gauge's flash is read from it and written to it",
-        )?;
-        mount.check_log()?;
-        gauge_owner::key_file::check_name(gauge.key_file.as_deref())?;
-        gauge.replay = gauge.replay.map(standard_input);
-        gauge.profile = gauge.profile.map(standard_input);
+    pub(crate) fn one(mut mount: MountOptions, mut gauge: GaugeOptions) -> Result<Self> {
+        Node::complete(&mut gauge)?;
+        option::read_dashes(&mut gauge)?;
+        option::read_dashes(&mut mount)?;
         make_absolute(&mut mount, Path::new(""))?;
         make_absolute(&mut gauge, Path::new(""))?;
-        mount.read_only |= gauge.replay.is_some();
+        mount.read_only |= is_recorded(&gauge);
         Ok(Self { mount, gauges: vec![gauge], alerts: Vec::new(), configured: false })
     }
 
@@ -98,16 +73,16 @@ impl Setup {
         let name = path.display().to_string();
         let refuse = |why: &'static str| Err(Error::new(&name, Cause::Invalid, why));
         let (mut mount, gauges, alerts) = file::read(path, bus.as_deref())?;
-        if gauges.iter().flat_map(|gauge| &gauge.choose).any(ChoiceOptions::runs) {
+        if gauges.iter().any(choice::runs) {
             check_own(path)?;
         }
         over(&mut mount);
-        mount.check_log()?;
+        option::read_dashes(&mut mount)?;
         make_absolute(&mut mount, Path::new(""))?;
         if mount.mountpoint.is_none() {
             return refuse("no mount point; give one on the command line, or set mountpoint below [mount]");
         }
-        let recordings = gauges.iter().filter(|gauge| gauge.replay.is_some()).count();
+        let recordings = gauges.iter().filter(|gauge| is_recorded(gauge)).count();
         if recordings > 0 && recordings < gauges.len() && !mount.read_only {
             return refuse(
                 "a recording makes all gauges of its mount read-only; set read-only = true below [mount], or \
@@ -159,14 +134,6 @@ const STANDARD_INPUT: &str = "/dev/stdin";
 /// The path of a file that is read as a whole, before the command returns.
 pub(crate) fn standard_input(path: PathBuf) -> PathBuf {
     if path == Path::new("-") { STANDARD_INPUT.into() } else { path }
-}
-
-/// Refuses `-` for a file that a mount keeps reading or writing.
-fn check_kept(path: Option<&PathBuf>, option: &str, why: &str) -> Result<()> {
-    match path.is_some_and(|path| path == Path::new("-")) {
-        true => Err(Error::new(option, Cause::Invalid, format!("{why}; name a file"))),
-        false => Ok(()),
-    }
 }
 
 /// Makes relative paths of options absolute, below `folder`, or below the current folder if `folder` is empty.

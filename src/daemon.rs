@@ -8,14 +8,14 @@ use std::sync::Arc;
 
 use nix::unistd::{getegid, geteuid};
 
-use crate::config::{GaugeOptions, MountOptions, Setup};
+use crate::config::{MountOptions, Setup};
 use crate::error::{Cause, Error, Result};
-use crate::fs::{Access, Covered, Fs, Knobs, MountedGauge, free_names};
+use crate::fs::{Access, Covered, Fs, Knobs, Scales, Supply, free_names};
 use crate::fuse;
 use crate::output::say;
 use gauge_bus::clock::{Clock, HurriedClock, RealClock};
 use gauge_owner::lock::Lock;
-use gauge_owner::{Handle, Opening, Ready, Signal};
+use gauge_owner::{GaugeOptions, Handle, Opening, Ready, Signal};
 
 mod adapters;
 pub mod background;
@@ -92,7 +92,7 @@ pub(crate) fn run(setup: Setup, mode: Mode) -> Result<()> {
     let open = || Gauges::open(&opening, names.clone(), &gauges, configured, &warn);
     let opened = if mode == Mode::Service { service::open(&*clock, open)? } else { open()? };
     let Gauges { entries, handles, nodes, batteries, locks, places } = opened;
-    entries.iter().flat_map(MountedGauge::warnings).for_each(|line| warn(&line));
+    entries.iter().flat_map(Supply::warnings).for_each(|line| warn(&line));
     adapters::watch(nodes.into_iter());
     // Root's mount belongs to root, also if a service's account serves it.
     let (uid, gid) = match mode {
@@ -159,7 +159,7 @@ pub(crate) fn run(setup: Setup, mode: Mode) -> Result<()> {
 /// The gauges of a mount, opened and polled once. All lists have their order.
 #[derive(Default)]
 struct Gauges {
-    entries: Vec<MountedGauge>,
+    entries: Vec<Supply>,
     handles: Vec<Handle>,
     /// Nodes of adapters, and the gauges that go with them.
     nodes: Vec<(PathBuf, Handle)>,
@@ -181,13 +181,13 @@ impl Gauges {
         warn: &dyn Fn(&str),
     ) -> Result<Self> {
         let options_of: HashMap<String, &GaugeOptions> = names.iter().cloned().zip(options).collect();
-        let named = names.into_iter().zip(options.iter().map(GaugeOptions::setup));
+        let named = names.into_iter().zip(options.iter().cloned());
         let ready: Vec<Ready> = if configured {
             let (gauges, lines) = opening.many(named.collect())?;
             lines.iter().for_each(|line| warn(line));
             gauges
         } else {
-            named.map(|(name, gauge)| opening.one(name, gauge)).collect::<Result<_>>()?
+            named.map(|(name, gauge)| opening.one(name, &gauge)).collect::<Result<_>>()?
         };
         let mut all = Self::default();
         for (gauge, ready) in (0..).zip(ready) {
@@ -199,7 +199,7 @@ impl Gauges {
 
     fn add(&mut self, gauge: u16, ready: Ready, options: &GaugeOptions) -> Result<()> {
         let Ready { name, handle, sim, what, lock, node } = ready;
-        if options.kernel_node {
+        if node::is_wanted(options) {
             node::check_chip(&name, handle.chip())?;
             let interval = handle.published().interval;
             self.batteries.push(node::Wanted { gauge, name: name.clone(), interval });
@@ -208,7 +208,7 @@ impl Gauges {
         self.places.push((what, name.clone()));
         self.handles.push(handle.clone());
         let knobs = sim.map(|sim| Box::new(SimKnobs(sim)) as Box<dyn Knobs>);
-        self.entries.push(MountedGauge { name, handle, scales: options.scales(), knobs });
+        self.entries.push(Supply::new(name, handle).with_scales(Scales::wanted(options)).with_knobs(knobs));
         self.locks.push(lock);
         Ok(())
     }

@@ -24,7 +24,7 @@ use std::sync::Arc;
 use nix::errno::Errno;
 
 use crate::error::{Error, Result};
-use gauge_owner::{Attempt, Done, Handle};
+use gauge_owner::{Attempt, Done, GaugeOptions};
 
 mod attribute;
 mod caller;
@@ -41,7 +41,7 @@ mod supply;
 mod transaction;
 
 pub use attribute::Attribute;
-use attribute::{Kind, Reading};
+use attribute::Kind;
 pub use caller::{Caller, Process};
 pub use covered::Covered;
 use covered::CoveredLink;
@@ -54,8 +54,7 @@ pub use sim_dir::SimItem;
 pub(crate) use smart_battery::{
     ADDRESS as BATTERY_ADDRESS, SmartBattery, Told, obstacle as battery_obstacle,
 };
-use supply::Supply;
-pub use supply::SupplyItem;
+pub use supply::{Supply, SupplyItem};
 
 /// The kernel splits a write(2) at pages of the file. Larger pages are multiples of this.
 const PAGE: usize = 4096;
@@ -95,69 +94,22 @@ impl Default for Scales {
 }
 
 impl Scales {
+    /// As the options of a gauge have them.
+    pub fn wanted(options: &GaugeOptions) -> Self {
+        Self {
+            current: options.current_scale.unwrap_or(1.0),
+            voltage: options.voltage_scale.unwrap_or(1.0),
+            energy: options.energy_scale.unwrap_or(1.0),
+            absolute_current: options.absolute_current,
+            energy_shown: options.energy,
+        }
+    }
+
     fn of(&self, kind: Kind) -> f64 {
         match kind {
             Kind::Voltage => self.voltage,
             Kind::Current | Kind::Charge => self.current,
             Kind::Energy => self.energy,
-        }
-    }
-}
-
-/// A gauge with a folder below the mount point.
-pub struct MountedGauge {
-    /// Name of the folder, such as `BAT0`.
-    pub name: String,
-    /// The gauge.
-    pub handle: Handle,
-    /// Scaling and display of measurements.
-    pub scales: Scales,
-    /// The files of `sim/`, for a simulated gauge.
-    pub knobs: Option<Box<dyn Knobs>>,
-}
-
-impl MountedGauge {
-    /// Warnings about scales: the user's own may repeat a scale that the gauge reports, or may be missing or given
-    /// against what the gauge says.
-    pub fn warnings(&self) -> Vec<String> {
-        let published = self.handle.published();
-        let reading = Reading::new(&self.handle, published.snapshot.as_deref(), &self.scales);
-        // One warning for each option.
-        let kinds = Kind::ALL.chunk_by(|one, other| one.option() == other.option());
-        let twice = kinds.filter_map(|kinds| kinds.iter().find_map(|&kind| self.given_twice(&reading, kind)));
-        let scaled = reading.is_scaled().and_then(|(is_scaled, what)| self.contradiction(is_scaled, &what));
-        twice.chain(scaled).map(|warning| format!("{}: {warning}", self.name)).collect()
-    }
-
-    fn given_twice(&self, reading: &Reading<'_>, kind: Kind) -> Option<String> {
-        let (reported, given) = (reading.reported_scale(kind)?, self.scales.of(kind));
-        (reported != 1 && given != 1.0).then(|| {
-            let (option, all) = (kind.option(), f64::from(reported) * given);
-            format!(
-                "the gauge reports a scale of {reported}, and {option} {given} comes on top: values are multiplied by \
-                 {all}; leave out {option} if it is the same scale"
-            )
-        })
-    }
-
-    /// What a bit says about scales that the gauge lacks, against the options.
-    fn contradiction(&self, is_scaled: bool, what: &str) -> Option<String> {
-        let scales = &self.scales;
-        let kinds = [(Kind::Current, true), (Kind::Energy, scales.energy_shown)];
-        let wrong = |&(kind, is_shown): &(Kind, bool)| is_shown && (scales.of(kind) == 1.0) == is_scaled;
-        let options: Vec<_> =
-            kinds.iter().filter(|kind| wrong(kind)).map(|(kind, _)| kind.option()).collect();
-        let options = options.join(" and ");
-        match is_scaled {
-            _ if options.is_empty() => None,
-            true => Some(format!(
-                "{what} is set, so currents, charges and energies are a fraction of the real ones, and the gauge does \
-                 not have the factor; give {options}"
-            )),
-            false => Some(format!(
-                "{options} given, but {what} is clear, so the gauge reports real values; leave out {options}, or set \
-                 the bit"
-            )),
         }
     }
 }
@@ -349,8 +301,8 @@ pub struct Fs {
 
 impl Fs {
     /// A tree of these gauges.
-    pub fn new(gauges: Vec<MountedGauge>, access: Access) -> Self {
-        let supplies = (0..).zip(gauges).map(|(index, gauge)| Arc::new(Supply::new(index, gauge)));
+    pub fn new(gauges: Vec<Supply>, access: Access) -> Self {
+        let supplies = (0..).zip(gauges).map(|(index, gauge)| Arc::new(gauge.at(index)));
         Self { supplies: supplies.collect(), access, mains: None, covered: None }
     }
 

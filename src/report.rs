@@ -155,7 +155,7 @@ mod tests {
     use super::*;
     use gauge_owner::recorded;
     use gauge_owner::rig::{INTERVAL, Rig};
-    use gauge_owner::{Settings, Startup, operations as op};
+    use gauge_owner::{Run, operations as op};
     use ti_gauge::dataflash::sample;
 
     /// Mounts a report as `--replay` does, and compares its gauge with the report.
@@ -208,7 +208,7 @@ mod tests {
     fn the_report_of_every_chip_replays() {
         let file = std::env::temp_dir().join(format!("gaugefs-report-{}", process::id()));
         for chip in Chip::all() {
-            let mut rig = Rig::of(chip.name, Settings::default(), Startup::default());
+            let mut rig = Rig::of(chip.name, Run::default());
             rig.start().expect("it answers");
             rig.ask(&op::REPORT, ()).expect("it answers");
             let report = rig.handle.published().report.clone().expect("a report");
@@ -255,7 +255,7 @@ mod tests {
             ("bq27220", &["Answer to FW_VERSION: 022000030001"]),
             ("bq27z561", &["; Power: AveragePower() ", "; Not confirmed: Voltage() before the first"]),
         ] {
-            let mut rig = Rig::of(chip, Settings::default(), Startup::default());
+            let mut rig = Rig::of(chip, Run::default());
             rig.start().expect("it answers");
             rig.ask(&op::REPORT, ()).expect("it answers");
             let report = rig.handle.published().report.clone().expect("a report");

@@ -12,9 +12,10 @@ use jiff::Timestamp;
 use roff::{Inline, Roff, bold, italic, roman};
 
 use super::Cli;
-use crate::config::{AlertOptions, At, ChoiceOptions, GaugeOptions, MountOptions, Opt, Options};
+use crate::config::{AlertOptions, At, ChoiceOptions, MountOptions, Opt, Options};
 use crate::error::Result;
 use crate::output::print_file;
+use gauge_owner::GaugeOptions;
 
 const PROGRAM: &str = include_str!("../../docs/gaugefs.1.in");
 const WORDS: &str = include_str!("../../docs/COMMANDS.md");

@@ -8,10 +8,11 @@ use std::process::ExitCode;
 use clap::{ArgGroup, Args};
 
 use super::align;
-use crate::config::{At, GaugeOptions, Given, MountOptions, Setup, names, standard_input};
+use crate::config::{At, Given, MountOptions, Setup, names, standard_input};
 use crate::daemon::{self, Mode, background, node, preflight, service};
 use crate::error::Result;
 use crate::output::{print, say};
+use gauge_owner::{GaugeOptions, Source};
 
 const MOUNT: &str = "\
 Examples:
@@ -111,10 +112,10 @@ fn check(setup: &Setup) -> Result<ExitCode> {
 
 fn plan(setup: &Setup, names: &[String]) -> String {
     let rows = names.iter().zip(&setup.gauges).map(|(name, gauge)| {
-        let source = gauge.source();
-        let chip = source.chip().map_or("asked", |chip| chip.name);
+        let source = Source::of(gauge).ok();
+        let chip = source.as_ref().and_then(Source::chip).map_or("asked", |chip| chip.name);
         let place = setup.mountpoint().join(name).display().to_string();
-        [place, source.to_string(), chip.to_string()]
+        [place, source.map_or_else(String::new, |source| source.to_string()), chip.to_string()]
     });
     align(&rows.collect::<Vec<_>>())
 }

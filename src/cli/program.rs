@@ -92,10 +92,9 @@ impl Program {
         }
         let setup = config::station(&self.station, |gauges| daemon::names(gauges, &[]))?;
         if self.fast
-            && let Some((name, gauge)) =
-                setup.gauges.iter().find(|(_, gauge)| !matches!(gauge.source, Source::Sim { .. }))
+            && let Some((name, gauge)) = setup.gauges.iter().find(|(_, gauge)| !config::is_simulated(gauge))
         {
-            let why = format!("--fast is for simulated packs, and it is {}", gauge.source);
+            let why = format!("--fast is for simulated packs, and it is {}", Source::of(gauge)?);
             return Err(Error::new(name, Cause::Invalid, why));
         }
         let plan = Plan::read(&self.image, setup)?;

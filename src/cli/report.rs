@@ -9,11 +9,12 @@ use clap::{ArgGroup, Args};
 use nix::errno::Errno;
 
 use super::PASSED_OVER;
-use crate::config::{GaugeOptions, address, chips};
+use crate::config::{address, chips};
 use crate::error::{Error, Result};
 use crate::output::{check_file, is_standard_output, print, say, write_file};
 use crate::{daemon, report};
 use gauge_bus::regular::Replace;
+use gauge_owner::GaugeOptions;
 use gaugefs_client::Gauge;
 use ti_gauge::chip::Chip;
 
@@ -81,7 +82,7 @@ impl Report {
         }
         let text = match &self.gauge {
             Some(gauge) => of_mounted(gauge)?,
-            None => daemon::report(self.options())?,
+            None => daemon::report(&self.options())?,
         };
         let name = || format!("gaugefs-report-{}.txt", report::chip(&text).unwrap_or("gauge")).into();
         let file = self.output.clone().unwrap_or_else(name);

@@ -9,7 +9,8 @@ use toml::de::DeValue;
 
 use super::option::{At, Effect, IN_FILE, Opt, Options, Wrong, names, put};
 use super::values;
-use gauge_owner::{Evidence, Rule};
+use crate::error::Error;
+use gauge_owner::{Evidence, GaugeOptions, Rule};
 use ti_gauge::chip::Chip;
 use ti_gauge::text::nearest;
 
@@ -191,13 +192,8 @@ impl ChoiceOptions {
         Ok(())
     }
 
-    /// Whether it runs a program.
-    pub(super) fn runs(&self) -> bool {
-        !self.command.is_empty()
-    }
-
     /// The rule for a gauge's owner.
-    pub(crate) fn rule(&self) -> Rule {
+    pub(super) fn rule(&self) -> Rule {
         let file = self.file.clone().map(Evidence::File);
         let command = Some(self.command.clone()).filter(|words| !words.is_empty()).map(Evidence::Command);
         Rule {
@@ -213,6 +209,22 @@ impl ChoiceOptions {
             pack_by_text: self.pack_by_text,
         }
     }
+}
+
+/// Whether a program decides which profile a gauge gets.
+pub(super) fn runs(options: &GaugeOptions) -> bool {
+    options.choose.iter().any(|rule| matches!(rule.evidence, Some(Evidence::Command(_))))
+}
+
+/// Makes the paths of a gauge's rules absolute that are relative to `folder`.
+pub(super) fn make_absolute(options: &mut GaugeOptions, folder: &Path) -> Result<(), Error> {
+    options.choose.iter_mut().try_for_each(|rule| {
+        super::absolute(&mut rule.profile, folder)?;
+        match &mut rule.evidence {
+            Some(Evidence::File(path)) => super::absolute(path, folder),
+            Some(Evidence::Command(_)) | None => Ok(()),
+        }
+    })
 }
 
 #[cfg(test)]

@@ -13,12 +13,12 @@ use std::path::{Path, PathBuf};
 use toml::Spanned;
 use toml::de::{DeString, DeTable, DeValue};
 
-use super::make_absolute;
-use super::option::{At, Opt, Options, Wrong, names};
-use super::options::{AlertOptions, GaugeOptions, MountOptions};
+use super::option::{self, At, Opt, Options, Wrong, names};
+use super::options::{AlertOptions, MountOptions};
+use super::{choice, make_absolute};
 use crate::error::{Cause, Error, Result};
 use gauge_bus::regular;
-use gauge_owner::Source;
+use gauge_owner::{GaugeOptions, Source};
 use ti_gauge::text::nearest;
 
 /// The subject of a file besides gauges: its first table.
@@ -278,13 +278,13 @@ impl<'a, H: Head> File<'a, H> {
         let mut taken: HashMap<Mark, usize> = HashMap::new();
         for (written, gauge) in self.gauges.iter().zip(&mut gauges) {
             make_absolute(gauge, folder(path))?;
-            for choice in &mut gauge.choose {
-                make_absolute(choice, folder(path))?;
+            choice::make_absolute(gauge, folder(path))?;
+            if let Some(bus) = bus
+                && !["bus", "sim", "replay"].iter().any(|source| written.has(source))
+            {
+                GaugeOptions::row("bus").expect("it is an option").set_path(gauge, bus.to_path_buf());
             }
-            if !["bus", "sim", "replay"].iter().any(|source| written.has(source)) {
-                gauge.bus = bus.map(Path::to_path_buf).or(gauge.bus.take());
-            }
-            if gauge.sim.is_none() && gauge.replay.is_none() && gauge.bus.is_none() {
+            if Source::of(gauge).is_err() {
                 let why = "no source given; below it, set bus = \"/dev/i2c-1\", sim or replay, or pass --bus";
                 return Err(self.refuse(written.at, "[[gauge]]", why));
             }
@@ -375,16 +375,12 @@ enum Mark {
 
 fn marks(gauge: &GaugeOptions) -> Vec<(&'static str, Mark)> {
     let mut marks: Vec<_> = gauge.name.iter().map(|name| ("name", Mark::Name(name.clone()))).collect();
-    match gauge.source() {
-        Source::Bus { bus, address, .. } => {
-            // Two names of an adapter mean the same bus.
-            let bus = std::fs::canonicalize(&bus).unwrap_or(bus);
-            marks.push(("address", Mark::Address(bus, address)));
-        }
-        Source::Sim { state: Some(state), .. } => marks.push(("sim-state", Mark::File(state))),
-        Source::Sim { .. } | Source::Recording(_) => {}
+    if let Ok(Source::Bus { bus, address, .. }) = Source::of(gauge) {
+        // Two names of an adapter mean the same bus.
+        let bus = std::fs::canonicalize(&bus).unwrap_or(bus);
+        marks.push(("address", Mark::Address(bus, address)));
     }
-    marks.extend(gauge.trace.iter().map(|trace| ("trace", Mark::File(trace.clone()))));
+    marks.extend(option::written(gauge).map(|(option, file)| (option, Mark::File(file))));
     marks
 }
 

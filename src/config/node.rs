@@ -7,20 +7,33 @@ use std::path::{Path, PathBuf};
 
 use crate::error::{Cause, Error, Result};
 use gauge_bus::{GAUGE_ADDRESS, regular};
+use gauge_owner::GaugeOptions;
 use ti_gauge::chip::{CHIPS, Chip, kernel};
 
 /// The gauge of a folder such as `/sys/bus/i2c/devices/1-0055`.
 #[derive(Debug)]
 pub(super) struct Node {
-    pub(super) bus: PathBuf,
-    pub(super) address: u8,
+    bus: PathBuf,
+    address: u8,
     /// The chip, if the name in the tree means exactly one; otherwise the gauge is asked.
-    pub(super) chip: Option<&'static Chip>,
+    chip: Option<&'static Chip>,
 }
 
 impl Node {
+    /// Completes the options of a gauge whose bus is a device in sysfs.
+    pub(super) fn complete(options: &mut GaugeOptions) -> Result<()> {
+        if let Some(Self { bus, address, chip }) =
+            options.bus.as_deref().map(Self::find).transpose()?.flatten()
+        {
+            options.bus = Some(bus);
+            options.address = options.address.or(Some(address));
+            options.chip = options.chip.or(chip);
+        }
+        Ok(())
+    }
+
     /// The device of a folder; `None` if there is no such folder.
-    pub(super) fn find(path: &Path) -> Result<Option<Self>> {
+    fn find(path: &Path) -> Result<Option<Self>> {
         if !path.is_dir() {
             return Ok(None);
         }

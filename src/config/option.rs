@@ -15,7 +15,7 @@ use super::values;
 use ti_gauge::chip::Chip;
 
 /// Options that are read together.
-pub(crate) trait Options: Default + 'static {
+pub(crate) trait Options: Clone + Default + 'static {
     const TABLE: &'static [Opt<Self>];
 
     fn row(name: &str) -> Option<&'static Opt<Self>> {
@@ -44,6 +44,8 @@ pub(crate) struct Opt<T: 'static> {
     /// For an older name, the option's present name; otherwise empty.
     #[cfg_attr(not(test), allow(dead_code, reason = "what it does follows from its effect"))]
     pub(super) of: &'static str,
+    /// What `-` is, for an option that names a file.
+    pub(super) dash: Dash,
     /// An option that it needs.
     pub(super) needs: Option<&'static str>,
     /// A value as TOML, for the tests.
@@ -64,6 +66,19 @@ pub(crate) enum At {
     Defaults,
     /// In the tables of gauges in the file of a station.
     Station,
+}
+
+/// What `-` is on a command line, in place of a file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Dash {
+    /// The name of a file.
+    Name,
+    /// Standard input, which is read as a whole before the command returns.
+    Input,
+    /// Nothing, for this reason: the file is written while a mount lasts.
+    Written(&'static str),
+    /// Nothing, because the file has keys.
+    Secret,
 }
 
 /// Only in a file.
@@ -121,6 +136,7 @@ impl<T: Options> Opt<T> {
         at: &[At::Line, At::Table],
         not_with: &[],
         of: "",
+        dash: Dash::Name,
         needs: None,
         sample: "true",
     };
@@ -251,6 +267,21 @@ impl<T: Options> Opt<T> {
         Ok(())
     }
 
+    /// The file that it names.
+    pub(super) fn path(&self, options: &T) -> Option<PathBuf> {
+        match self.effect {
+            Effect::File(_, field) | Effect::NameOrFile(_, field) => field(&mut options.clone()).take(),
+            _ => None,
+        }
+    }
+
+    /// Names another file.
+    pub(super) fn set_path(&self, options: &mut T, path: PathBuf) {
+        if let Effect::File(_, field) | Effect::NameOrFile(_, field) = self.effect {
+            *field(options) = Some(path);
+        }
+    }
+
     /// The value's type in a file.
     pub(crate) fn kind(&self) -> &'static str {
         match self.effect {
@@ -313,6 +344,29 @@ pub(super) fn paths<T: Options>(options: &mut T, mut each: impl FnMut(&mut PathB
             each(path);
         }
     }
+}
+
+/// Replaces or refuses `-` in place of a file.
+pub(super) fn read_dashes<T: Options>(options: &mut T) -> crate::error::Result<()> {
+    for row in T::TABLE {
+        let Some(path) = row.path(options).filter(|path| path == Path::new("-")) else { continue };
+        match row.dash {
+            Dash::Name => {}
+            Dash::Input => row.set_path(options, super::standard_input(path)),
+            Dash::Written(why) => {
+                let option = format!("--{}", row.name);
+                return Err(super::Error::new(option, super::Cause::Invalid, format!("{why}; name a file")));
+            }
+            Dash::Secret => gauge_owner::key_file::check_name(Some(&path))?,
+        }
+    }
+    Ok(())
+}
+
+/// The files that are written while a mount lasts, each with the name of its option.
+pub(crate) fn written<T: Options>(options: &T) -> impl Iterator<Item = (&'static str, PathBuf)> {
+    let rows = T::TABLE.iter().filter(|row| matches!(row.dash, Dash::Written(_)));
+    rows.filter_map(|row| Some((row.name, row.path(options)?)))
 }
 
 /// The options on a command line.

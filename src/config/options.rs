@@ -7,13 +7,11 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use super::choice::ChoiceOptions;
-use super::option::{self, At, Effect, IN_FILE, Opt, Options, put};
-use super::values::{self, Key};
-use gauge_sim::Level;
+use super::option::{self, At, Dash, Effect, IN_FILE, Opt, Options, put};
+use super::values;
+use gauge_owner::GaugeOptions;
 use gauge_station::{Options as StationOptions, Seen, SerialFrom, Unsettled};
 use gaugefs_client::condition::Condition;
-use ti_gauge::authentication::Order;
-use ti_gauge::chip::Chip;
 
 /// For any gauge, also at a station.
 const ANY_GAUGE: &[At] = &[At::Line, At::Table, At::Defaults, At::Station];
@@ -30,41 +28,6 @@ const ACCESS: &str = "Access";
 const RUNNING: &str = "Running";
 
 /// A gauge and its treatment: `[[gauge]]` and `[defaults]`.
-#[derive(Clone, Debug, Default)]
-pub(crate) struct GaugeOptions {
-    pub(crate) sim: Option<&'static Chip>,
-    pub(crate) sim_state: Option<PathBuf>,
-    pub(crate) sim_key: Option<Key>,
-    pub(crate) sim_seal: Option<Level>,
-    pub(crate) sim_set: Vec<(String, String)>,
-    pub(crate) scenario: Option<PathBuf>,
-    pub(crate) scenario_seed: Option<u64>,
-    pub(crate) bus: Option<PathBuf>,
-    pub(crate) address: Option<u8>,
-    pub(crate) chip: Option<&'static Chip>,
-    pub(crate) replay: Option<PathBuf>,
-    pub(crate) byte_writes: bool,
-    pub(crate) profile: Option<PathBuf>,
-    pub(crate) choose: Vec<ChoiceOptions>,
-    pub(crate) pack: Option<String>,
-    pub(crate) name: Option<String>,
-    pub(crate) poll: Option<Duration>,
-    pub(crate) energy: bool,
-    pub(crate) absolute_current: bool,
-    pub(crate) kernel_node: bool,
-    pub(crate) current_scale: Option<f64>,
-    pub(crate) voltage_scale: Option<f64>,
-    pub(crate) energy_scale: Option<f64>,
-    pub(crate) allow_unproven: bool,
-    pub(crate) allow_learning: bool,
-    pub(crate) writes_per_hour: Option<u32>,
-    pub(crate) key_file: Option<PathBuf>,
-    pub(crate) no_default_keys: bool,
-    pub(crate) auth_order: Option<Order>,
-    pub(crate) trace: Option<PathBuf>,
-    pub(crate) trace_replace: bool,
-}
-
 impl Options for GaugeOptions {
     const TABLE: &'static [Opt<Self>] = &[
         Opt {
@@ -85,6 +48,7 @@ impl Options for GaugeOptions {
             not_with: &["bus", "replay"],
             needs: Some("sim"),
             sample: "'flash'",
+            dash: Dash::Written("the gauge's flash is read from it and written to it"),
             ..Opt::NEW
         },
         Opt {
@@ -192,6 +156,7 @@ impl Options for GaugeOptions {
             at: ONE_MOUNTED,
             not_with: &["sim"],
             sample: "'recording'",
+            dash: Dash::Input,
             ..Opt::NEW
         },
         Opt {
@@ -211,6 +176,7 @@ impl Options for GaugeOptions {
             at: ANY_MOUNTED,
             not_with: &["replay"],
             sample: "'image'",
+            dash: Dash::Input,
             ..Opt::NEW
         },
         Opt {
@@ -222,12 +188,14 @@ impl Options for GaugeOptions {
             not_with: &["replay", "profile"],
             of: "profile",
             sample: "'image'",
+            dash: Dash::Input,
             ..Opt::NEW
         },
         Opt {
             name: "choose",
             effect: Effect::Tables(|to, rules| {
-                to.choose = ChoiceOptions::read(rules)?;
+                let rules = ChoiceOptions::read(rules)?;
+                to.choose = rules.iter().map(ChoiceOptions::rule).collect();
                 Ok(())
             }),
             doc: "In place of a profile, the rules by which one of several is chosen, each below [[gauge.choose]]",
@@ -363,6 +331,7 @@ impl Options for GaugeOptions {
             heading: ACCESS,
             at: ANY_GAUGE,
             sample: "'keys'",
+            dash: Dash::Secret,
             ..Opt::NEW
         },
         Opt {
@@ -392,6 +361,9 @@ impl Options for GaugeOptions {
             at: ONE_MOUNTED,
             not_with: &["replay"],
             sample: "'trace'",
+            dash: Dash::Written(
+                "a mount goes on when the command has returned, which standard output does not",
+            ),
             ..Opt::NEW
         },
         Opt {
@@ -482,6 +454,7 @@ impl Options for MountOptions {
             default: "syslog, in the foreground standard error",
             heading: RUNNING,
             sample: "'log'",
+            dash: Dash::Written("with --foreground the log goes to standard error without it"),
             ..Opt::NEW
         },
         Opt {

@@ -6,8 +6,9 @@ use std::path::Path;
 
 use super::file::{self, File, Head};
 use super::option::At;
-use super::{GaugeOptions, absolute, make_absolute};
+use super::{absolute, make_absolute};
 use crate::error::{Cause, Error, Result};
+use gauge_owner::GaugeOptions;
 use gauge_station::{Options, Setup};
 
 impl Head for Options {
@@ -29,7 +30,7 @@ pub(crate) fn station(path: &Path, named: impl FnOnce(&[GaugeOptions]) -> Vec<St
         None => Error::new(format!("{}: {key}", file.name), Cause::Invalid, why),
     })?;
     let gauges = file.complete(read.gauges, &path, None)?;
-    let gauges = named(&gauges).into_iter().zip(gauges.iter().map(GaugeOptions::setup)).collect();
+    let gauges = named(&gauges).into_iter().zip(gauges).collect();
     Ok(Setup::new(&path, read.head, gauges))
 }
 

@@ -2,7 +2,6 @@
 
 //! Values of options, checked alike on the command line and in a configuration file.
 
-use std::fmt;
 use std::str::FromStr;
 use std::time::Duration;
 
@@ -10,6 +9,7 @@ use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 
 use clap::error::{ContextKind, ContextValue};
 use gauge_bus::GAUGE_ADDRESS;
+use gauge_owner::SimKey;
 use gauge_sim::Level;
 use gaugefs_client::condition::Condition;
 use gaugefs_host::seconds;
@@ -17,16 +17,6 @@ use ti_gauge::authentication::Order;
 use ti_gauge::chip::{Chip, kernel};
 use ti_gauge::keys::{self, Name, Secret};
 use ti_gauge::{text, unit};
-
-/// Key words, which are never shown.
-#[derive(Clone)]
-pub(crate) struct Key(pub(crate) [u16; 2]);
-
-impl fmt::Debug for Key {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("hidden")
-    }
-}
 
 pub(crate) fn chip_names() -> PossibleValuesParser {
     PossibleValuesParser::new(
@@ -75,8 +65,8 @@ pub(super) fn one_of<T: Copy>(text: &str, words: &[(&str, T)]) -> Result<T, Stri
     found.map(|(_, value)| *value).ok_or_else(|| format!("expected one of: {}", known()))
 }
 
-pub(super) fn key(text: &str) -> Result<Key, String> {
-    let key = Secret::parse(Name::Unseal, text).map(|key| Key(key.words()));
+pub(super) fn key(text: &str) -> Result<SimKey, String> {
+    let key = Secret::parse(Name::Unseal, text).map(|key| SimKey(key.words()));
     key.ok_or_else(|| "expected two words, such as '0414 3672'".into())
 }
 

@@ -32,7 +32,7 @@ use crate::error::{Cause, Error, Result};
 use crate::fs::{BATTERY_ADDRESS, Fs, SmartBattery, Told, battery_obstacle};
 use crate::vhci::{self, Plugged};
 use gauge_bus::clock::{Clock, RealClock};
-use gauge_owner::Signal;
+use gauge_owner::{GaugeOptions, Signal};
 use ti_gauge::chip::Chip;
 
 const OPTION: &str = "kernel-node";
@@ -192,6 +192,11 @@ fn close_all_but(kept: i32) {
 fn spawn(name: &str, work: impl FnOnce() + Send + 'static) -> Result<()> {
     let thread = std::thread::Builder::new().name(name.into()).stack_size(128 * 1024).spawn(work);
     thread.map(drop).map_err(|error| Error::io(OPTION, "cannot start a thread", &error))
+}
+
+/// Whether a gauge is to be offered.
+pub(super) fn is_wanted(options: &GaugeOptions) -> bool {
+    options.kernel_node
 }
 
 /// Checks that a gauge can be offered: by its chip, if known, by whether the mount covers the kernel's supplies, and by

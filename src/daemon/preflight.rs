@@ -12,13 +12,13 @@ use nix::unistd::{Gid, Group, User, getegid, geteuid, getgroups};
 
 use super::mountpoint::{self, Hiding};
 use super::{log, node};
-use crate::config::{GaugeOptions, MountOptions, Setup};
+use crate::config::{self, MountOptions, Setup};
 use crate::error::{Cause, Error, Result};
 use crate::fs::Covered;
 use crate::fuse::needs;
 use gauge_bus::clock::{Clock, RealClock};
 use gauge_bus::regular;
-use gauge_owner::{GaugeSetup, Source, journal_dir};
+use gauge_owner::{GaugeOptions, Source, journal_dir};
 #[cfg(feature = "screen")]
 use gaugefs_screen::watch::Rule;
 
@@ -45,12 +45,12 @@ pub(super) fn mount(
     found.push(super::mains_name(mount, names, &taken).map(drop));
     found.push(distinct(setup));
     found.push(fast(setup, names));
-    let batteries = names.iter().zip(gauges).filter(|(_, gauge)| gauge.kernel_node);
+    let batteries = names.iter().zip(gauges).filter(|(_, gauge)| node::is_wanted(gauge));
     found.extend(batteries.map(|(name, gauge)| {
-        let chip = gauge.source().chip();
+        let chip = Source::of(gauge).ok().and_then(|source| source.chip());
         node::check(name, chip, covered.is_some(), is_service || geteuid().is_root())
     }));
-    found.extend(gauges.iter().map(|gauge| gauge.setup().check_trace()));
+    found.extend(gauges.iter().map(GaugeOptions::check_trace));
     found.into_iter().filter_map(Result::err).collect()
 }
 
@@ -74,17 +74,16 @@ pub(crate) fn check(setup: &Setup) -> (Vec<String>, Vec<Error>) {
     #[cfg(feature = "screen")]
     found.extend(setup.alerts.iter().filter_map(|alert| Rule::from(alert.clone()).check().err()));
     for (name, gauge) in names.iter().zip(&setup.gauges) {
-        found.extend(needs_of(name, &gauge.setup(), &mountpoint).into_iter().map(|error| error.within(name)));
+        found.extend(needs_of(name, gauge, &mountpoint).into_iter().map(|error| error.within(name)));
     }
     (names, found)
 }
 
 /// Checks that no gauge needs a time that the mount must not wait for.
 fn fast(setup: &Setup, names: &[String]) -> Result<()> {
-    let real = |gauge: &&GaugeOptions| !matches!(gauge.source(), Source::Sim { .. });
-    match names.iter().zip(&setup.gauges).find(|(_, gauge)| real(gauge)) {
+    match names.iter().zip(&setup.gauges).find(|(_, gauge)| !config::is_simulated(gauge)) {
         Some((name, gauge)) if setup.mount.fast => {
-            let why = format!("fast is for simulated gauges, and it is {}", gauge.source());
+            let why = format!("fast is for simulated gauges, and it is {}", Source::of(gauge)?);
             Err(Error::new(name, Cause::Invalid, why))
         }
         _ => Ok(()),
@@ -93,9 +92,10 @@ fn fast(setup: &Setup, names: &[String]) -> Result<()> {
 
 /// Checks that every written file has a name of its own.
 fn distinct(setup: &Setup) -> Result<()> {
-    let of_gauges = setup.gauges.iter().flat_map(|gauge| [&gauge.trace, &gauge.sim_state]).flatten();
+    let of_gauges = setup.gauges.iter().flat_map(config::written);
     let mut seen = HashSet::new();
-    match setup.mount.log.iter().chain(of_gauges).find(|file| !seen.insert(*file)) {
+    let mut files = config::written(&setup.mount).chain(of_gauges).map(|(_, file)| file);
+    match files.find(|file| !seen.insert(file.clone())) {
         Some(twice) => {
             let why = "it is to be written for two purposes; give each of log, trace and sim-state a file of its own";
             Err(Error::new(twice.display().to_string(), Cause::Invalid, why))
@@ -137,29 +137,25 @@ fn group(options: &MountOptions) -> Result<()> {
     Ok(())
 }
 
-fn needs_of(name: &str, gauge: &GaugeSetup, mountpoint: &Path) -> Vec<Error> {
-    let mut found: Vec<Error> = Vec::new();
-    match gauge.keys(name) {
-        Err(error) => found.push(error),
-        Ok(keys) => {
-            let none = keys.is_empty();
-            if let Some(path) = gauge.key_file.as_ref().filter(|_| none) {
-                let why =
-                    format!("it has no key for {name}: neither above its sections nor in a section [{name}]");
-                found.push(Error::new(path.display().to_string(), Cause::Invalid, why));
-            }
+fn needs_of(name: &str, gauge: &GaugeOptions, mountpoint: &Path) -> Vec<Error> {
+    let mut found: Vec<Error> = gauge.check_keys(name).err().into_iter().collect();
+    let source = match Source::of(gauge) {
+        Ok(source) => source,
+        Err(error) => {
+            found.push(error);
+            return found;
         }
-    }
+    };
     let clock: Arc<dyn Clock> = Arc::new(RealClock::new());
-    found.extend(gauge.source.check(mountpoint, &clock).err().map(|error| match gauge.source {
+    found.extend(source.check(mountpoint, &clock).err().map(|error| match source {
         Source::Bus { chip: Some(_), .. } => waited_for(&error),
         _ => error,
     }));
-    if let Some(chip) = gauge.source.chip() {
+    if let Some(chip) = source.chip() {
         found.extend(gauge.profile(chip).err());
         found.extend(gauge.choices(chip).err());
     }
-    found.extend(gauge.choose.iter().filter_map(|rule| rule.evidence.as_ref()?.check().err()));
+    found.extend(gauge.check_rules());
     found
 }
 

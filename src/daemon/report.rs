@@ -7,19 +7,17 @@ use std::sync::Arc;
 
 use nix::errno::Errno;
 
-use crate::config::GaugeOptions;
 use crate::error::{Error, Result};
 use crate::report;
 use gauge_bus::clock::RealClock;
-use gauge_owner::{Opening, operations};
+use gauge_owner::{GaugeOptions, Opening, Source, operations};
 
-pub(crate) fn report(gauge: GaugeOptions) -> Result<String> {
+pub(crate) fn report(gauge: &GaugeOptions) -> Result<String> {
     // Other gaugefs processes show it as the place where the gauge is in use.
     let place = Path::new("/proc").join(std::process::id().to_string());
     let opening =
         Opening { read_only: true, no_backup: true, ..Opening::new(place, Arc::new(RealClock::new())) };
-    let gauge = gauge.setup();
-    let subject = gauge.source.to_string();
+    let subject = Source::of(gauge)?.to_string();
     let ready = opening.one("report".into(), gauge)?;
     let handle = &ready.handle;
     handle.wait_for(&operations::REPORT, ()).map_err(|error| error.within(&subject))?;

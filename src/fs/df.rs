@@ -451,7 +451,7 @@ impl Supply {
         let stored = |at| handle.kept(at);
         let rules = transaction::Rules {
             chip: self.chip(),
-            allow_unproven: handle.allows_unproven(),
+            also_unproven: handle.allows_unproven(),
             stored: &stored,
             presence: now.presence,
         };

@@ -50,7 +50,7 @@ static FILES: &[File] = &[
     asks(&op::CONTROL, Mode::ReadWrite, answered),
     asks(&op::KEYS, Mode::OwnerWrite, |gauge| gauge.has_own_table().then(String::new)),
     asks(&op::AUTHENTICATE, Mode::ReadWrite, digest),
-    file("auth_order", Mode::Public, auth_order),
+    file("auth_order", Mode::Public, challenge_order),
     file("owed", Mode::Public, owed),
     asks(&op::SETTLE, Mode::ReadWrite, settling),
     asks(&op::LEARNED, Mode::ReadWrite, learned),
@@ -302,8 +302,8 @@ fn digest(gauge: &Supply) -> Option<String> {
     }
 }
 
-fn auth_order(gauge: &Supply) -> Option<String> {
-    line(gauge.handle.auth_order().as_str()).filter(|_| can_authenticate(gauge))
+fn challenge_order(gauge: &Supply) -> Option<String> {
+    line(gauge.handle.challenge_order().as_str()).filter(|_| can_authenticate(gauge))
 }
 
 fn last_error(gauge: &Supply) -> Option<String> {

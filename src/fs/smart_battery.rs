@@ -274,11 +274,11 @@ mod tests {
     use std::collections::BTreeMap;
     use std::time::Duration;
 
-    use super::super::{Access, Content, Item, MountedGauge, Node, Scales, SupplyItem};
+    use super::super::{Access, Content, Item, Node, Scales, Supply, SupplyItem};
     use super::*;
     use gauge_bus::clock::Clock;
+    use gauge_owner::Run;
     use gauge_owner::rig::{INTERVAL, Rig};
-    use gauge_owner::{Settings, Startup};
 
     /// The kernel's driver, and the tree beside it.
     struct Host {
@@ -289,9 +289,9 @@ mod tests {
 
     impl Host {
         fn of(chip: &str, scales: Scales) -> Self {
-            let mut rig = Rig::of(chip, Settings::default(), Startup::default());
+            let mut rig = Rig::of(chip, Run::default());
             rig.start().expect("it answers");
-            let gauge = MountedGauge { name: "BAT0".into(), handle: rig.handle.clone(), scales, knobs: None };
+            let gauge = Supply::new("BAT0".into(), rig.handle.clone()).with_scales(scales);
             let tree = Arc::new(Fs::new(vec![gauge], Access { uid: 0, gid: 0, group: false }));
             Self { rig, tree: tree.clone(), battery: SmartBattery::new(tree, 0) }
         }

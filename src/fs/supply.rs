@@ -7,14 +7,13 @@ use std::sync::Arc;
 use super::attribute::{self, Attribute, Kind, Reading};
 use super::transaction::Transaction;
 use super::{
-    Content, DfItem, GaugeItem, Item, Knobs, MountedGauge, Node, Operations, SUBSYSTEM, Scales, Shape,
-    SimItem, find,
+    Content, DfItem, GaugeItem, Item, Knobs, Node, Operations, SUBSYSTEM, Scales, Shape, SimItem, find,
 };
 use gauge_owner::{Context, Done, Handle, Published, Snapshot, Spoken};
 use ti_gauge::chip::Chip;
 
-/// A mounted gauge, with the tree's facts about it.
-pub(super) struct Supply {
+/// A mounted gauge, whose folder is below the mount point, with the tree's facts about it.
+pub struct Supply {
     pub(super) index: u16,
     pub(super) name: String,
     pub(super) handle: Handle,
@@ -24,10 +23,72 @@ pub(super) struct Supply {
 }
 
 impl Supply {
-    pub(super) fn new(index: u16, gauge: MountedGauge) -> Self {
-        let MountedGauge { name, handle, scales, knobs } = gauge;
-        handle.show_as(index);
-        Self { index, name, handle, knobs, transaction: Transaction::default(), scales }
+    /// A gauge whose folder has that name, such as `BAT0`. Its measurements are shown as they are.
+    pub fn new(name: String, handle: Handle) -> Self {
+        let (transaction, scales) = (Transaction::default(), Scales::default());
+        Self { index: 0, name, handle, knobs: None, transaction, scales }
+    }
+
+    /// Shows its measurements in another way.
+    #[must_use]
+    pub fn with_scales(self, scales: Scales) -> Self {
+        Self { scales, ..self }
+    }
+
+    /// Shows the files of `sim/`, for a simulated gauge.
+    #[must_use]
+    pub fn with_knobs(self, knobs: Option<Box<dyn Knobs>>) -> Self {
+        Self { knobs, ..self }
+    }
+
+    /// The gauge of that index in its tree.
+    pub(super) fn at(self, index: u16) -> Self {
+        self.handle.show_as(index);
+        Self { index, ..self }
+    }
+
+    /// Warnings about scales: the user's own may repeat a scale that the gauge reports, or may be missing or given
+    /// against what the gauge says.
+    pub fn warnings(&self) -> Vec<String> {
+        let published = self.handle.published();
+        let reading = Reading::new(&self.handle, published.snapshot.as_deref(), &self.scales);
+        // One warning for each option.
+        let kinds = Kind::ALL.chunk_by(|one, other| one.option() == other.option());
+        let twice = kinds.filter_map(|kinds| kinds.iter().find_map(|&kind| self.given_twice(&reading, kind)));
+        let scaled = reading.is_scaled().and_then(|(is_scaled, what)| self.contradiction(is_scaled, &what));
+        twice.chain(scaled).map(|warning| format!("{}: {warning}", self.name)).collect()
+    }
+
+    fn given_twice(&self, reading: &Reading<'_>, kind: Kind) -> Option<String> {
+        let (reported, given) = (reading.reported_scale(kind)?, self.scales.of(kind));
+        (reported != 1 && given != 1.0).then(|| {
+            let (option, all) = (kind.option(), f64::from(reported) * given);
+            format!(
+                "the gauge reports a scale of {reported}, and {option} {given} comes on top: values are multiplied by \
+                 {all}; leave out {option} if it is the same scale"
+            )
+        })
+    }
+
+    /// What a bit says about scales that the gauge lacks, against the options.
+    fn contradiction(&self, is_scaled: bool, what: &str) -> Option<String> {
+        let scales = &self.scales;
+        let kinds = [(Kind::Current, true), (Kind::Energy, scales.energy_shown)];
+        let wrong = |&(kind, is_shown): &(Kind, bool)| is_shown && (scales.of(kind) == 1.0) == is_scaled;
+        let options: Vec<_> =
+            kinds.iter().filter(|kind| wrong(kind)).map(|(kind, _)| kind.option()).collect();
+        let options = options.join(" and ");
+        match is_scaled {
+            _ if options.is_empty() => None,
+            true => Some(format!(
+                "{what} is set, so currents, charges and energies are a fraction of the real ones, and the gauge does \
+                 not have the factor; give {options}"
+            )),
+            false => Some(format!(
+                "{options} given, but {what} is clear, so the gauge reports real values; leave out {options}, or set \
+                 the bit"
+            )),
+        }
     }
 
     pub(super) fn node(&self, item: Item) -> Node {

@@ -32,8 +32,8 @@ const RAW_BLOCKS: usize = 4096;
 /// The rules for lines.
 pub(super) struct Rules<'a> {
     pub(super) chip: &'static Chip,
-    pub(super) allow_unproven: bool,
-    /// A subclass as stored in the gauge, by its index in the table, if known.
+    pub(super) also_unproven: bool,
+    /// A subclass as the gauge stores it, by its index in the table, if that is known.
     pub(super) stored: &'a dyn Fn(usize) -> Option<Arc<[u8]>>,
     /// See [`Published::presence`](gauge_owner::Published::presence).
     pub(super) presence: Epoch<Presence>,
@@ -529,7 +529,7 @@ fn change(rules: &Rules<'_>, line: &str) -> Result<Change> {
         ),
         Unnamed::Unknown => unknown(rules.chip, place),
     })?;
-    let change = Change::parse((subclass, parameter), value.as_bytes(), rules.allow_unproven)?;
+    let change = Change::parse((subclass, parameter), value.as_bytes(), rules.also_unproven)?;
     let index = rules.chip.subclasses.iter().position(|row| std::ptr::eq(row, subclass));
     if let Some(stored) = index.and_then(rules.stored) {
         let at = usize::from(parameter.offset - subclass.start());
@@ -745,7 +745,7 @@ mod tests {
             };
             let is_accepted = accepted && !is_refused;
             let chip = Chip::by_name("bq34z100-g1").expect("it has a table");
-            let rules = Rules { chip, allow_unproven: false, stored: &|_| None, presence: self.at.presence };
+            let rules = Rules { chip, also_unproven: false, stored: &|_| None, presence: self.at.presence };
             let outcome = self.transaction.write(&rules, self.at, caller, format!("{line}\n").as_bytes());
             let told = format!("{writer} {:?} through {file}, {line}: {outcome:?}", WRITERS[writer]);
             assert_eq!(outcome.is_ok(), is_accepted, "{told}");
@@ -833,7 +833,7 @@ mod tests {
         let transaction = Transaction::default();
         let lines = b"begin\n91/0 0x55\n92/0 0x55\n92/0 0x00\n";
         let presence = Epoch::default();
-        let rules = Rules { chip, allow_unproven: true, stored: &|_| None, presence };
+        let rules = Rules { chip, also_unproven: true, stored: &|_| None, presence };
         let caller = Caller { file: 1, process: None };
         let at = Moment { now: Duration::ZERO, presence: Epoch::default() };
         assert!(transaction.write(&rules, at, caller, lines).expect("lines").is_none());

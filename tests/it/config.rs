@@ -12,9 +12,9 @@ use std::time::Duration;
 
 use gauge_bus::clock::{Clock, RealClock, SimClock};
 use gauge_bus::{Bus, BusError};
-use gauge_owner::{self as owner, Handle, Settings, Signal, Startup, operations as op};
+use gauge_owner::{self as owner, Handle, Run, Signal, operations as op};
 use gauge_sim::{Options, Sim, SimBus};
-use gaugefs::fs::{Access, Fs, MountedGauge, Scales};
+use gaugefs::fs::{Access, Fs, Supply};
 use gaugefs::fuse;
 use nix::errno::Errno;
 use ti_gauge::chip::Chip;
@@ -364,8 +364,8 @@ impl Bus for Gate {
     }
 }
 
-fn settings(interval: Duration) -> Settings {
-    Settings { interval, ..Settings::default() }
+fn run(interval: Duration) -> Run {
+    Run { interval, ..Run::default() }
 }
 
 fn sim(clock: &Arc<dyn Clock>) -> Sim {
@@ -377,15 +377,15 @@ fn sim(clock: &Arc<dyn Clock>) -> Sim {
     sim
 }
 
-fn entry(name: &str, handle: &Handle) -> MountedGauge {
-    MountedGauge { name: name.into(), handle: handle.clone(), scales: Scales::default(), knobs: None }
+fn entry(name: &str, handle: &Handle) -> Supply {
+    Supply::new(name.into(), handle.clone())
 }
 
 /// A mount of some gauges, unmounted at the end.
 struct Tree(PathBuf, #[expect(dead_code, reason = "it is unmounted when it is dropped")] fuse::Mounted);
 
 impl Tree {
-    fn new(name: &str, entries: Vec<MountedGauge>, signal: Arc<Signal>) -> Self {
+    fn new(name: &str, entries: Vec<Supply>, signal: Arc<Signal>) -> Self {
         let folder = crate::room::folder_named(&format!("-{name}"));
         let access = Access {
             uid: nix::unistd::geteuid().as_raw(),
@@ -416,7 +416,7 @@ fn a_stuck_gauge_blocks_no_other() {
     let chip = Chip::by_name(CHIP).expect("a chip of the tables");
     let signal = Arc::new(Signal::default());
     let shut = Arc::new((Mutex::new(false), Condvar::new()));
-    let quiet = || settings(Duration::from_secs(3600));
+    let quiet = || run(Duration::from_secs(3600));
     let gate = Gate { bus: sim(&clock).bus(), shut: shut.clone() };
     let stuck = owner::spawn(chip, Box::new(gate), clock.clone(), quiet(), signal.clone()).expect("a gauge");
     let bus = Box::new(sim(&clock).bus());
@@ -502,10 +502,8 @@ fn a_gauge_that_comes_later_is_verified_first() {
     let signal = Arc::new(Signal::default());
     let (holds, written) = (Arc::new(AtomicU8::new(NOTHING)), Arc::new(AtomicU64::new(0)));
     let socket = Socket { bus: sim(&clock).bus(), holds: holds.clone(), written: written.clone() };
-    let startup = Startup { name: "PACK".into(), unverified: true, ..Startup::default() };
-    let settings = settings(Duration::from_millis(500));
-    let (handle, begun) =
-        owner::start(chip, Box::new(socket), clock, settings, startup, signal.clone()).expect("a thread");
+    let run = Run { name: "PACK".into(), unverified: true, ..run(Duration::from_millis(500)) };
+    let (handle, begun) = owner::start(chip, Box::new(socket), clock, run, signal.clone()).expect("a thread");
     let error = begun.recv().expect("an outcome").expect_err("nothing is there");
     assert_eq!(error.errno(), Errno::ENXIO);
     let tree = Tree::new("later", vec![entry("PACK", &handle)], signal);

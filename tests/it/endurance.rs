@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 
 use gauge_bus::Bus;
 use gauge_bus::clock::Clock;
-use gauge_owner::Settings;
+use gauge_owner::Run;
 use gaugefs::fs::Access;
 use nix::errno::Errno;
 use ti_gauge::chip::Chip;
@@ -98,12 +98,12 @@ impl Days {
         let state = format!("gaugefs-days-{}-{seed}", std::process::id());
         let journals = if memory.is_dir() { memory.join(state) } else { PathBuf::from(folder.file("state")) };
         let journal = Journal::new(journals.clone(), "i2c-1-55".into(), "i2c-1 address 0x55".into());
-        let settings = Settings { interval: TICK, journal: Some(journal), ..Settings::default() };
+        let run = Run { interval: TICK, journal: Some(journal), ..Run::default() };
         let chip = Chip::by_name(CHIP).expect("a chip of the tables");
         let (uid, gid) = (nix::unistd::geteuid().as_raw(), nix::unistd::getegid().as_raw());
         let access = Access { uid, gid, group: false };
         // A board that was calibrated, so that its pack can be told from others.
-        let mount = Swift::new(chip, folder, settings, access, |sim| sim.set_flash(104, 11, &[3]));
+        let mount = Swift::new(chip, folder, run, access, |sim| sim.set_flash(104, 11, &[3]));
         let mut days = Self {
             seed,
             random: Random(seed),

@@ -468,3 +468,171 @@ fn every_crate_is_ready_to_be_published() {
     }
     assert_eq!(texts.len(), fs::read_dir("crates").expect("the crates").count() + 1);
 }
+
+/// The code of a text: without comments, without what is in strings, and without tests.
+fn code(text: &str) -> String {
+    let product = text.split("\n#[cfg(test)]\nmod ").next().unwrap_or_default();
+    let (mut found, mut letters) = (String::new(), product.chars().peekable());
+    while let Some(letter) = letters.next() {
+        match letter {
+            '/' if letters.peek() == Some(&'/') => {
+                letters.by_ref().find(|&letter| letter == '\n');
+                found.push('\n');
+            }
+            '"' => {
+                while let Some(letter) = letters.next().filter(|&letter| letter != '"') {
+                    if letter == '\\' {
+                        letters.next();
+                    }
+                }
+                found.push_str("\"\"");
+            }
+            // A quotation mark as a letter, not the beginning of a string.
+            '\'' if letters.peek() == Some(&'"') => {
+                letters.next();
+            }
+            _ => found.push(letter),
+        }
+    }
+    found
+}
+
+/// Whether code names a field: a call of that name is not one.
+fn names_field(code: &str, before: &[&str], field: &str) -> bool {
+    let is_word = |letter: char| letter.is_alphanumeric() || letter == '_';
+    code.match_indices(field).any(|(at, _)| {
+        let (head, tail) = (&code[..at], &code[at + field.len()..]);
+        let is_whole = !head.ends_with(is_word) && !tail.starts_with(is_word);
+        is_whole
+            && !tail.starts_with('(')
+            && !tail.starts_with("::")
+            && (before.is_empty() || before.iter().any(|before| head.ends_with(before)))
+    })
+}
+
+/// The product's files but for the simulator's, which knows no options, by their paths in the checkout, and their code.
+fn product() -> BTreeMap<String, String> {
+    let top = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let mut all = Vec::new();
+    let folders = crates().into_iter().filter(|folder| !folder.ends_with("gauge-sim"));
+    folders.for_each(|folder| files(&folder.join("src"), &mut all));
+    let named = all.into_iter().filter_map(|path| {
+        let name = path.strip_prefix(top).ok()?.to_str()?.to_string();
+        let is_test = name.contains("/tests/") || name.contains("/rig/") || name.ends_with("/tests.rs");
+        (name.ends_with(".rs") && !is_test && !name.ends_with("/rig.rs") && !name.ends_with("/wire.rs"))
+            .then(|| (name, code(&fs::read_to_string(&path).expect("a file of the checkout"))))
+    });
+    named.collect()
+}
+
+/// Options of gauges are passed on as one value. An option is declared where the crates of its use can see it, has a row
+/// in the program, whose command line they cannot, and stands in the file that uses it.
+#[test]
+fn an_option_of_a_gauge_stands_in_its_row_and_at_its_use() {
+    const DECLARED: &str = "crates/gauge-owner/src/options.rs";
+    const ROWS: &str = "src/config/options.rs";
+    /// Other things of the same name, and what has to be known of an option before there is a gauge.
+    const OTHERS: &[(&str, &[(&str, &str)])] = &[
+        (
+            "of a command",
+            &[
+                ("allow_unproven", "src/cli/import.rs"),
+                ("byte_writes", "src/cli/probe.rs"),
+                ("byte_writes", "src/cli/report.rs"),
+                ("key_file", "src/cli/auth.rs"),
+                ("key_file", "src/cli/doctor/config.rs"),
+                ("key_file", "src/cli/keys.rs"),
+                ("key_file", "src/cli/report.rs"),
+                ("no_default_keys", "src/cli/report.rs"),
+                ("scenario_seed", "src/cli/sim.rs"),
+            ],
+        ),
+        (
+            "of a bus that the device tree names",
+            &[
+                ("address", "src/config/node.rs"),
+                ("bus", "src/config/node.rs"),
+                ("chip", "src/config/node.rs"),
+            ],
+        ),
+        ("for the gauges of a file that name none", &[("bus", "src/cli/mount.rs")]),
+        ("for what its rules name", &[("choose", "src/config/choice.rs")]),
+        ("of a file, where no two gauges have the same", &[("name", "src/config/file.rs")]),
+        (
+            "of something else",
+            &[
+                ("chip", "crates/gauge-owner/src/owner/handle.rs"),
+                ("name", "crates/gauge-owner/src/source.rs"),
+                ("name", "crates/gauge-station/src/setup.rs"),
+                ("name", "src/daemon/node.rs"),
+            ],
+        ),
+        (
+            "of what it becomes below the owner",
+            &[
+                ("allow_learning", "crates/ti-gauge/"),
+                ("byte_writes", "crates/ti-gauge/"),
+                ("key_file", "crates/ti-gauge/"),
+                ("writes_per_hour", "crates/ti-gauge/"),
+            ],
+        ),
+        (
+            "of what it becomes in an attribute, with the gauge's own scale",
+            &[
+                ("absolute_current", "src/fs/attribute.rs"),
+                ("current_scale", "crates/gauge-owner/src/owner/operation.rs"),
+                ("current_scale", "crates/gauge-owner/src/owner/words.rs"),
+                ("current_scale", "src/fs/supply.rs"),
+                ("voltage_scale", "crates/gauge-owner/src/owner/operation.rs"),
+                ("voltage_scale", "crates/gauge-owner/src/owner/words.rs"),
+                ("voltage_scale", "src/fs/supply.rs"),
+            ],
+        ),
+    ];
+    let product = product();
+    let fields =
+        product[DECLARED].lines().filter_map(|line| line.strip_prefix("    pub ")?.split(": ").next());
+    let fields: Vec<&str> = fields.collect();
+    assert!(fields.len() >= 30, "{fields:?}");
+    let (mut found, mut seen) = (Vec::new(), BTreeSet::<&(&str, &str)>::new());
+    for field in fields {
+        assert!(names_field(&product[ROWS], &["to."], field), "{field} has no row");
+        let mut stands = Vec::new();
+        for (file, code) in product.iter().filter(|(file, _)| *file != DECLARED && *file != ROWS) {
+            // A name of one word is one of many other things.
+            let names = match field.contains('_') {
+                true => names_field(code, &["."], field) || code.contains(&format!(" {field}: ")),
+                false => {
+                    let before = ["options.", "gauge.", "self."];
+                    let before = if code.contains("impl GaugeOptions {") { &before } else { &before[..2] };
+                    code.contains("GaugeOptions") && names_field(code, before, field)
+                }
+            };
+            let mut listed = OTHERS.iter().flat_map(|(_, others)| *others);
+            let other = listed.find(|(name, place)| *name == field && file.starts_with(place));
+            match names {
+                true if other.is_some() => seen.extend(other),
+                true => stands.push(file),
+                false => {}
+            }
+        }
+        if stands.len() > 1 {
+            found.push(format!("{field} stands in {stands:?}"));
+        }
+    }
+    assert!(found.is_empty(), "{}", found.join("\n"));
+    let listed = OTHERS.iter().flat_map(|(_, others)| *others);
+    let gone: Vec<_> = listed.filter(|other| !seen.contains(*other)).collect();
+    assert!(gone.is_empty(), "not there any more: {gone:?}");
+}
+
+#[test]
+fn a_field_is_found_in_code() {
+    let text = "let x = \"key_file\"; // key_file\nlet c = '\"'; to.key_file = y;\n#[cfg(test)]\nmod tests { secret }";
+    let code = code(text);
+    assert!(names_field(&code, &["to."], "key_file") && !names_field(&code, &["options."], "key_file"));
+    for absent in ["file", "secret", "key"] {
+        assert!(!names_field(&code, &[], absent), "{absent}: {code}");
+    }
+    assert!(!names_field("options.key_file()", &[], "key_file"));
+}

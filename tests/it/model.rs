@@ -14,7 +14,7 @@ use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
-use gauge_owner::Settings;
+use gauge_owner::Run;
 use gaugefs::fs::Access;
 use nix::errno::Errno;
 use ti_gauge::chip::{Chip, Effect, kebab_case};
@@ -103,8 +103,8 @@ impl Model {
         let chip = Chip::by_name(CHIP).expect("a chip of the tables");
         // IT_ENABLE, which anybody may write to `gauge/control`, begins a learning cycle.
         let limits = Limits { writes_per_hour: 0, allow_learning: true };
-        let settings = Settings { limits, ..Settings::default() };
-        let mount = Swift::new(chip, folder, settings, access, |_| ());
+        let run = Run { limits, ..Run::default() };
+        let mount = Swift::new(chip, folder, run, access, |_| ());
         let abort = Abort::of(&mount.root);
         let parameters = parameters(chip);
         let fixed = [

@@ -13,7 +13,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use gauge_bus::{Bus, BusError};
-use gauge_owner::Settings;
+use gauge_owner::Run;
 use gauge_sim::Sim;
 use gaugefs::fuse::{self};
 use nix::errno::Errno;
@@ -347,9 +347,9 @@ fn regression_an_open_file_does_not_show_a_write_under_way() {
 #[test]
 fn a_refresh_is_seen_at_once() {
     for names_not_kept in [false, true] {
-        let settings = Settings { interval: Duration::from_secs(3600), ..Settings::default() };
+        let run = Run { interval: Duration::from_secs(3600), ..Run::default() };
         let options = fuse::Options { names_not_kept, ..fuse::Options::default() };
-        let mount = Mount::of("bq34z100-g1", settings, |_| {}, |sim| Box::new(sim.bus()), options);
+        let mount = Mount::of("bq34z100-g1", run, |_| {}, |sim| Box::new(sim.bus()), options);
         let Some(mount) = mount else { return };
         let held = fs::File::open(mount.path("")).expect("opens");
         let path = format!("/proc/self/fd/{}", held.as_raw_fd());

@@ -13,9 +13,9 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use gauge_bus::clock::RealClock;
-use gauge_owner::{self as owner, Settings, Signal};
+use gauge_owner::{self as owner, Run, Signal};
 use gauge_sim::{Options, Sim};
-use gaugefs::fs::{Access, Covered, Fs, MountedGauge, Node, Scales, free_names};
+use gaugefs::fs::{Access, Covered, Fs, Node, Supply, free_names};
 use gaugefs::fuse::{self, Mounted};
 use nix::sys::signal::Signal as Kill;
 use nix::unistd::geteuid;
@@ -77,11 +77,11 @@ fn tree_of(names: &[&str], covered: Covered, signal: &Arc<Signal>) -> Fs {
     let entries = names.iter().map(|name| {
         let sim = Sim::new("bq34z100-g1", &Options::default(), clock.clone()).expect("a simulated chip");
         std::thread::sleep(Duration::from_millis(1300));
-        let settings = Settings { interval: Duration::from_secs(3600), ..Settings::default() };
+        let run = Run { interval: Duration::from_secs(3600), ..Run::default() };
         let chip = Chip::by_name("bq34z100-g1").expect("a chip of the tables");
-        let handle = owner::spawn(chip, Box::new(sim.bus()), clock.clone(), settings, signal.clone());
+        let handle = owner::spawn(chip, Box::new(sim.bus()), clock.clone(), run, signal.clone());
         let handle = handle.expect("a gauge");
-        MountedGauge { name: (*name).into(), handle, scales: Scales::default(), knobs: None }
+        Supply::new((*name).into(), handle)
     });
     let access = Access { uid: 0, gid: 0, group: false };
     Fs::new(entries.collect(), access).overlay(Some(covered))

@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use gauge_bus::clock::{Clock, RealClock, SimClock};
 use gauge_bus::{Bus, BusError};
-use gauge_owner::{self as owner, Settings, operations as op};
+use gauge_owner::{self as owner, Run, operations as op};
 use gauge_sim::{Options, Sim};
 use ti_gauge::chip::Chip;
 use ti_gauge::dataflash::{Change, Outcome};
@@ -45,8 +45,8 @@ fn a_swapped_pack_is_detected() {
     let bus = Swap([Box::new(first.bus()), Box::new(other.sim.bus())], at.clone());
     let chip = Chip::by_name("bq34z100-g1").expect("a table");
     let interval = Duration::from_secs(3600);
-    let settings = Settings { interval, ..Settings::default() };
-    let handle = owner::spawn(chip, Box::new(bus), clock.clone(), settings, Arc::default()).expect("a gauge");
+    let run = Run { interval, ..Run::default() };
+    let handle = owner::spawn(chip, Box::new(bus), clock.clone(), run, Arc::default()).expect("a gauge");
     let index = |id| chip.subclasses.iter().position(|row| row.id == id).expect("a subclass");
     let subclass = &chip.subclasses[index(80)];
     let parameter = subclass.parameter(53).expect("a row");

@@ -6,9 +6,9 @@ use std::sync::{Arc, mpsc};
 use std::time::Duration;
 
 use gauge_bus::clock::{Clock, SimClock};
-use gauge_owner::{self as owner, Handle, Settings};
+use gauge_owner::{self as owner, Handle, Run};
 use gauge_sim::{Options, Sim};
-use gaugefs::fs::{Access, Caller, Fs, MountedGauge, Node, Process, Scales};
+use gaugefs::fs::{Access, Caller, Fs, Node, Process, Supply};
 use nix::errno::Errno;
 use ti_gauge::chip::Chip;
 use ti_gauge::keys::Keys;
@@ -27,15 +27,10 @@ impl Tree {
         clock.sleep(Duration::from_secs(1));
         let table = Chip::by_name(chip).expect("a chip of the tables");
         let interval = Duration::from_secs(3600);
-        let settings = Settings { keys, interval, ..Settings::default() };
-        let handle = owner::spawn(table, Box::new(sim.bus()), clock.clone(), settings, Arc::default());
+        let run = Run { keys, interval, ..Run::default() };
+        let handle = owner::spawn(table, Box::new(sim.bus()), clock.clone(), run, Arc::default());
         let handle = handle.expect("a gauge");
-        let entry = MountedGauge {
-            name: "BAT0".into(),
-            handle: handle.clone(),
-            scales: Scales::default(),
-            knobs: None,
-        };
+        let entry = Supply::new("BAT0".into(), handle.clone());
         let access = Access { uid: 0, gid: 0, group: false };
         let fs = Arc::new(Fs::new(vec![entry], access));
         Self { clock, sim, handle, fs }

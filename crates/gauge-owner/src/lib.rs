@@ -4,7 +4,7 @@
 //! its registers, carries out requests one after the other, and pays what a failed access has left, such as a seal or an
 //! interrupted write. Nothing else touches the gauge's bus.
 //!
-//! An [`Opening`] finds a gauge where its [`Source`] has it, locks it, and starts its owner. A [`Handle`] is what everybody
+//! An [`Opening`] finds the gauge that [`GaugeOptions`] name, locks it, and starts its owner, which has a [`Run`]. A [`Handle`] is what everybody
 //! else sees of it: the values of the last poll, which cost no transfer, and the way to ask for one of the
 //! [`operations`].
 //!
@@ -12,15 +12,15 @@
 //! use std::sync::Arc;
 //!
 //! use gauge_bus::clock::RealClock;
-//! use gauge_owner::{GaugeSetup, Opening, Source, operations};
+//! use gauge_owner::{GaugeOptions, Opening, operations};
 //! use ti_gauge::chip::{Chip, Role};
 //! use ti_gauge::dataflash::Change;
 //! use ti_gauge::value::Value;
 //!
 //! let chip = Chip::by_name("bq34z100-g1").expect("it has a table");
-//! let simulated = Source::Sim { chip, state: None, key: None, seal: None, scenario: None, knobs: Vec::new() };
+//! let simulated = GaugeOptions { sim: Some(chip), ..GaugeOptions::default() };
 //! let opening = Opening::new("/run/gauges".into(), Arc::new(RealClock::new()));
-//! let gauge = opening.one("BAT0".into(), GaugeSetup::new(simulated))?.handle;
+//! let gauge = opening.one("BAT0".into(), &simulated)?.handle;
 //!
 //! // A value of the last poll.
 //! let voltage = chip.register(Role::VoltageNow).expect("it measures its voltage");
@@ -57,6 +57,7 @@ pub mod journal_dir;
 pub mod key_file;
 pub mod lock;
 mod opening;
+mod options;
 mod owner;
 mod setup;
 mod source;
@@ -64,12 +65,12 @@ mod source;
 pub use choose::{Choice, Rule};
 pub use evidence::Evidence;
 pub use opening::{Opening, Outlook, Ready};
+pub use options::{GaugeOptions, SimKey};
 #[cfg(any(test, feature = "rig"))]
 pub use owner::rig;
 pub use owner::{
     Answers, Attempt, Backup, Context, Direct, Done, Effect, Failure, Handle, Learned, Operation, Origin,
-    Presence, Published, Report, Seal, Settings, Signal, Snapshot, Spoken, Startup, Times, Version, Wish,
-    operations, readable, spawn, start,
+    Presence, Published, Report, Run, Seal, Signal, Snapshot, Spoken, Times, Version, Wish, operations,
+    readable, spawn, start,
 };
-pub use setup::GaugeSetup;
 pub use source::{Opened, Script, Source, of_sim, recorded};

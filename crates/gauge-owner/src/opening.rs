@@ -13,14 +13,13 @@ use nix::errno::Errno;
 use crate::error::{Cause, Error, Reason, Result};
 use crate::journal_dir;
 use crate::lock::Lock;
-use crate::owner::{self, Handle, Origin, Signal, Startup};
-use crate::setup::GaugeSetup;
-use crate::source::Opened;
+use crate::options::GaugeOptions;
+use crate::owner::{self, Handle, Origin, Run, Signal};
+use crate::source::{Opened, Source};
 use gauge_bus::BusError;
 use gauge_bus::clock::Clock;
 use gauge_bus::error::ErrorKind;
 use gauge_bus::linux::Adapter;
-use gauge_bus::trace::Trace;
 use gauge_sim::Sim;
 use ti_gauge::keys::Keys;
 
@@ -138,37 +137,40 @@ impl Opening {
     }
 
     /// Opens the only gauge of a mount.
-    pub fn one(&self, name: String, gauge: GaugeSetup) -> Result<Ready> {
-        let keys = gauge.keys(&name)?;
-        let subject = gauge.source.to_string();
-        let (ready, begun) = self.begin(name, gauge, keys, Startup::default(), false)?;
+    pub fn one(&self, name: String, options: &GaugeOptions) -> Result<Ready> {
+        let keys = options.keys(&name)?;
+        let source = Source::of(options)?;
+        let subject = source.to_string();
+        let (ready, begun) = self.begin(name, options, &source, keys, None)?;
         begun.recv().unwrap_or_else(|_| Err(ended(&subject))).map_err(|error| error.within(&subject))?;
         Ok(ready)
     }
 
     /// Opens many gauges at the same time. Those that do not answer are waited for in the background if their
     /// chip is known, and left out otherwise: a line says so of each.
-    pub fn many(&self, gauges: Vec<(String, GaugeSetup)>) -> Result<(Vec<Ready>, Vec<String>)> {
+    pub fn many(&self, gauges: Vec<(String, GaugeOptions)>) -> Result<(Vec<Ready>, Vec<String>)> {
         // A key file that cannot be used is an error of the configuration, so the mount fails.
-        let keys = gauges.iter().map(|(name, gauge)| gauge.keys(name)).collect::<Result<Vec<_>>>()?;
-        let slot = |(name, gauge): &(String, GaugeSetup)| Slot {
+        let gauges = gauges.into_iter().map(|(name, options)| {
+            let (source, keys) = (Source::of(&options)?, options.keys(&name)?);
+            Ok((name, options, source, keys))
+        });
+        let gauges = gauges.collect::<Result<Vec<_>>>()?;
+        let slot = |(name, _, source, _): &(String, GaugeOptions, Source, Keys)| Slot {
             name: name.clone(),
-            waits: gauge.source.chip().is_some(),
+            waits: source.chip().is_some(),
             ready: None,
             outcome: None,
         };
         let mut slots: Vec<Slot> = gauges.iter().map(slot).collect();
         let (sender, news) = mpsc::channel();
         let all = gauges.len() as u32;
-        for (at, ((name, gauge), keys)) in (0u32..).zip(gauges.into_iter().zip(keys)) {
-            let phase = gauge.interval * at / all;
-            let startup = Startup { name: name.clone(), phase, ..Startup::default() };
+        for (at, (name, options, source, keys)) in (0u32..).zip(gauges) {
+            let phase = options.interval(&source) * at / all;
             let (sender, opening) = (sender.clone(), self.clone());
             let open = move || {
-                let waits = gauge.source.chip().is_some();
                 // If the mount no longer waits, this drops the gauge.
                 let tell = |news| drop(sender.send((at as usize, news)));
-                match opening.begin(name, gauge, keys, startup, waits) {
+                match opening.begin(name, &options, &source, keys, Some(phase)) {
                     Ok((ready, begun)) => {
                         tell(News::Opened(Ok(ready)));
                         tell(News::Polled(begun.recv().unwrap_or_else(|_| Err(ended("")))));
@@ -215,38 +217,42 @@ impl Opening {
         Ok((ready, lines))
     }
 
-    /// Opens a gauge and starts its owner, which polls it.
+    /// Opens a gauge and starts its owner, which polls it. One of many has a `phase`, and is waited for.
     fn begin(
         &self,
         name: String,
-        gauge: GaugeSetup,
+        options: &GaugeOptions,
+        source: &Source,
         keys: Keys,
-        startup: Startup,
-        waits: bool,
+        phase: Option<Duration>,
     ) -> Result<(Ready, Begun)> {
-        let opened = gauge.source.open(&self.mountpoint, &self.clock, waits)?;
-        let Opened { chip, mut bus, clock_hz, address, subject, .. } = opened;
-        if let Some(path) = &gauge.trace {
-            let head = format!("{} on {subject}, {:.0}", chip.name, Timestamp::now());
-            let replace = gauge.trace_replace;
-            bus = Box::new(Trace::new(bus, address, path, self.clock.clone(), &head, replace)?);
-        }
+        let is_one_of_many = phase.is_some();
+        let waits = is_one_of_many && source.chip().is_some();
+        let opened = source.open(&self.mountpoint, &self.clock, waits)?;
+        let Opened { chip, bus, single, address, subject, sim, lock, journal_key, node, unverified, missing } =
+            opened;
+        let head = format!("{} on {subject}, {:.0}", chip.name, Timestamp::now());
+        let bus = options.traced(bus, address, &self.clock, &head)?;
         let place = match self.read_only {
             true => None,
-            false => journal_dir::place(self.state_dir.as_deref(), opened.journal_key)?,
+            false => journal_dir::place(self.state_dir.as_deref(), journal_key)?,
         };
-        let slow = chip.is_slower_than(clock_hz);
-        let settings = gauge.settings(keys, chip, &subject, slow, place, self.no_backup)?;
-        let origin = Origin {
-            place: gauge.source.place(),
-            address,
-            adapter: opened.node.as_deref().map_or_else(String::new, adapter),
+        let run = options.run(keys, chip, &subject, place, self.no_backup)?;
+        let run = Run {
+            single: run.single || single,
+            name: if is_one_of_many { name.clone() } else { String::new() },
+            phase: phase.unwrap_or_default(),
+            unverified,
+            missing,
+            origin: Origin {
+                place: source.place(),
+                address,
+                adapter: node.as_deref().map_or_else(String::new, adapter),
+            },
+            ..run
         };
-        let startup = Startup { unverified: opened.unverified, missing: opened.missing, origin, ..startup };
-        let (handle, begun) =
-            owner::start(chip, bus, self.clock.clone(), settings, startup, self.signal.clone())?;
+        let (handle, begun) = owner::start(chip, bus, self.clock.clone(), run, self.signal.clone())?;
         let what = format!("{} ({subject})", chip.model);
-        let Opened { sim, lock, node, .. } = opened;
         Ok((Ready { name, handle, sim, what, lock, node }, begun))
     }
 }

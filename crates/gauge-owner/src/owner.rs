@@ -21,9 +21,9 @@ use nix::errno::Errno;
 
 use crate::choose::Choice;
 use crate::error::{Error, Result};
+use crate::options::GaugeOptions;
 use gauge_bus::Bus;
 use gauge_bus::clock::Clock;
-use ti_gauge::authentication::Order;
 use ti_gauge::chip::Chip;
 use ti_gauge::dataflash::{Change, DataFlash, Limits};
 use ti_gauge::epoch::Fact;
@@ -84,23 +84,21 @@ const NAP_OF_RAM: Duration = Duration::from_secs(1);
 /// Time by which the gauge's clock may be ahead of one that stops with the host, although the host was awake.
 const AWAKE: Duration = Duration::from_millis(500);
 
-/// How a gauge is run.
-#[derive(Clone, Debug)]
-pub struct Settings {
+/// How a gauge is run: its options, what they name, and what is known of it when its owner starts.
+#[derive(Debug)]
+pub struct Run {
+    /// As they were typed.
+    pub options: GaugeOptions,
     /// Its keys.
     pub keys: Keys,
-    /// The file for them, for messages.
-    pub key_file: Option<String>,
+    /// The file that they are from, for messages.
+    pub keys_from: Option<String>,
     /// Time between polls.
     pub interval: Duration,
     /// Write one byte a transfer.
-    pub byte_writes: bool,
-    /// Also write parameters whose address or range is not certain.
-    pub allow_unproven: bool,
+    pub single: bool,
     /// Limits on writes.
     pub limits: Limits,
-    /// Byte order in which challenges are sent.
-    pub auth_order: Order,
     /// Configuration that a gauge whose data memory is RAM gets again after it has lost its power.
     pub profile: Vec<Change>,
     /// In its place, several of which one is chosen whenever the gauge comes, or has lost its power.
@@ -111,30 +109,6 @@ pub struct Settings {
     pub backup: Option<Backup>,
     /// Keeps what a gauge with RAM has learned.
     pub learned: Option<Learned>,
-}
-
-impl Default for Settings {
-    fn default() -> Self {
-        Self {
-            keys: Keys::default(),
-            key_file: None,
-            interval: Duration::from_secs(30),
-            byte_writes: false,
-            allow_unproven: false,
-            limits: Limits::default(),
-            auth_order: Order::default(),
-            profile: Vec::new(),
-            choices: Vec::new(),
-            journal: None,
-            backup: None,
-            learned: None,
-        }
-    }
-}
-
-/// The knowledge about a gauge when its owner starts, and how it fits in among the others of its mount.
-#[derive(Debug, Default)]
-pub struct Startup {
     /// Its name in the log; empty if it is the only gauge.
     pub name: String,
     /// How much earlier than the interval the third poll comes, which spreads the polls of many gauges.
@@ -148,15 +122,38 @@ pub struct Startup {
     pub origin: Origin,
 }
 
+impl Default for Run {
+    fn default() -> Self {
+        Self {
+            options: GaugeOptions::default(),
+            keys: Keys::default(),
+            keys_from: None,
+            interval: Duration::from_secs(30),
+            single: false,
+            limits: Limits::default(),
+            profile: Vec::new(),
+            choices: Vec::new(),
+            journal: None,
+            backup: None,
+            learned: None,
+            name: String::new(),
+            phase: Duration::ZERO,
+            unverified: false,
+            missing: None,
+            origin: Origin::default(),
+        }
+    }
+}
+
 /// Starts the owner of a gauge, and waits until it has identified and polled the gauge.
 pub fn spawn(
     chip: &'static Chip,
     bus: Box<dyn Bus>,
     clock: Arc<dyn Clock>,
-    settings: Settings,
+    run: Run,
     signal: Arc<Signal>,
 ) -> Result<Handle> {
-    let (handle, opened) = start(chip, bus, clock, settings, Startup::default(), signal)?;
+    let (handle, opened) = start(chip, bus, clock, run, signal)?;
     let ended = || Err(Error::host(chip.name, Errno::EIO, "its thread has ended"));
     opened.recv().unwrap_or_else(|_| ended()).map(|()| handle)
 }
@@ -170,12 +167,11 @@ pub fn start(
     chip: &'static Chip,
     bus: Box<dyn Bus>,
     clock: Arc<dyn Clock>,
-    settings: Settings,
-    startup: Startup,
+    run: Run,
     signal: Arc<Signal>,
 ) -> Result<(Handle, Receiver<Result<()>>)> {
     let (sender, opened) = mpsc::channel();
-    let (mut owner, shared) = Owner::new(chip, bus, clock, settings, startup, signal);
+    let (mut owner, shared) = Owner::new(chip, bus, clock, run, signal);
     owner.opening = Some(sender);
     let member = Member::new(owner).map_err(|error| Error::io(chip.name, "cannot start a thread", &error))?;
     Ok((Handle::new(shared, Queue::Crew(member)), opened))
@@ -201,15 +197,15 @@ struct Owner {
     unmeasured: u32,
     /// What is known of its data memory, where that is RAM.
     memory: Memory,
-    /// See [`Settings::backup`].
+    /// See [`Run::backup`].
     backup: Option<Backup>,
-    /// See [`Settings::learned`], of a gauge with RAM.
+    /// See [`Run::learned`], of a gauge with RAM.
     learned: Option<Learned>,
     /// The configuration of this gauge is saved.
     backed_up: Fact<(), Presence>,
-    /// See [`Startup::unverified`].
+    /// See [`Run::unverified`].
     unverified: bool,
-    /// See [`Startup::missing`].
+    /// See [`Run::missing`].
     missing: Option<Error>,
     /// Whoever waits for the gauge to be opened, until it has been tried.
     opening: Option<Sender<Result<()>>>,
@@ -224,23 +220,22 @@ impl Owner {
         chip: &'static Chip,
         bus: Box<dyn Bus>,
         clock: Arc<dyn Clock>,
-        mut settings: Settings,
-        startup: Startup,
+        run: Run,
         signal: Arc<Signal>,
     ) -> (Box<Self>, Arc<Shared>) {
-        let keys = std::mem::take(&mut settings.keys);
         let now = clock.now();
-        let mut gauge = Gauge::new(chip, bus, clock, keys, settings.byte_writes);
-        if let Some(file) = settings.key_file.take() {
+        let mut gauge = Gauge::new(chip, bus, clock, run.keys, run.single);
+        if let Some(file) = run.keys_from {
             gauge.key_file = file;
         }
-        let shared = Arc::new(Shared::new(&gauge, &settings, startup.name, startup.origin, signal));
+        let shared = Shared::new(&gauge, run.options, run.interval, run.name, run.origin, signal);
+        let shared = Arc::new(shared);
         // By value it would be on the stack of its thread once for each function that passes it on.
         let owner = Box::new(Self {
             gauge,
-            dataflash: DataFlash::new(settings.limits, settings.journal),
+            dataflash: DataFlash::new(run.limits, run.journal),
             shared: shared.clone(),
-            schedule: Schedule::new(startup.phase, now),
+            schedule: Schedule::new(run.phase, now),
             debt: Debt::default(),
             rare: Registers::UNREAD,
             statics: Fact::default(),
@@ -248,12 +243,12 @@ impl Owner {
             control_status: 0,
             identified: Duration::ZERO,
             unmeasured: 0,
-            memory: Memory::new(settings.profile, settings.choices),
-            backup: settings.backup,
-            learned: settings.learned.filter(|_| chip.volatile.is_some()),
+            memory: Memory::new(run.profile, run.choices),
+            backup: run.backup,
+            learned: run.learned.filter(|_| chip.volatile.is_some()),
             backed_up: Fact::default(),
-            unverified: startup.unverified,
-            missing: startup.missing,
+            unverified: run.unverified,
+            missing: run.missing,
             opening: None,
             has_ended: false,
             turned: None,
@@ -427,11 +422,10 @@ mod tests {
         for number in 1..=count {
             let _ = std::fs::remove_dir_all(&folder);
             let journal = Journal::new(folder.clone(), "i2c-1-55".into(), "i2c-1 address 0x55".into());
-            let settings = Settings { journal: Some(journal), ..Settings::default() };
+            let run = Run { journal: Some(journal), ..Run::default() };
             let at = Arc::new(AtomicU64::new(0));
-            let mut rig = Rig::on("bq34z100-g1", settings, Startup::default(), |bus| {
-                Box::new(Panics { bus, done: 0, at: at.clone() })
-            });
+            let mut rig =
+                Rig::on("bq34z100-g1", run, |bus| Box::new(Panics { bus, done: 0, at: at.clone() }));
             rig.owner.open().expect("it answers");
             at.store(rig.transfers() + number, Ordering::SeqCst);
             let error = write(&mut rig).expect_err("a panic");
@@ -463,8 +457,8 @@ mod tests {
         let chip = Chip::by_name("bq34z100-g1").expect("it has a table");
         let at = Arc::new(AtomicU64::new(0));
         let bus = Box::new(Panics { bus: sim.bus(), done: 0, at: at.clone() });
-        let settings = Settings { interval: Duration::from_secs(3600), ..Settings::default() };
-        let handle = spawn(chip, bus, clock, settings, Arc::default()).expect("it answers");
+        let run = Run { interval: Duration::from_secs(3600), ..Run::default() };
+        let handle = spawn(chip, bus, clock, run, Arc::default()).expect("it answers");
         let transfers = handle.statistics().iter().find(|(name, _)| *name == "transfers").expect("a count").1;
         at.store(transfers + 1, Ordering::SeqCst);
         let error = handle.wait_for(&operations::REFRESH, ()).expect_err("a panic");

@@ -1,12 +1,13 @@
 // SPDX-License-Identifier: MIT
 
-//! A gauge, and how it is run: what its options come to.
+//! How a gauge is run: what its options come to, with the keys, profiles and folders that they name.
 
 use std::fs;
 use std::io::ErrorKind;
 use std::os::unix::fs::MetadataExt as _;
 use std::path::{Path, PathBuf};
 use std::ptr;
+use std::sync::Arc;
 use std::time::Duration;
 
 use nix::errno::Errno;
@@ -15,12 +16,14 @@ use crate::choose::{Choice, Rule};
 use crate::error::{Cause, Error, Result};
 use crate::folders;
 use crate::key_file;
-use crate::owner::{Backup, Learned, Settings, implausible_profile};
+use crate::options::GaugeOptions;
+use crate::owner::{Backup, Learned, Run, implausible_profile};
 use crate::source::Source;
-use gauge_bus::{regular, trace};
-use ti_gauge::authentication::Order;
+use gauge_bus::clock::Clock;
+use gauge_bus::trace::{self, Trace};
+use gauge_bus::{Bus, regular};
 use ti_gauge::chip::Chip;
-use ti_gauge::dataflash::{Change, Limits};
+use ti_gauge::dataflash::{Change, Limits, WRITES_PER_HOUR};
 use ti_gauge::image::Image;
 use ti_gauge::journal::{self, Journal};
 use ti_gauge::keys::Keys;
@@ -28,57 +31,7 @@ use ti_gauge::keys::Keys;
 /// The bit of a folder's mode by which only the owner of a file may replace it.
 const STICKY: u32 = 0o1000;
 
-/// A gauge, and how it is run. All paths are absolute.
-#[derive(Clone, Debug)]
-pub struct GaugeSetup {
-    /// Where it is.
-    pub source: Source,
-    /// The file with its keys; without one, systemd's credential.
-    pub key_file: Option<PathBuf>,
-    /// The manual's keys are not tried.
-    pub no_default_keys: bool,
-    /// Time between two polls.
-    pub interval: Duration,
-    /// Write one byte a transfer.
-    pub byte_writes: bool,
-    /// Also write parameters whose address or range is uncertain.
-    pub allow_unproven: bool,
-    /// Limits on writes.
-    pub limits: Limits,
-    /// Byte order in which challenges are sent.
-    pub auth_order: Order,
-    /// Image that a gauge without flash gets again after it has lost power.
-    pub profile: Option<PathBuf>,
-    /// In its place, the rules by which one of several profiles is chosen.
-    pub choose: Vec<Rule>,
-    /// The name of a pack that is never exchanged unnoticed.
-    pub pack: Option<String>,
-    /// File in which every transfer is recorded.
-    pub trace: Option<PathBuf>,
-    /// That file may be there already, and is replaced.
-    pub trace_replace: bool,
-}
-
-impl GaugeSetup {
-    /// A gauge with the usual settings.
-    pub fn new(source: Source) -> Self {
-        Self {
-            interval: source.interval(),
-            source,
-            key_file: None,
-            no_default_keys: false,
-            byte_writes: false,
-            allow_unproven: false,
-            limits: Limits::default(),
-            auth_order: Order::default(),
-            profile: None,
-            choose: Vec::new(),
-            pack: None,
-            trace: None,
-            trace_replace: false,
-        }
-    }
-
+impl GaugeOptions {
     /// Its keys, from its key file or else from systemd's credential.
     pub fn keys(&self, name: &str) -> Result<Keys> {
         let mut keys = match &self.key_file {
@@ -89,16 +42,34 @@ impl GaugeSetup {
         Ok(keys)
     }
 
+    /// Makes sure that its key file has a key of it, if there is one.
+    pub fn check_keys(&self, name: &str) -> Result<()> {
+        let keys = self.keys(name)?;
+        match &self.key_file {
+            Some(path) if keys.is_empty() => {
+                let why =
+                    format!("it has no key for {name}: neither above its sections nor in a section [{name}]");
+                Err(Error::new(path.display().to_string(), Cause::Invalid, why))
+            }
+            _ => Ok(()),
+        }
+    }
+
     /// The configuration that it gets again after it has lost power, if its part is a `chip`.
     pub fn profile(&self, chip: &'static Chip) -> Result<Vec<Change>> {
         self.profile.as_ref().map_or(Ok(Vec::new()), |path| profile(path, chip))
     }
 
-    /// The profiles of which one is chosen, if its part is a `chip`.
+    /// The profiles to choose from, if its part is a `chip`.
     pub fn choices(&self, chip: &'static Chip) -> Result<Vec<Choice>> {
         let rules = self.choose.iter().filter(|rule| rule.chip.is_none_or(|named| ptr::eq(named, chip)));
         let choice = |rule: &Rule| Ok(Choice { profile: profile(&rule.profile, chip)?, rule: rule.clone() });
         rules.map(choice).collect()
+    }
+
+    /// Makes sure that what its rules look at can be looked at.
+    pub fn check_rules(&self) -> Vec<Error> {
+        self.choose.iter().filter_map(|rule| rule.evidence.as_ref()?.check().err()).collect()
     }
 
     /// Whether its trace can be recorded. A file that is there is not recorded over.
@@ -115,26 +86,45 @@ impl GaugeSetup {
         })
     }
 
-    /// How its owner runs it. `byte_writes` is what its bus needs, `place` the folder of its journals and backups, and its
-    /// name there.
-    pub fn settings(
+    /// The bus, with every transfer recorded if that is wanted.
+    pub(crate) fn traced(
+        &self,
+        bus: Box<dyn Bus>,
+        address: u8,
+        clock: &Arc<dyn Clock>,
+        head: &str,
+    ) -> Result<Box<dyn Bus>> {
+        Ok(match &self.trace {
+            Some(path) => Box::new(Trace::new(bus, address, path, clock.clone(), head, self.trace_replace)?),
+            None => bus,
+        })
+    }
+
+    /// Time between two polls of a gauge there.
+    pub(crate) fn interval(&self, source: &Source) -> Duration {
+        self.poll.unwrap_or_else(|| source.interval())
+    }
+
+    /// How the owner of this gauge, a `chip`, runs it. `place` is the folder of its journals and backups, and its name
+    /// there.
+    pub fn run(
         &self,
         keys: Keys,
         chip: &'static Chip,
         subject: &str,
-        byte_writes: bool,
         place: Option<(PathBuf, String)>,
         no_backup: bool,
-    ) -> Result<Settings> {
+    ) -> Result<Run> {
         let key_file = self.key_file.as_ref().map(|path| path.display().to_string());
-        Ok(Settings {
+        Ok(Run {
             keys,
-            key_file: key_file.or_else(key_file::of_credential),
-            interval: self.interval,
-            byte_writes: self.byte_writes || byte_writes,
-            allow_unproven: self.allow_unproven,
-            limits: self.limits,
-            auth_order: self.auth_order,
+            keys_from: key_file.or_else(key_file::of_credential),
+            interval: self.interval(&Source::of(self)?),
+            single: self.is_single(),
+            limits: Limits {
+                allow_learning: self.allow_learning,
+                writes_per_hour: self.writes_per_hour.unwrap_or(WRITES_PER_HOUR),
+            },
             profile: self.profile(chip)?,
             choices: self.choices(chip)?,
             learned: place.clone().map(|(folder, key)| {
@@ -146,6 +136,8 @@ impl GaugeSetup {
             backup: place
                 .filter(|_| !no_backup)
                 .map(|(folder, key)| Backup::new(folder, key).trusting(folders::service())),
+            options: self.clone(),
+            ..Run::default()
         })
     }
 }

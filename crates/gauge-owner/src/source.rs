@@ -11,6 +11,7 @@ use nix::errno::Errno;
 
 use crate::error::{Cause, Error, Result};
 use crate::lock::{self, Lock};
+use crate::options::GaugeOptions;
 use gauge_bus::clock::Clock;
 use gauge_bus::linux::{Adapter, LinuxBus};
 use gauge_bus::replay::{Recording, Replay, Seals};
@@ -74,7 +75,7 @@ pub enum Source {
         /// `None` where the gauge is asked.
         chip: Option<&'static Chip>,
         /// Write one byte a transfer, also while the gauge is asked.
-        byte_writes: bool,
+        single: bool,
     },
 }
 
@@ -102,8 +103,8 @@ pub struct Opened {
     pub chip: &'static Chip,
     /// The way to it.
     pub bus: Box<dyn Bus>,
-    /// The bus clock, where it is known.
-    pub clock_hz: Option<u32>,
+    /// Its bus is faster than the manual allows for writes of several bytes.
+    pub single: bool,
     /// Its 7-bit address.
     pub address: u8,
     /// Its name in messages.
@@ -122,7 +123,43 @@ pub struct Opened {
     pub missing: Option<Error>,
 }
 
+impl GaugeOptions {
+    /// Whether it is written to one byte a transfer, wherever it is.
+    pub(crate) fn is_single(&self) -> bool {
+        self.byte_writes
+    }
+}
+
 impl Source {
+    /// The gauge that the options name.
+    pub fn of(options: &GaugeOptions) -> Result<Self> {
+        if let Some(chip) = options.sim {
+            let seed = options.scenario_seed;
+            return Ok(Self::Sim {
+                chip,
+                state: options.sim_state.clone(),
+                key: options.sim_key.as_ref().map(|key| key.0),
+                seal: options.sim_seal,
+                scenario: options.scenario.clone().map(|name| Script { name, seed }),
+                knobs: options.sim_set.clone(),
+            });
+        }
+        match (&options.replay, &options.bus) {
+            (Some(file), _) => Ok(Self::Recording(file.clone())),
+            (None, Some(bus)) => Ok(Self::Bus {
+                bus: bus.clone(),
+                address: options.address.unwrap_or(GAUGE_ADDRESS),
+                chip: options.chip,
+                single: options.is_single(),
+            }),
+            (None, None) => Err(Error::new(
+                "gauge",
+                Cause::Invalid,
+                "it is nowhere; name a bus, a chip to simulate or a recording",
+            )),
+        }
+    }
+
     /// The usual time between two polls.
     pub(crate) fn interval(&self) -> Duration {
         Duration::from_secs(if matches!(self, Self::Bus { .. }) { 30 } else { 3 })
@@ -190,8 +227,8 @@ impl Source {
                 let (chip, replay) = recorded(path)?;
                 Ok(Opened::new(chip, Box::new(replay), subject))
             }
-            &Self::Bus { ref bus, address, chip, byte_writes } => {
-                let opened = on_bus(bus, address, chip, byte_writes, &subject, mountpoint, clock);
+            &Self::Bus { ref bus, address, chip, single } => {
+                let opened = on_bus(bus, address, chip, single, &subject, mountpoint, clock);
                 let opened = match (opened, chip) {
                     (Err(error), Some(chip)) if waits && error.errno() != Errno::ENOTTY => {
                         absent(bus, address, chip, subject, error, clock)?
@@ -255,7 +292,7 @@ fn on_bus(
     bus: &Path,
     address: u8,
     chip: Option<&'static Chip>,
-    byte_writes: bool,
+    single: bool,
     subject: &str,
     mountpoint: &Path,
     clock: &Arc<dyn Clock>,
@@ -270,11 +307,11 @@ fn on_bus(
         Some(chip) => chip,
         None => {
             let clock_hz = adapter.clock_hz();
-            probe::find(subject, &Target { open: &open, clock, byte_writes, clock_hz })?
+            probe::find(subject, &Target { open: &open, clock, byte_writes: single, clock_hz })?
         }
     };
     Ok(Opened {
-        clock_hz: adapter.clock_hz(),
+        single: known.is_slower_than(adapter.clock_hz()),
         lock: Some(lock),
         journal_key: Some(lock::key_of_gauge(&adapter, address)),
         unverified: chip.is_some(),
@@ -321,7 +358,7 @@ impl Opened {
         Self {
             chip,
             bus,
-            clock_hz: None,
+            single: false,
             address: GAUGE_ADDRESS,
             subject,
             sim: None,

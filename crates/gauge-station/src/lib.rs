@@ -14,7 +14,7 @@
 //! use std::sync::atomic::AtomicBool;
 //!
 //! use gauge_bus::clock::{Clock, SimClock};
-//! use gauge_owner::{GaugeSetup, Source};
+//! use gauge_owner::GaugeOptions;
 //! use gauge_station::{Options, Plan, Scanner, Screen, SerialFrom, Setup};
 //! use ti_gauge::chip::Chip;
 //!
@@ -47,7 +47,7 @@
 //!
 //! // A place with one simulated pack.
 //! let chip = Chip::by_name("bq34z100-g1").expect("it has a table");
-//! let simulated = GaugeSetup::new(Source::Sim { chip, state: None, key: None, seal: None, scenario: None, knobs: Vec::new() });
+//! let simulated = GaugeOptions { sim: Some(chip), ..GaugeOptions::default() };
 //! let options = Options { serial: Some(SerialFrom::Counter), ..Options::default() };
 //! let setup = Setup::new(&folder.join("line1.toml"), options, vec![("BAT0".into(), simulated)]);
 //!

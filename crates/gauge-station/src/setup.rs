@@ -5,7 +5,7 @@
 use std::path::{Path, PathBuf};
 
 use crate::options::Options;
-use gauge_owner::GaugeSetup;
+use gauge_owner::GaugeOptions;
 
 /// A station, as its file describes it. All paths are absolute.
 #[derive(Clone, Debug)]
@@ -13,7 +13,7 @@ pub struct Setup {
     /// What it does with each pack.
     pub options: Options,
     /// The places at which packs are connected, each with its name.
-    pub gauges: Vec<(String, GaugeSetup)>,
+    pub gauges: Vec<(String, GaugeOptions)>,
     /// Its name in the records.
     pub name: String,
     /// Its file, for messages.
@@ -26,7 +26,7 @@ pub struct Setup {
 
 impl Setup {
     /// The station of a file with that absolute path, beside which it keeps its record unless the options say otherwise.
-    pub fn new(file: &Path, options: Options, gauges: Vec<(String, GaugeSetup)>) -> Self {
+    pub fn new(file: &Path, options: Options, gauges: Vec<(String, GaugeOptions)>) -> Self {
         let stem = file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
         let record = options.record.clone().unwrap_or_else(|| file.with_extension("jsonl"));
         let images = options.images.clone().unwrap_or_else(|| record.with_extension("images"));

@@ -29,7 +29,7 @@ use crate::options::Date;
 use crate::setup::Setup;
 use gauge_bus::clock::Clock;
 use gauge_bus::{Bus, regular};
-use gauge_owner::{GaugeSetup, Settings, journal_dir, key_file};
+use gauge_owner::{GaugeOptions, Run, Source, journal_dir, key_file};
 use gaugefs_host::sign::Sign;
 use gaugefs_host::{input, program};
 use ti_gauge::notation;
@@ -140,7 +140,7 @@ impl fmt::Display for Progress {
 /// One place of a station at which packs are connected.
 struct Bench {
     name: String,
-    gauge: GaugeSetup,
+    options: GaugeOptions,
     keys: Keys,
     /// The keys that the packs get.
     new_keys: Option<Keys>,
@@ -149,7 +149,7 @@ struct Bench {
     /// The folder of its journal and backups, and its name there.
     place: (PathBuf, String),
     /// The bus is faster than the manual allows.
-    byte_writes: bool,
+    is_fast: bool,
 }
 
 /// The part that all benches of a station share.
@@ -205,14 +205,15 @@ impl Plan {
         let name = input::name(image_path);
         let source = input::Source::read(image_path)?;
         let image_sum = text::hex(&Sha256::digest(&source.bytes));
-        let chip = setup.gauges.iter().find_map(|(_, gauge)| gauge.source.chip());
+        let sources = setup.gauges.iter().map(|(_, gauge)| Source::of(gauge)).collect::<Result<Vec<_>>>()?;
+        let chip = sources.iter().find_map(Source::chip);
         let mut image = source.image(chip, setup.options.data_flash)?;
         let refuse = |why: String| Err(Error::new(&name, Cause::Invalid, why));
         image.exclude(&setup.options.groups().map_err(of_key)?);
         if let Some(left) = image.left_out.first() {
             return refuse(format!("{}; exclude its group in the station's file, or remove it", left.text));
         }
-        for source in setup.gauges.iter().map(|(_, gauge)| &gauge.source) {
+        for source in &sources {
             if source.chip().is_some_and(|one| !std::ptr::eq(one, image.chip)) {
                 return refuse(format!("it is for a {}, and {source} is none", image.chip.model));
             }
@@ -311,15 +312,18 @@ impl Plan {
             setup.images.display()
         );
         for (name, gauge) in &setup.gauges {
-            text += &format!("{name}: {}\n", gauge.source);
+            let source =
+                Source::of(gauge).map_or_else(|error| error.to_string(), |source| source.to_string());
+            text += &format!("{name}: {source}\n");
         }
         text
     }
 
     /// What stands in the way at the station's places, as far as that can be seen without a transfer.
     pub fn check(&self, clock: &Arc<dyn Clock>) -> Vec<Error> {
-        let check = |(name, gauge): &(String, GaugeSetup)| {
-            gauge.source.check(Path::new(""), clock).err().map(|error| error.within(name))
+        let check = |(name, gauge): &(String, GaugeOptions)| {
+            let checked = Source::of(gauge).and_then(|source| source.check(Path::new(""), clock));
+            checked.err().map(|error| error.within(name))
         };
         self.setup.gauges.iter().filter_map(check).collect()
     }
@@ -355,21 +359,15 @@ impl Plan {
         self.image.chip
     }
 
-    /// The bench of a gauge. `byte_writes` and `journal_key` are what its bus needs.
-    fn bench(
-        &self,
-        at: usize,
-        subject: String,
-        byte_writes: bool,
-        journal_key: Option<String>,
-    ) -> Result<Bench> {
+    /// The bench of a gauge. `is_fast` and `journal_key` are properties of its bus.
+    fn bench(&self, at: usize, subject: String, is_fast: bool, journal_key: Option<String>) -> Result<Bench> {
         let (keys, new_keys) = self.keys[at].clone();
         let folder = self.setup.options.state_dir.as_deref().or(Some(&self.setup.images));
         // A journal of packs on a bus is where a mount would look for it.
         let folder = if journal_key.is_some() { self.setup.options.state_dir.as_deref() } else { folder };
         let place = journal_dir::place(folder, journal_key)?.unwrap_or_default();
-        let (name, gauge) = self.setup.gauges[at].clone();
-        Ok(Bench { name, gauge, keys, new_keys, subject, place, byte_writes })
+        let (name, options) = self.setup.gauges[at].clone();
+        Ok(Bench { name, options, keys, new_keys, subject, place, is_fast })
     }
 }
 
@@ -397,25 +395,26 @@ fn jobs(setup: &Setup) -> Vec<(Job, Option<f64>)> {
 }
 
 impl Bench {
-    fn settings(&self, station: &Station) -> Result<Settings> {
+    /// Nothing that writes is sent before the registers read like a gauge's.
+    fn run(&self, station: &Station) -> Result<Run> {
         let chip = station.plan.image.chip;
         let no_backup = station.plan.setup.options.no_backup;
         let place = Some(self.place.clone());
         let keys = self.keys.clone();
-        let mut settings =
-            self.gauge.settings(keys, chip, &self.subject, self.byte_writes, place, no_backup)?;
-        settings.journal = settings.journal.map(|journal| journal.on(station.disk.clone()));
-        Ok(settings)
+        let run = self.options.run(keys, chip, &self.subject, place, no_backup)?;
+        Ok(Run {
+            single: run.single || self.is_fast,
+            journal: run.journal.map(|journal| journal.on(station.disk.clone())),
+            name: self.name.clone(),
+            unverified: true,
+            ..run
+        })
     }
 
     /// The folder with the journals of its packs.
     fn journals(&self, disk: &Arc<dyn Disk>) -> Journal {
         let (folder, key) = self.place.clone();
         Journal::new(folder, key, self.subject.clone()).on(disk.clone())
-    }
-
-    fn allow_unproven(&self) -> bool {
-        self.gauge.allow_unproven
     }
 }
 

@@ -187,9 +187,9 @@ impl Entry {
 
     /// Why an import does not write it: its address is uncertain, unless that is allowed, or it is a learned value outside the range. Any
     /// other value outside its range is an error, with line and parameter.
-    pub fn not_imported(&self, allow_unproven: bool) -> Result<Option<&'static str>> {
+    pub fn not_imported(&self, also_unproven: bool) -> Result<Option<&'static str>> {
         match notation::parse(self.parameter, self.text().as_bytes()) {
-            _ if self.parameter.unproven && !allow_unproven => Ok(Some("its address or range is unproven")),
+            _ if self.parameter.unproven && !also_unproven => Ok(Some("its address or range is unproven")),
             Ok(_) => Ok(None),
             Err(_) if self.parameter.learned => Ok(Some("learned, and outside its range")),
             Err(error) => Err(error.within(&format!("line {}", self.line))),

@@ -12,7 +12,7 @@ use gauge_bus::{Bus, BusError};
 use super::by_part::read_places;
 use super::*;
 use gauge_owner::rig::{INTERVAL, Rig};
-use gauge_owner::{Settings, Startup, operations as op};
+use gauge_owner::{GaugeOptions, Run, operations as op};
 use gauge_sim::SimBus;
 use ti_gauge::chip::{Source, Tier};
 
@@ -145,7 +145,7 @@ impl Bus for Reads {
 fn reading(chip: &Chip, register: &Register, value: i64, name: &str) -> Option<String> {
     let other = Other::default();
     let wrap = |bus| Box::new(Reads { bus, other: other.clone() }) as Box<dyn Bus>;
-    let mut rig = Rig::on(chip.name, Settings::default(), Startup::default(), wrap);
+    let mut rig = Rig::on(chip.name, Run::default(), wrap);
     rig.start().expect("it answers");
     let bytes = value.to_le_bytes()[..usize::from(register.size)].to_vec();
     *other.lock().expect("no panic") = Some((register.source.command().expect("a standard command"), bytes));
@@ -219,7 +219,7 @@ fn regression_initcomp_of_a_bq27220_was_not_looked_at() {
 
 /// A simulated gauge that has been identified and polled.
 pub(super) fn open(chip: &str) -> Rig {
-    let mut rig = Rig::of(chip, Settings::default(), Startup::default());
+    let mut rig = Rig::of(chip, Run::default());
     rig.start().expect("it answers");
     rig
 }
@@ -644,7 +644,7 @@ fn a_scale_of_0_leaves_no_value_of_its_kind() {
 fn a_scale_that_may_be_given_twice_is_warned_of() {
     let warnings = |reported, given: &Scales| {
         let (handle, scales) = (with_scales(reported).handle.clone(), given.clone());
-        crate::fs::MountedGauge { name: "BAT0".into(), handle, scales, knobs: None }.warnings()
+        crate::fs::Supply::new("BAT0".into(), handle).with_scales(scales).warnings()
     };
     let given = Scales { current: 10.0, energy: 2.5, ..Scales::default() };
     assert_eq!(
@@ -674,7 +674,8 @@ fn assert_scaled(rig: &Rig, factors: &[(&str, Role, Option<i64>)]) {
 /// A discharging gauge whose Design Energy Scale is 10, and where that is.
 fn with_energy_scale(chip: &str) -> (Rig, u8, u8) {
     let (id, offset): (u8, u8) = if chip == "bq34z100-g1" { (48, 30) } else { (80, 81) };
-    let mut rig = Rig::of(chip, Settings { allow_unproven: true, ..Settings::default() }, Startup::default());
+    let options = GaugeOptions { allow_unproven: true, ..GaugeOptions::default() };
+    let mut rig = Rig::of(chip, Run { options, ..Run::default() });
     rig.start().expect("it answers");
     rig.sim.set_flash(id.into(), offset.into(), &[10]);
     turn(&rig, "load_ma", "500");
@@ -763,7 +764,7 @@ fn a_scale_in_ram_is_lost_with_the_power() {
 #[test]
 fn a_scale_that_only_the_user_knows_is_asked_for() {
     let warnings = |is_scaled, given: &Scales| {
-        let mut rig = Rig::of("bq34z100-g1", Settings::default(), Startup::default());
+        let mut rig = Rig::of("bq34z100-g1", Run::default());
         let word: u16 = if is_scaled { 0x2161 } else { 0x0161 };
         rig.sim.set_flash(64, 0, &word.to_be_bytes());
         turn(&rig, "power", "off");
@@ -771,7 +772,7 @@ fn a_scale_that_only_the_user_knows_is_asked_for() {
         rig.clock.sleep(Duration::from_secs(5));
         rig.start().expect("it answers");
         let (handle, scales) = (rig.handle.clone(), given.clone());
-        crate::fs::MountedGauge { name: "BAT0".into(), handle, scales, knobs: None }.warnings()
+        crate::fs::Supply::new("BAT0".into(), handle).with_scales(scales).warnings()
     };
     let (none, both) = (Scales::default(), Scales { current: 10.0, energy: 10.0, ..Scales::default() });
     let with_energy = Scales { energy_shown: true, ..Scales::default() };

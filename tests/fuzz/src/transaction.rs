@@ -7,10 +7,10 @@ use std::sync::{Arc, LazyLock};
 use std::time::Duration;
 
 use gauge_bus::clock::{Clock, SimClock};
-use gauge_owner::{self as owner, Settings, Signal, Startup};
+use gauge_owner::{self as owner, Run, Signal};
 use gauge_sim::{Options, Sim};
 use gaugefs::error::{Cause, Error, Result};
-use gaugefs::fs::{Access, Caller, Content, Fs, MountedGauge, Node, Process, Scales};
+use gaugefs::fs::{Access, Caller, Content, Fs, Node, Process, Supply};
 use ti_gauge::chip::Chip;
 
 struct Tree {
@@ -33,13 +33,13 @@ fn tree(chip: &str, present: bool) -> (Fs, Node) {
     clock.sleep(Duration::from_secs(1));
     let chip = Chip::by_name(chip).expect("a chip in the tables");
     let missing = (!present).then(|| Error::new("", Cause::Gone, "it is not connected"));
-    let startup = Startup { missing, ..Startup::default() };
+    let run = Run { missing, ..Run::default() };
     let address = if present { 0x55 } else { 0x56 };
     let bus = Box::new(sim.bus_at(address));
-    let started = owner::start(chip, bus, clock, Settings::default(), startup, Arc::new(Signal::default()));
+    let started = owner::start(chip, bus, clock, run, Arc::new(Signal::default()));
     let (handle, opened) = started.expect("a thread");
     assert_eq!(opened.recv().expect("the owner runs").is_ok(), present);
-    let gauge = MountedGauge { name: "BAT0".into(), handle, scales: Scales::default(), knobs: None };
+    let gauge = Supply::new("BAT0".into(), handle);
     let fs = Fs::new(vec![gauge], Access { uid: 0, gid: 0, group: false });
     let node = ["BAT0", "df", "transaction"]
         .iter()

@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-use gauge_owner::Settings;
+use gauge_owner::Run;
 use gaugefs::fs::Access;
 use nix::sys::signal::{Signal, kill};
 use nix::sys::stat::minor;
@@ -68,7 +68,7 @@ fn killed_in_a_page_fault() {
     let (chip, folder) = (Chip::by_name(CHIP).expect("a chip"), Folder::new());
     let (uid, gid) = (nix::unistd::geteuid().as_raw(), nix::unistd::getegid().as_raw());
     let access = Access { uid, gid, group: false };
-    let mount = Swift::new(chip, folder, Settings::default(), access, |_| ());
+    let mount = Swift::new(chip, folder, Run::default(), access, |_| ());
     let _abort = Abort::of(&mount.root);
     for _ in 0..4 {
         let path = mount.root.join("df/80/53");

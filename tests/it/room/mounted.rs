@@ -12,10 +12,10 @@ use std::time::Duration;
 
 use gauge_bus::Bus;
 use gauge_bus::clock::{Clock, HurriedClock, RealClock};
-use gauge_owner::{self as owner, Handle, Settings, Signal};
+use gauge_owner::{self as owner, Handle, Run, Signal};
 use gauge_sim::{Options, Sim};
 use gaugefs::error::Result;
-use gaugefs::fs::{Access, Fs, Knobs, MountedGauge, Scales};
+use gaugefs::fs::{Access, Fs, Knobs, Supply};
 use gaugefs::fuse::{self, Mounted};
 use nix::errno::Errno;
 use ti_gauge::chip::Chip;
@@ -79,7 +79,7 @@ impl Mount {
     ) -> Option<Self> {
         Self::of(
             chip,
-            Settings { keys, interval, profile, ..Settings::default() },
+            Run { keys, interval, profile, ..Run::default() },
             prepare,
             bus,
             fuse::Options::default(),
@@ -88,7 +88,7 @@ impl Mount {
 
     pub(crate) fn of(
         chip: &str,
-        settings: Settings,
+        run: Run,
         prepare: impl FnOnce(&Sim),
         bus: impl FnOnce(&Sim) -> Box<dyn Bus>,
         options: fuse::Options,
@@ -105,13 +105,9 @@ impl Mount {
         std::thread::sleep(Duration::from_millis(1300));
         let (signal, defect) = (Arc::new(Signal::default()), Arc::new(AtomicBool::new(false)));
         let table = Chip::by_name(chip).expect("a chip of the tables");
-        let handle = owner::spawn(table, bus(&sim), clock, settings, signal.clone()).expect("a gauge");
-        let entry = MountedGauge {
-            name: "BAT0".into(),
-            handle: handle.clone(),
-            scales: Scales::default(),
-            knobs: Some(Box::new(SimKnobs { sim: sim.clone(), defect: defect.clone() })),
-        };
+        let handle = owner::spawn(table, bus(&sim), clock, run, signal.clone()).expect("a gauge");
+        let entry = Supply::new("BAT0".into(), handle.clone())
+            .with_knobs(Some(Box::new(SimKnobs { sim: sim.clone(), defect: defect.clone() })));
         let access = Access {
             uid: nix::unistd::geteuid().as_raw(),
             gid: nix::unistd::getegid().as_raw(),
@@ -165,18 +161,18 @@ impl Swift {
     pub(crate) fn new(
         chip: &'static Chip,
         folder: Folder,
-        settings: Settings,
+        run: Run,
         access: Access,
         prepare: impl FnOnce(&Sim),
     ) -> Self {
-        Self::behind(chip, folder, settings, access, prepare, |sim| Box::new(sim.bus()))
+        Self::behind(chip, folder, run, access, prepare, |sim| Box::new(sim.bus()))
     }
 
     /// The same behind a given bus.
     pub(crate) fn behind(
         chip: &'static Chip,
         folder: Folder,
-        settings: Settings,
+        run: Run,
         access: Access,
         prepare: impl FnOnce(&Sim),
         bus: impl FnOnce(&Sim) -> Box<dyn Bus>,
@@ -189,13 +185,9 @@ impl Swift {
         prepare(&sim);
         clock.sleep(Duration::from_secs(2));
         let signal = Arc::new(Signal::default());
-        let handle = owner::spawn(chip, bus(&sim), clock.clone(), settings, signal.clone()).expect("a gauge");
-        let gauge = MountedGauge {
-            name: "BAT0".into(),
-            handle: handle.clone(),
-            scales: Scales::default(),
-            knobs: Some(Box::new(SimKnobs { sim: sim.clone(), defect: Arc::default() })),
-        };
+        let handle = owner::spawn(chip, bus(&sim), clock.clone(), run, signal.clone()).expect("a gauge");
+        let gauge = Supply::new("BAT0".into(), handle.clone())
+            .with_knobs(Some(Box::new(SimKnobs { sim: sim.clone(), defect: Arc::default() })));
         let tree = Arc::new(Fs::new(vec![gauge], access));
         let mounted = fuse::mount(tree, &at, fuse::Options::default(), signal).expect("a mount");
         Self { root: at.join("BAT0"), clock, sim, handle, _mounted: mounted, folder }
@@ -207,10 +199,10 @@ pub(crate) fn swift(keys: Keys, bus: impl FnOnce(&Sim) -> Box<dyn Bus>) -> Optio
     if !super::can_mount() {
         return None;
     }
-    let settings = Settings { keys, interval: Duration::from_secs(3600), ..Settings::default() };
+    let run = Run { keys, interval: Duration::from_secs(3600), ..Run::default() };
     let (uid, gid) = (nix::unistd::geteuid().as_raw(), nix::unistd::getegid().as_raw());
     let chip = Chip::by_name(super::CHIP).expect("a chip of the tables");
-    Some(Swift::behind(chip, Folder::new(), settings, Access { uid, gid, group: false }, |_| {}, bus))
+    Some(Swift::behind(chip, Folder::new(), run, Access { uid, gid, group: false }, |_| {}, bus))
 }
 
 pub(crate) fn statistic(handle: &Handle, wanted: &str) -> u64 {

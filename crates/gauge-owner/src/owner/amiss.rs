@@ -83,7 +83,7 @@ mod tests {
     use std::time::Duration;
 
     use super::super::rig::{INTERVAL, Rig};
-    use super::super::{Settings, Startup, operations as op};
+    use super::super::{Run, operations as op};
     use super::*;
     use ti_gauge::chip::CHIPS;
     use ti_gauge::dataflash::Change;
@@ -96,7 +96,7 @@ mod tests {
     #[test]
     fn regression_a_gauge_that_had_lost_its_configuration_said_so_in_the_log_only() {
         for chip in CHIPS.iter().copied().filter(|chip| chip.volatile.is_some()) {
-            let mut rig = Rig::of(chip.name, Settings::default(), Startup::default());
+            let mut rig = Rig::of(chip.name, Run::default());
             rig.start().expect("it answers");
             for position in ["off", "on"] {
                 rig.sim.set("power", position).expect("a knob");
@@ -119,7 +119,7 @@ mod tests {
     #[test]
     fn regression_a_gauge_that_measures_nothing_did_not_say_why_nothing_is_shown() {
         for name in ["bq34z100-g1", "bq27441-g1"] {
-            let mut rig = Rig::of(name, Settings::default(), Startup::default());
+            let mut rig = Rig::of(name, Run::default());
             rig.start().expect("it answers");
             let is_valid = |rig: &Rig| {
                 rig.handle.published().snapshot.as_ref().is_some_and(|snapshot| snapshot.is_valid)

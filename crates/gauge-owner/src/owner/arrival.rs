@@ -153,7 +153,7 @@ fn check_identity(chip: &'static Chip, answers: &Answers) -> Result<Option<Limit
 #[cfg(test)]
 mod tests {
     use super::super::rig::{INTERVAL, Rig};
-    use super::super::{Seal, Startup, operations as op};
+    use super::super::{Run, Seal, operations as op};
     use super::*;
     use gauge_bus::Bus as _;
     use gauge_bus::clock::Clock as _;
@@ -216,7 +216,7 @@ mod tests {
     #[test]
     fn a_gauge_without_a_table_is_only_read() {
         for chip in ti_gauge::chip::kernel::GAUGES {
-            let mut rig = Rig::of(chip.name, super::super::Settings::default(), Startup::default());
+            let mut rig = Rig::of(chip.name, super::super::Run::default());
             rig.sim.keep_log(true);
             rig.owner.open().expect("it answers");
             for _ in 0..12 {
@@ -244,7 +244,7 @@ mod tests {
     #[test]
     fn regression_the_firmware_that_is_shown_is_the_gauges() {
         for (chip, version) in [("bq27220", 0x0003), ("bq34110", 0x0100), ("bq35100", 0x0018)] {
-            let mut rig = Rig::of(chip, super::super::Settings::default(), Startup::default());
+            let mut rig = Rig::of(chip, super::super::Run::default());
             rig.owner.open().expect("it answers");
             assert_eq!(rig.handle.published().answers.firmware_version, version, "{chip}");
             rig.sim.set("firmware", "0x0201").expect("a knob");
@@ -274,8 +274,8 @@ mod tests {
         let image = "chip = \"bq27441-g1\"\n[state]\ndesign-capacity = 1234\n";
         let image = ti_gauge::image::Image::parse(image, Some(chip)).expect("an image");
         let profile = image.to_restore().expect("values in range");
-        let settings = super::super::Settings { profile, ..super::super::Settings::default() };
-        let mut rig = Rig::of("bq27441-g1", settings, Startup::default());
+        let run = super::super::Run { profile, ..super::super::Run::default() };
+        let mut rig = Rig::of("bq27441-g1", run);
         rig.owner.open().expect("it answers");
         rig
     }
@@ -405,7 +405,7 @@ mod tests {
 
     #[test]
     fn a_gauge_that_is_found_open_has_its_pack_described_once() {
-        let (mut sealed, mut open) = (Rig::new(Startup::default()), Rig::new(Startup::default()));
+        let (mut sealed, mut open) = (Rig::new(Run::default()), Rig::new(Run::default()));
         control(&open, &KEYS);
         for rig in [&mut sealed, &mut open] {
             rig.owner.open().expect("it answers");
@@ -426,7 +426,7 @@ mod tests {
 
     #[test]
     fn a_gauge_that_was_sealed_meanwhile_is_not_unsealed_to_describe_its_pack() {
-        let mut rig = Rig::new(Startup::default());
+        let mut rig = Rig::new(Run::default());
         control(&rig, &KEYS);
         rig.owner.open().expect("it answers");
         control(&rig, &[SEALED]);
@@ -583,7 +583,7 @@ mod tests {
     #[test]
     fn a_bit_error_does_not_make_another_version_of_the_gauge() {
         for transfer in 1..=10 {
-            let mut rig = Rig::new(Startup::default());
+            let mut rig = Rig::new(Run::default());
             rig.sim.set("fault", &format!("flip {transfer} 0 1")).expect("a fault");
             if rig.owner.open().is_ok() {
                 assert!(rig.handle.published().limited.is_none(), "transfer {transfer}");
@@ -594,7 +594,7 @@ mod tests {
     #[test]
     fn a_gauge_that_is_missing_at_first_is_opened_by_a_later_poll() {
         let missing = Some(Error::new("/dev/i2c-9", Cause::Gone, "no such bus"));
-        let mut rig = Rig::new(Startup { missing, unverified: true, ..Startup::default() });
+        let mut rig = Rig::new(Run { missing, unverified: true, ..Run::default() });
         let (sender, opened) = std::sync::mpsc::channel();
         rig.owner.begin(&sender);
         let error = opened.try_recv().expect("an outcome").expect_err("it is missing");

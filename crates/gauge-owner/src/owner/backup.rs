@@ -267,7 +267,7 @@ mod tests {
     use nix::errno::Errno;
 
     use super::super::rig::Rig;
-    use super::super::{Settings, Startup, operations as op};
+    use super::super::{Run, operations as op};
     use super::*;
     use gauge_bus::clock::Clock as _;
     use ti_gauge::value::Value;
@@ -377,7 +377,7 @@ mod tests {
 
     fn with_backup(folder: &Path) -> Rig {
         let backup = Some(Backup::new(folder.to_path_buf(), "i2c-1-55".into()));
-        let mut rig = Rig::of("bq34z100-g1", Settings { backup, ..Settings::default() }, Startup::default());
+        let mut rig = Rig::of("bq34z100-g1", Run { backup, ..Run::default() });
         rig.owner.open().expect("it answers");
         rig
     }
@@ -415,7 +415,7 @@ mod tests {
         let folder = folder("time");
         for chip in CHIPS {
             let backup = Some(Backup::new(folder.clone(), chip.name.into()));
-            let mut rig = Rig::of(chip.name, Settings { backup, ..Settings::default() }, Startup::default());
+            let mut rig = Rig::of(chip.name, Run { backup, ..Run::default() });
             rig.owner.open().expect("it answers");
             let begun = rig.clock.now();
             rig.owner.back_up(&[], Duration::ZERO).expect("the default key");

@@ -59,7 +59,7 @@ impl Owner {
 #[cfg(test)]
 mod tests {
     use super::super::rig::{INTERVAL, Rig};
-    use super::super::{Startup, operations};
+    use super::super::{Run, operations};
     use super::*;
     use gauge_bus::Bus;
     use gauge_bus::clock::Clock;
@@ -96,7 +96,7 @@ mod tests {
 
     #[test]
     fn a_start_reports_calibration_mode_and_the_way_out_works() {
-        let mut rig = Rig::new(Startup::default());
+        let mut rig = Rig::new(Run::default());
         for word in [0x0414_u16, 0x3672, 0x002D, 0x0081, 0x0020] {
             let [low, high] = word.to_le_bytes();
             rig.sim.bus().transfer(&[0x00, low, high], &mut []).expect("it answers");

@@ -326,7 +326,7 @@ mod tests {
     use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender};
     use std::sync::{Arc, Mutex};
 
-    use super::super::{Handle, Settings, operations, spawn};
+    use super::super::{Handle, Run, operations, spawn};
     use super::*;
     use gauge_bus::clock::{Clock, RealClock, SimClock};
     use gauge_bus::{Bus, BusError};
@@ -358,8 +358,8 @@ mod tests {
         let (dropped, ended) = mpsc::channel();
         let bus = Box::new(Gated { bus: sim.bus(), gate: gate.clone(), _dropped: dropped });
         let chip = Chip::by_name("bq34z100-g1").expect("it has a table");
-        let settings = Settings { interval: Duration::from_secs(3600), ..Settings::default() };
-        (spawn(chip, bus, clock, settings, Arc::default()).expect("it answers"), ended)
+        let run = Run { interval: Duration::from_secs(3600), ..Run::default() };
+        (spawn(chip, bus, clock, run, Arc::default()).expect("it answers"), ended)
     }
 
     fn threads() -> usize {

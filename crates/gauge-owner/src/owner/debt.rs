@@ -157,7 +157,7 @@ impl Owner {
 #[cfg(test)]
 mod tests {
     use super::super::rig::{INTERVAL, Rig};
-    use super::super::{Startup, operations as op};
+    use super::super::{Run, operations as op};
     use super::*;
     use gauge_bus::clock::Clock;
     use ti_gauge::dataflash::Change;
@@ -173,7 +173,7 @@ mod tests {
 
     /// A gauge that falls silent for a minute when it is to be sealed after a write.
     fn left_open() -> Rig {
-        let mut plain = Rig::new(Startup::default());
+        let mut plain = Rig::new(Run::default());
         plain.owner.open().expect("it answers");
         plain.sim.keep_log(true);
         write(&mut plain).expect("no fault");

@@ -8,7 +8,7 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use super::handle::{Queue, Requests, lock};
-use super::{Handle, Operation, Owner, Settings, Startup, operations};
+use super::{Handle, Operation, Owner, Run, operations};
 use crate::error::Result;
 use gauge_bus::Bus;
 use gauge_bus::clock::Clock;
@@ -25,14 +25,8 @@ pub struct Direct {
 
 impl Direct {
     /// Nothing has been sent to the gauge yet.
-    pub fn new(
-        chip: &'static Chip,
-        bus: Box<dyn Bus>,
-        clock: Arc<dyn Clock>,
-        settings: Settings,
-        startup: Startup,
-    ) -> Self {
-        let (owner, shared) = Owner::new(chip, bus, clock, settings, startup, Arc::default());
+    pub fn new(chip: &'static Chip, bus: Box<dyn Bus>, clock: Arc<dyn Clock>, run: Run) -> Self {
+        let (owner, shared) = Owner::new(chip, bus, clock, run, Arc::default());
         let requests = Arc::default();
         Self { owner, handle: Handle::new(shared, Queue::Direct(Arc::downgrade(&requests))), requests }
     }

@@ -13,8 +13,9 @@ use jiff::Timestamp;
 use super::crew::Member;
 use super::now::{self, Content, Presence};
 use super::operation::Request;
-use super::{Attempt, Done, Operation, Origin, Report, Settings};
+use super::{Attempt, Done, Operation, Origin, Report};
 use crate::error::{Cause, Error, Result};
+use crate::options::GaugeOptions;
 use gauge_bus::clock::Clock;
 use ti_gauge::authentication::{Message, Order};
 use ti_gauge::calibration::Measured;
@@ -130,8 +131,7 @@ impl Published {
 /// The part of an owner that its handles share.
 pub(super) struct Shared {
     pub(super) chip: &'static Chip,
-    pub(super) allow_unproven: bool,
-    pub(super) auth_order: Order,
+    options: GaugeOptions,
     pub(super) origin: Origin,
     pub(super) clock: Arc<dyn Clock>,
     pub(super) statistics: Arc<Statistics>,
@@ -175,7 +175,8 @@ pub(super) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 impl Shared {
     pub(super) fn new(
         gauge: &Gauge,
-        settings: &Settings,
+        options: GaugeOptions,
+        interval: Duration,
         name: String,
         origin: Origin,
         signal: Arc<Signal>,
@@ -189,7 +190,7 @@ impl Shared {
             seal: Seal::Sealed,
             digest: Fact::default(),
             control: Fact::default(),
-            interval: settings.interval,
+            interval,
             last_error: "".into(),
             failed: None,
             amiss: None,
@@ -203,8 +204,7 @@ impl Shared {
         };
         Self {
             chip: gauge.chip,
-            allow_unproven: settings.allow_unproven,
-            auth_order: settings.auth_order,
+            options,
             origin,
             clock: gauge.clock.clone(),
             statistics: gauge.statistics.clone(),
@@ -218,6 +218,11 @@ impl Shared {
             index: AtomicU16::new(NOWHERE),
             prefix: if name.is_empty() { name } else { name + ": " },
         }
+    }
+
+    /// The byte order in which challenges are sent.
+    pub(super) fn challenge_order(&self) -> Order {
+        self.options.auth_order.unwrap_or_default()
     }
 
     pub(super) fn published(&self) -> Arc<Published> {
@@ -453,12 +458,12 @@ impl Handle {
 
     /// Whether parameters may be written whose address or range is not certain.
     pub fn allows_unproven(&self) -> bool {
-        self.shared.allow_unproven
+        self.shared.options.allow_unproven
     }
 
     /// The byte order in which challenges are sent.
-    pub fn auth_order(&self) -> Order {
-        self.shared.auth_order
+    pub fn challenge_order(&self) -> Order {
+        self.shared.challenge_order()
     }
 
     /// The present knowledge about the gauge.

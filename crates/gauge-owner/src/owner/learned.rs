@@ -668,7 +668,7 @@ fn over(mut changes: Vec<Change>, others: Vec<Change>) -> Vec<Change> {
 #[cfg(test)]
 mod tests {
     use super::super::rig::{INTERVAL, Rig};
-    use super::super::{Settings, Startup, operations as op};
+    use super::super::{Run, operations as op};
     use super::*;
     use gauge_bus::clock::Clock as _;
     use ti_gauge::chip::{CHIPS, FLAT};
@@ -698,8 +698,8 @@ mod tests {
         let image = Image::parse(image, Some(chip())).expect("an image");
         let learned = Learned::new(folder.into(), "i2c-1-55".into(), pack.map(String::from));
         let profile = image.to_restore().expect("values in range");
-        let settings = Settings { profile, learned: Some(learned), ..Settings::default() };
-        let mut rig = Rig::of("bq27441-g1", settings, Startup::default());
+        let run = Run { profile, learned: Some(learned), ..Run::default() };
+        let mut rig = Rig::of("bq27441-g1", run);
         rig.start().expect("it answers");
         rig.poll_after(INTERVAL);
         rig.poll_after(INTERVAL);
@@ -810,9 +810,9 @@ mod tests {
         };
         let learned = Learned::new(folder.clone(), "i2c-1-55".into(), None);
         let choices = vec![choice("A", 1234), choice("B", 1300)];
-        let settings = Settings { choices, learned: Some(learned), ..Settings::default() };
+        let run = Run { choices, learned: Some(learned), ..Run::default() };
         name("A");
-        let mut rig = Rig::of("bq27441-g1", settings, Startup::default());
+        let mut rig = Rig::of("bq27441-g1", run);
         rig.start().expect("it answers");
         (0..2).for_each(|_| rig.poll_after(INTERVAL));
         learn(&mut rig, 15_432);
@@ -1255,8 +1255,8 @@ mod tests {
         let other = learned.find(is_apart).unwrap_or((class, row));
         let capacity = if row.unit == "mAh" { 1111 } else { 15_555 };
         let learned = Learned::new(folder.into(), "i2c-1-55".into(), Some("A".into()));
-        let settings = Settings { profile: vec![profile], learned: Some(learned), ..Settings::default() };
-        let mut rig = Rig::of(chip.name, settings, Startup::default());
+        let run = Run { profile: vec![profile], learned: Some(learned), ..Run::default() };
+        let mut rig = Rig::of(chip.name, run);
         rig.start().expect("it answers");
         for pause in [INTERVAL, INTERVAL, FIRST, INTERVAL] {
             rig.poll_after(pause);
@@ -1557,8 +1557,8 @@ mod tests {
             let profile = Change::of_value(design, &Value::Int(1200), false).expect("it fits").saved();
             let (class, row) = named("Qmax Cell 0").or(named("Full Charge Capacity")).expect("each has one");
             let learned = Learned::new(folder.clone(), "i2c-1-55".into(), Some("A".into()));
-            let settings = Settings { profile: vec![profile], learned: Some(learned), ..Settings::default() };
-            let mut rig = Rig::of(chip.name, settings, Startup::default());
+            let run = Run { profile: vec![profile], learned: Some(learned), ..Run::default() };
+            let mut rig = Rig::of(chip.name, run);
             rig.start().expect("it answers");
             for pause in [INTERVAL, INTERVAL, FIRST, INTERVAL] {
                 rig.poll_after(pause);

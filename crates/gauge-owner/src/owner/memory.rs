@@ -22,9 +22,9 @@ const TRIES: u32 = 3;
 /// What is known of data memory in RAM.
 #[derive(Debug)]
 pub(super) struct Memory {
-    /// See [`super::Settings::profile`]; the chosen one, where there are several.
+    /// See [`super::Run::profile`]; the chosen one, where there are several.
     profile: Vec<Change>,
-    /// See [`super::Settings::choices`].
+    /// See [`super::Run::choices`].
     choices: Vec<Choice>,
     /// The choice was made for this gauge, which nobody may have exchanged since.
     chosen: Fact<(), Presence>,
@@ -535,7 +535,7 @@ pub(super) fn reports_loss(chip: &Chip, registers: &Registers) -> bool {
 #[cfg(test)]
 mod tests {
     use super::super::rig::{INTERVAL, Rig};
-    use super::super::{Settings, Startup, operations as op};
+    use super::super::{Run, operations as op};
     use super::*;
     use gauge_bus::clock::{Clock, RealClock, SimClock};
     use gauge_bus::{Bus, BusError};
@@ -566,8 +566,8 @@ mod tests {
     }
 
     fn rig(chip: &'static Chip, more: &str) -> Rig {
-        let settings = Settings { profile: profile(chip, more), ..Settings::default() };
-        let mut rig = Rig::of(chip.name, settings, Startup::default());
+        let run = Run { profile: profile(chip, more), ..Run::default() };
+        let mut rig = Rig::of(chip.name, run);
         rig.start().expect("it answers");
         rig.poll_after(INTERVAL);
         rig.poll_after(INTERVAL);
@@ -628,9 +628,9 @@ mod tests {
     fn a_gauge_that_resets_as_soon_as_it_is_configured_is_left_alone_after_three_tries() {
         for chip in parts() {
             let sim = Arc::new(Mutex::new(None));
-            let settings = Settings { profile: profile(chip, ""), ..Settings::default() };
+            let run = Run { profile: profile(chip, ""), ..Run::default() };
             let wrap = |bus| -> Box<dyn Bus> { Box::new(Resets { bus, sim: sim.clone() }) };
-            let mut rig = Rig::on(chip.name, settings, Startup::default(), wrap);
+            let mut rig = Rig::on(chip.name, run, wrap);
             *sim.lock().expect("no panic") = Some(rig.sim.clone());
             lose_power(&rig.sim);
             rig.clock.sleep(Duration::from_secs(3));
@@ -797,9 +797,8 @@ mod tests {
                 let left = Arc::new(AtomicU64::new(u64::MAX));
                 let journal = || Journal::new(folder.clone(), "i2c-1-55".into(), "i2c-1 address 0x55".into());
                 let journal = || matches!(lost, Lost::Host).then(journal);
-                let settings =
-                    || Settings { profile: profile(chip, ""), journal: journal(), ..Settings::default() };
-                let mut rig = Rig::on(chip.name, settings(), Startup::default(), |bus| {
+                let run = || Run { profile: profile(chip, ""), journal: journal(), ..Run::default() };
+                let mut rig = Rig::on(chip.name, run(), |bus| {
                     Box::new(Ends { bus, left: left.clone(), end: || BusError::NoAck })
                 });
                 rig.start().expect("it answers");
@@ -816,7 +815,7 @@ mod tests {
                 rig.sim.set("fault", "none").expect("a knob");
                 if let Lost::Host = lost {
                     let (bus, clock) = (Box::new(rig.sim.bus()), rig.clock.clone());
-                    rig.direct = super::super::Direct::new(chip, bus, clock, settings(), Startup::default());
+                    rig.direct = super::super::Direct::new(chip, bus, clock, run());
                     // A gauge that has just come may still be in CONFIG UPDATE, or on its way out.
                     rig.clock.sleep(Duration::from_secs(3));
                     let _ = rig.start();
@@ -863,13 +862,9 @@ mod tests {
         let folder = std::env::temp_dir().join(format!("gaugefs-memory-left-{}", std::process::id()));
         for chip in parts() {
             let journal = Journal::new(folder.clone(), "i2c-1-55".into(), "i2c-1 address 0x55".into());
-            let settings = || Settings {
-                profile: profile(chip, ""),
-                journal: Some(journal.clone()),
-                ..Settings::default()
-            };
+            let run = || Run { profile: profile(chip, ""), journal: Some(journal.clone()), ..Run::default() };
             let left = Arc::new(AtomicU64::new(u64::MAX));
-            let mut rig = Rig::on(chip.name, settings(), Startup::default(), |bus| {
+            let mut rig = Rig::on(chip.name, run(), |bus| {
                 Box::new(Ends { bus, left: left.clone(), end: || BusError::NoAck })
             });
             rig.start().expect("it answers");
@@ -884,7 +879,7 @@ mod tests {
                 left.store(u64::MAX, Ordering::Relaxed);
                 let bus = Box::new(Ends { bus: rig.sim.bus(), left: left.clone(), end: || BusError::NoAck });
                 let clock = rig.clock.clone();
-                rig.direct = super::super::Direct::new(chip, bus, clock, settings(), Startup::default());
+                rig.direct = super::super::Direct::new(chip, bus, clock, run());
                 rig.clock.sleep(Duration::from_secs(3));
                 let _ = rig.start();
                 for _ in 0..6 {
@@ -908,16 +903,11 @@ mod tests {
         let folder = std::env::temp_dir().join(format!("gaugefs-memory-back-{}", std::process::id()));
         for chip in parts() {
             let journal = Journal::new(folder.clone(), "i2c-1-55".into(), "i2c-1 address 0x55".into());
-            let settings = || Settings {
-                profile: profile(chip, ""),
-                journal: Some(journal.clone()),
-                ..Settings::default()
-            };
+            let run = || Run { profile: profile(chip, ""), journal: Some(journal.clone()), ..Run::default() };
             let left = Arc::new(AtomicU64::new(u64::MAX));
             let lost = || {
-                let mut rig = Rig::on(chip.name, settings(), Startup::default(), |bus| {
-                    Box::new(Ends { bus, left: left.clone(), end: dies })
-                });
+                let mut rig =
+                    Rig::on(chip.name, run(), |bus| Box::new(Ends { bus, left: left.clone(), end: dies }));
                 rig.start().expect("it answers");
                 rig.poll_after(INTERVAL);
                 lose_power(&rig.sim);
@@ -940,7 +930,7 @@ mod tests {
                 left.store(u64::MAX, Ordering::Relaxed);
                 let clock = rig.clock.clone();
                 let bus = Box::new(Slow { bus: rig.sim.bus(), clock: clock.clone() });
-                rig.direct = super::super::Direct::new(chip, bus, clock, settings(), Startup::default());
+                rig.direct = super::super::Direct::new(chip, bus, clock, run());
                 rig.clock.sleep(Duration::from_millis(pause));
                 let begun = rig.clock.now();
                 let _ = rig.start();
@@ -965,10 +955,9 @@ mod tests {
         let folder = std::env::temp_dir().join(format!("gaugefs-memory-told-{}", std::process::id()));
         let chip = Chip::by_name("bq27441-g1").expect("it has a table");
         let journal = Journal::new(folder.clone(), "i2c-1-55".into(), "i2c-1 address 0x55".into());
-        let settings =
-            || Settings { profile: profile(chip, ""), journal: Some(journal.clone()), ..Settings::default() };
+        let run = || Run { profile: profile(chip, ""), journal: Some(journal.clone()), ..Run::default() };
         let left = Arc::new(AtomicU64::new(u64::MAX));
-        let mut rig = Rig::on(chip.name, settings(), Startup::default(), |bus| {
+        let mut rig = Rig::on(chip.name, run(), |bus| {
             Box::new(Ends { bus, left: left.clone(), end: || BusError::NoAck })
         });
         rig.start().expect("it answers");
@@ -979,7 +968,7 @@ mod tests {
         rig.poll_after(Duration::ZERO);
         assert!(journal.path().exists());
         let (bus, clock) = (Box::new(rig.sim.bus()), rig.clock.clone());
-        rig.direct = super::super::Direct::new(chip, bus, clock, settings(), Startup::default());
+        rig.direct = super::super::Direct::new(chip, bus, clock, run());
         lose_power(&rig.sim);
         rig.clock.sleep(Duration::from_secs(3));
         rig.start().expect("it answers");
@@ -1013,14 +1002,9 @@ mod tests {
         for knob in ["cfgupdate_ms", "cfgexit_ms"] {
             sim.set(knob, "1").expect("a knob");
         }
-        let settings = Settings {
-            profile: profile(chip, ""),
-            interval: Duration::from_secs(3600),
-            ..Settings::default()
-        };
+        let run = Run { profile: profile(chip, ""), interval: Duration::from_secs(3600), ..Run::default() };
         let bus = Box::new(sim.bus());
-        let handle =
-            super::super::spawn(chip, bus, clock.clone(), settings, Arc::default()).expect("it answers");
+        let handle = super::super::spawn(chip, bus, clock.clone(), run, Arc::default()).expect("it answers");
         let shows = || {
             let published = handle.published();
             let snapshot = published.snapshot.as_ref().filter(|snapshot| snapshot.is_configured)?;
@@ -1065,8 +1049,8 @@ mod tests {
     #[test]
     fn the_first_values_are_right_within_three_seconds_of_the_bus() {
         for (chip, is_sealed) in parts().flat_map(|chip| [(chip, false), (chip, true)]) {
-            let settings = Settings { profile: profile(chip, ""), ..Settings::default() };
-            let mut rig = Rig::of(chip.name, settings, Startup::default());
+            let run = Run { profile: profile(chip, ""), ..Run::default() };
+            let mut rig = Rig::of(chip.name, run);
             lose_power(&rig.sim);
             rig.clock.sleep(Duration::from_secs(2));
             let [low, high] = chip.security.seal.to_le_bytes();
@@ -1095,11 +1079,11 @@ mod tests {
             let change = rows().find_map(|row| Change::of_value(row, &value, false).ok());
             let change = change.expect("a row that takes this number");
             let choice = Choice { rule: crate::choose::Rule::default(), profile: vec![change.clone()] };
-            for settings in [
-                Settings { profile: vec![change.clone()], ..Settings::default() },
-                Settings { choices: vec![choice], ..Settings::default() },
+            for run in [
+                Run { profile: vec![change.clone()], ..Run::default() },
+                Run { choices: vec![choice], ..Run::default() },
             ] {
-                let mut rig = Rig::of(chip.name, settings, Startup::default());
+                let mut rig = Rig::of(chip.name, run);
                 let flash = rig.sim.flash();
                 rig.start().expect("it answers");
                 lose_power(&rig.sim);
@@ -1142,8 +1126,8 @@ mod tests {
             let file =
                 std::env::temp_dir().join(format!("gaugefs-maker-{}-{}", chip.name, std::process::id()));
             std::fs::write(&file, "150").expect("a file");
-            let settings = Settings { choices: two_makers(&file, chip), ..Settings::default() };
-            let mut rig = Rig::of(chip.name, settings, Startup::default());
+            let run = Run { choices: two_makers(&file, chip), ..Run::default() };
+            let mut rig = Rig::of(chip.name, run);
             rig.start().expect("it answers");
             // Each time another pack, whose gauge had no power until then. The last one is back.
             for (reading, expected) in [
@@ -1183,8 +1167,8 @@ mod tests {
         for chip in parts().filter(|chip| chip.volatile != Some(0)) {
             let file =
                 std::env::temp_dir().join(format!("gaugefs-undecided-{}-{}", chip.name, std::process::id()));
-            let settings = Settings { choices: two_makers(&file, chip), ..Settings::default() };
-            let mut rig = Rig::of(chip.name, settings, Startup::default());
+            let run = Run { choices: two_makers(&file, chip), ..Run::default() };
+            let mut rig = Rig::of(chip.name, run);
             for word in [0x8000_u16, 0x8000, 0x0013, 0x0042] {
                 let [low, high] = word.to_le_bytes();
                 rig.sim.bus().transfer(&[0x00, low, high], &mut []).expect("it is acknowledged");
@@ -1218,15 +1202,9 @@ mod tests {
         let file = std::env::temp_dir().join(format!("gaugefs-nobody-{}", std::process::id()));
         std::fs::write(&file, "250").expect("a file");
         let mut rig = rig(chip, "");
-        let settings = Settings { choices: two_makers(&file, chip), ..Settings::default() };
+        let run = Run { choices: two_makers(&file, chip), ..Run::default() };
         // Another daemon on the same gauge.
-        rig.direct = super::super::Direct::new(
-            chip,
-            Box::new(rig.sim.bus()),
-            rig.clock.clone(),
-            settings,
-            Startup::default(),
-        );
+        rig.direct = super::super::Direct::new(chip, Box::new(rig.sim.bus()), rig.clock.clone(), run);
         rig.start().expect("it answers");
         rig.poll_after(INTERVAL);
         assert_eq!(shown(&rig), Some(CAPACITY));
@@ -1256,7 +1234,7 @@ mod tests {
             let config = ti_gauge::value::Value::Int(if is_sent { 0x05F8 } else { 0x25F8 });
             let config = Change::of_value(row, &config, false).expect("it fits");
             let profile = [profile(chip, ""), vec![config.saved()]].concat();
-            let mut rig = Rig::of(chip.name, Settings { profile, ..Settings::default() }, Startup::default());
+            let mut rig = Rig::of(chip.name, Run { profile, ..Run::default() });
             rig.start().expect("it answers");
             rig.poll_after(INTERVAL);
             let flags = |rig: &Rig| {

@@ -165,7 +165,7 @@ impl Owner {
 
     fn change_key(&mut self, change: keys::KeyChange, asked: Asked) -> Result<()> {
         let settles = self.dataflash.owed().is_some();
-        let order = self.shared.auth_order;
+        let order = self.shared.challenge_order();
         let outcome = self.dataflash.change_key(&mut self.gauge, &change, order, asked.waited);
         if settles {
             self.after_settling();
@@ -178,7 +178,7 @@ impl Owner {
     }
 
     fn authenticate(&mut self, challenge: Message, asked: Asked) -> Result<()> {
-        let order = self.shared.auth_order;
+        let order = self.shared.challenge_order();
         let digest = authentication::ask(&mut self.gauge, &challenge, order, asked.waited);
         let digest =
             digest.inspect_err(|_| self.shared.publish(|published| published.digest = Fact::default()))?;
@@ -427,7 +427,7 @@ impl Owner {
 
 #[cfg(test)]
 mod tests {
-    use super::super::Startup;
+    use super::super::Run;
     use super::super::operation::QUEUE_LIMIT;
     use super::super::rig::{INTERVAL, Rig};
     use super::*;
@@ -567,7 +567,7 @@ mod tests {
 
     #[test]
     fn nothing_is_sent_to_an_address_without_a_known_gauge() {
-        let mut rig = Rig::new(Startup { unverified: true, ..Startup::default() });
+        let mut rig = Rig::new(Run { unverified: true, ..Run::default() });
         refused(&mut rig, Duration::ZERO, |error| matches!(error.cause(), Cause::Gone));
         rig.owner.open().expect("it reads like a gauge");
         rig.ask(&CONTROL, 0x0002).expect("it is one");

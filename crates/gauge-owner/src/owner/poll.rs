@@ -37,7 +37,7 @@ pub(super) struct Schedule {
     /// The next poll comes earlier than the interval: it is the second one, what the registers hold has changed, or
     /// something that follows a poll is to be tried again.
     soon: Option<Duration>,
-    /// See [`super::Startup::phase`]; zero once it has been used.
+    /// See [`super::Run::phase`]; zero once it has been used.
     phase: Duration,
 }
 
@@ -336,7 +336,7 @@ mod tests {
     use nix::errno::Errno;
 
     use super::super::rig::{INTERVAL, Rig};
-    use super::super::{Settings, Startup, operations as op};
+    use super::super::{Run, operations as op};
     use super::*;
     use gauge_bus::Bus;
     use gauge_bus::clock::Clock;
@@ -348,7 +348,7 @@ mod tests {
     fn polls_of_many_gauges_are_spread_over_the_interval() {
         for at in 0..4 {
             let phase = INTERVAL * at / 4;
-            let mut owner = Rig::new(Startup { phase, ..Startup::default() }).direct.owner;
+            let mut owner = Rig::new(Run { phase, ..Run::default() }).direct.owner;
             owner.open().expect("it answers");
             // The second poll comes soon, as with a single gauge; the third one comes early by the phase.
             let pauses = [(); 4].map(|()| {
@@ -446,7 +446,7 @@ mod tests {
     fn one_wrong_bit_of_a_poll_takes_no_battery_out() {
         for byte in 1..=40 {
             for transfer in 1..=2 {
-                let mut rig = Rig::of("bq27441-g1", Settings::default(), Startup::default());
+                let mut rig = Rig::of("bq27441-g1", Run::default());
                 rig.owner.open().expect("it answers");
                 rig.poll_after(INTERVAL);
                 let then = rig.handle.published().presence;
@@ -496,7 +496,7 @@ mod tests {
         let wrap = |bus| -> Box<dyn Bus> {
             Box::new(Hangs { bus, done: 0, at: at.clone(), returned: returned.clone(), held: None })
         };
-        let mut rig = Rig::on("bq34z100-g1", Settings::default(), Startup::default(), wrap);
+        let mut rig = Rig::on("bq34z100-g1", Run::default(), wrap);
         rig.owner.open().expect("it answers");
         (rig, at, returned)
     }
@@ -566,7 +566,7 @@ mod tests {
     #[test]
     fn registers_are_not_read_more_than_twice_a_second() {
         for (unverified, refresh) in [(false, false), (true, false), (true, true)] {
-            let mut rig = Rig::new(Startup { unverified, ..Startup::default() });
+            let mut rig = Rig::new(Run { unverified, ..Run::default() });
             rig.sim.keep_log(true);
             rig.owner.open().expect("it answers");
             for _ in 0..4 {

@@ -211,7 +211,7 @@ fn deciding(chip: &'static Chip) -> Vec<Row> {
 #[cfg(test)]
 mod tests {
     use super::super::rig::{INTERVAL, Rig};
-    use super::super::{Settings, Startup, operations as op};
+    use super::super::{Run, operations as op};
     use super::*;
     use gauge_bus::clock::Clock as _;
     use ti_gauge::calibration::Job;
@@ -271,9 +271,8 @@ mod tests {
     #[test]
     fn a_sealed_gauge_without_a_key_is_reported_without_data_flash() {
         let keys = Keys::none();
-        let key_file = Some("/home/somebody/pack.keys".to_string());
-        let mut rig =
-            Rig::of("bq34z100-g1", Settings { keys, key_file, ..Settings::default() }, Startup::default());
+        let keys_from = Some("/home/somebody/pack.keys".to_string());
+        let mut rig = Rig::of("bq34z100-g1", Run { keys, keys_from, ..Run::default() });
         rig.start().expect("it answers");
         rig.ask(&op::REPORT, ()).expect("it answers");
         let report = rig.handle.published().report.clone().expect("a report");

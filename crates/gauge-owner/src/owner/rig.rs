@@ -9,7 +9,7 @@ use std::ops::{Deref, DerefMut};
 use std::sync::Arc;
 use std::time::Duration;
 
-use super::{Direct, Settings, Startup};
+use super::{Direct, Run};
 use crate::error::Result;
 use gauge_bus::Bus;
 use gauge_bus::clock::{Clock, SimClock};
@@ -45,41 +45,36 @@ impl DerefMut for Rig {
 
 impl Rig {
     /// The gauge answers, and nothing has been sent to it yet.
-    pub fn new(startup: Startup) -> Self {
-        Self::of("bq34z100-g1", Settings::default(), startup)
+    pub fn new(run: Run) -> Self {
+        Self::of("bq34z100-g1", run)
     }
 
-    /// A gauge of another chip, with settings.
-    pub fn of(chip: &str, settings: Settings, startup: Startup) -> Self {
-        Self::on(chip, settings, startup, |bus| Box::new(bus))
+    /// A gauge of another chip.
+    pub fn of(chip: &str, run: Run) -> Self {
+        Self::on(chip, run, |bus| Box::new(bus))
     }
 
     /// A gauge on a bus that is wrapped into another one.
-    pub fn on(
-        chip: &str,
-        settings: Settings,
-        startup: Startup,
-        wrap: impl FnOnce(SimBus) -> Box<dyn Bus>,
-    ) -> Self {
+    pub fn on(chip: &str, run: Run, wrap: impl FnOnce(SimBus) -> Box<dyn Bus>) -> Self {
         let clock = Arc::new(SimClock::new());
         let sim = Sim::new(chip, &Options::default(), clock.clone()).expect("it is simulated");
         sim.be_strict();
         clock.sleep(Duration::from_secs(1));
-        let settings = Settings { interval: INTERVAL, ..settings };
+        let run = Run { interval: INTERVAL, ..run };
         let chip = Chip::by_name(chip).expect("it has a table");
         let bus = wrap(sim.bus());
-        let direct = Direct::new(chip, bus, clock.clone(), settings, startup);
+        let direct = Direct::new(chip, bus, clock.clone(), run);
         Self { clock, sim, direct }
     }
 
     /// A recorded gauge.
     pub fn replay(chip: &Chip, replay: Replay) -> Self {
-        Self::on(chip.name, Settings::default(), Startup::default(), |_| Box::new(replay))
+        Self::on(chip.name, Run::default(), |_| Box::new(replay))
     }
 
     /// The gauge has been identified and polled.
     pub fn open() -> Self {
-        let mut rig = Self::new(Startup::default());
+        let mut rig = Self::new(Run::default());
         rig.owner.open().expect("it answers");
         rig
     }

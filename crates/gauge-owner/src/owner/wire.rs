@@ -20,7 +20,7 @@ use ti_gauge::notation;
 use ti_gauge::value::Value;
 
 use super::rig::{INTERVAL, Rig};
-use super::{Seal, Settings, Startup, operations as op};
+use super::{GaugeOptions, Run, Seal, operations as op};
 
 /// A part, the parameter of its write, and those of its transaction.
 type Case = (&'static str, &'static str, [&'static str; 3]);
@@ -69,8 +69,9 @@ impl Wire {
             let bus = Trace::new(Box::new(bus), GAUGE_ADDRESS, &trace, clock, chip.name, true);
             Box::new(bus.expect("a trace"))
         };
-        let settings = Settings { allow_unproven: true, ..Settings::default() };
-        let rig = Rig::on(chip.name, settings, Startup::default(), recorded);
+        let options = GaugeOptions { allow_unproven: true, ..GaugeOptions::default() };
+        let run = Run { options, ..Run::default() };
+        let rig = Rig::on(chip.name, run, recorded);
         for (knob, setting) in KNOBS {
             rig.sim.set(knob, setting).unwrap_or_else(|error| panic!("{}: {error}", chip.name));
         }

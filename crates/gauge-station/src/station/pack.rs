@@ -27,7 +27,7 @@ use super::target::{self, Flash, Place};
 use super::{Bench, Progress, Sign, Slot, Station, serial};
 use crate::error::{Cause, Error, Result};
 use crate::options::{Date, Seen, Unsettled};
-use gauge_owner::{Direct, Seal, Settings, Startup, operations as op};
+use gauge_owner::{Direct, Run, Seal, operations as op};
 use gaugefs_host::chemistry;
 
 /// How often a pack that was just connected is tried, or one whose contact breaks is read. The time between the former.
@@ -120,8 +120,8 @@ pub(super) fn program(station: &Station, bench: &Bench, slot: &mut dyn Slot) -> 
     let clock = slot.clock();
     let since = clock.now();
     let mut entry = station.entry(bench);
-    let settings = match bench.settings(station) {
-        Ok(settings) => settings,
+    let run = match bench.run(station) {
+        Ok(run) => run,
         Err(error) => {
             entry.reason = Some(error.to_string());
             return station.end(entry, |_| ());
@@ -131,7 +131,7 @@ pub(super) fn program(station: &Station, bench: &Bench, slot: &mut dyn Slot) -> 
     let mut task = Task {
         station,
         bench,
-        gauge: connect(station, bench, slot, &watch, settings),
+        gauge: connect(station, slot, &watch, run),
         watch,
         entry,
         begun: false,
@@ -157,17 +157,9 @@ pub(super) fn program(station: &Station, bench: &Bench, slot: &mut dyn Slot) -> 
     })
 }
 
-fn connect(
-    station: &Station,
-    bench: &Bench,
-    slot: &mut dyn Slot,
-    watch: &Watch,
-    settings: Settings,
-) -> Direct {
-    // Nothing that writes is sent before the registers read like a gauge's.
-    let startup = Startup { name: bench.name.clone(), unverified: true, ..Startup::default() };
+fn connect(station: &Station, slot: &mut dyn Slot, watch: &Watch, run: Run) -> Direct {
     let bus = Box::new(watch.over(slot.bus()));
-    Direct::new(station.plan.image.chip, bus, slot.clock(), settings, startup)
+    Direct::new(station.plan.image.chip, bus, slot.clock(), run)
 }
 
 fn transfers(gauge: &Direct) -> u64 {
@@ -207,7 +199,7 @@ impl Task<'_> {
         if is_new_board || is_unsealed {
             // No write can be checked before it is brought up, or before its key has been tried. It has no serial number
             // until then.
-            target::changes(&self.wanted(&before, &given)?, &before, self.bench.allow_unproven())?;
+            target::changes(&self.wanted(&before, &given)?, &before, self.gauge.handle.allows_unproven())?;
             self.record_begun(|_, _| Ok(()))?;
         } else {
             asked = Some(self.begin(&before, &given)?);
@@ -363,14 +355,14 @@ impl Task<'_> {
         let names = self.gauge.owed_keys();
         let unknown = || refuse("keys", "the keys of the interrupted change are not known".into());
         let (Some(new), Some(first)) = (&self.bench.new_keys, names.first()) else { return Err(unknown()) };
-        let mut settings = self.bench.settings(self.station)?;
+        let mut run = self.bench.run(self.station)?;
         for name in Name::ALL.into_iter().take_while(|name| name != first) {
             if let Some(key) = new.secret(name) {
-                settings.keys.set(name, &key);
+                run.keys.set(name, &key);
             }
         }
         self.transfers += transfers(&self.gauge);
-        self.gauge = connect(self.station, self.bench, slot, &self.watch, settings);
+        self.gauge = connect(self.station, slot, &self.watch, run);
         self.open(slot)?;
         for name in self.gauge.owed_keys() {
             let old = self.bench.keys.secret(name).or_else(|| self.gauge.default_key(name));
@@ -450,14 +442,14 @@ impl Task<'_> {
     /// A pack that was programmed before has the new keys.
     fn look_with_new_keys(&mut self, slot: &mut dyn Slot) -> Option<Flash> {
         let new = self.bench.new_keys.as_ref()?;
-        let mut settings = self.bench.settings(self.station).ok()?;
+        let mut run = self.bench.run(self.station).ok()?;
         for name in Name::ALL {
             if let Some(key) = new.secret(name) {
-                settings.keys.set(name, &key);
+                run.keys.set(name, &key);
             }
         }
         self.transfers += transfers(&self.gauge);
-        self.gauge = connect(self.station, self.bench, slot, &self.watch, settings);
+        self.gauge = connect(self.station, slot, &self.watch, run);
         self.open(slot).ok()?;
         self.has_new_keys = true;
         self.look().ok()
@@ -466,10 +458,10 @@ impl Task<'_> {
     /// A pack whose keys were erased by a loss of power can still be opened, and gets its keys again.
     fn look_with_erased_key(&mut self, slot: &mut dyn Slot) -> Option<Flash> {
         self.bench.new_keys.as_ref()?.secret(Name::Unseal)?;
-        let mut settings = self.bench.settings(self.station).ok()?;
-        settings.keys.set(Name::Unseal, &[0xffff; 2].into());
+        let mut run = self.bench.run(self.station).ok()?;
+        run.keys.set(Name::Unseal, &[0xffff; 2].into());
         self.transfers += transfers(&self.gauge);
-        self.gauge = connect(self.station, self.bench, slot, &self.watch, settings);
+        self.gauge = connect(self.station, slot, &self.watch, run);
         self.has_new_keys = false;
         self.open(slot).ok()?;
         self.look().ok()
@@ -586,11 +578,11 @@ impl Task<'_> {
     fn begin(&mut self, now: &Flash, given: &Given) -> Result<Image> {
         let station = self.station;
         let mut asked = self.wanted(now, given)?;
-        let changes = target::changes(&asked, now, self.bench.allow_unproven())?;
+        let changes = target::changes(&asked, now, self.gauge.handle.allows_unproven())?;
         if !changes.is_empty() {
             self.gauge.ask(&op::CHECK, changes)?;
         }
-        let allow_unproven = self.bench.allow_unproven();
+        let also_unproven = self.gauge.handle.allows_unproven();
         self.record_begun(|entry, record| {
             let Some(row) = station.plan.serial_row else { return Ok(()) };
             let number = match (&given.serial, &given.own) {
@@ -609,7 +601,7 @@ impl Task<'_> {
             asked.set(row.0, row.1, value);
             entry.serial = Some(shown);
             // What cannot be written is refused before anything is.
-            target::changes(&asked, now, allow_unproven).map(drop)
+            target::changes(&asked, now, also_unproven).map(drop)
         })?;
         Ok(asked)
     }
@@ -664,7 +656,7 @@ impl Task<'_> {
 
     /// Writes what the pack has not yet.
     fn write(&mut self, asked: &Image, now: &Flash) -> Result<()> {
-        let changes: Vec<Change> = target::changes(asked, now, self.bench.allow_unproven())?;
+        let changes: Vec<Change> = target::changes(asked, now, self.gauge.handle.allows_unproven())?;
         if changes.is_empty() { Ok(()) } else { self.gauge.ask(&op::WRITE, changes) }
     }
 

@@ -31,8 +31,7 @@ impl Place {
     pub(super) fn all(plan: &Plan, clock: &Arc<dyn Clock>) -> Result<Vec<Self>> {
         let mut places = Vec::new();
         for (at, (name, gauge)) in plan.setup.gauges.iter().enumerate() {
-            places
-                .push(Self::open(plan, at, gauge.source.clone(), clock).map_err(|error| error.within(name))?);
+            places.push(Self::open(plan, at, Source::of(gauge)?, clock).map_err(|error| error.within(name))?);
         }
         Ok(places)
     }
@@ -62,8 +61,7 @@ impl Place {
             *chip = Some(chip_of_packs);
         }
         let opened = source.open(Path::new(""), clock, false)?;
-        let slow = chip_of_packs.is_slower_than(opened.clock_hz);
-        let bench = plan.bench(at, opened.subject, slow, opened.journal_key)?;
+        let bench = plan.bench(at, opened.subject, opened.single, opened.journal_key)?;
         let bus = Shared(Arc::new(Mutex::new(opened.bus)));
         let slot = Wired { looks: Looks::of(chip_of_packs), bus, clock: clock.clone(), _lock: opened.lock };
         Ok(Self { bench, slot: Box::new(slot) })

@@ -129,9 +129,9 @@ impl Flash {
 }
 
 /// The changes that give a pack what is asked for. What may not be written is an error.
-pub(super) fn changes(asked: &Image, now: &Flash, allow_unproven: bool) -> Result<Vec<Change>> {
+pub(super) fn changes(asked: &Image, now: &Flash, also_unproven: bool) -> Result<Vec<Change>> {
     let gauge = now.image();
-    let Changes { changes, passed_over } = gauge.changes(asked, &[], allow_unproven)?;
+    let Changes { changes, passed_over } = gauge.changes(asked, &[], also_unproven)?;
     if let Some(first) = passed_over.first() {
         let why = format!(
             "{first} ({} that cannot be written); exclude them in the station's file",
@@ -142,7 +142,7 @@ pub(super) fn changes(asked: &Image, now: &Flash, allow_unproven: bool) -> Resul
     let mut list = Vec::new();
     for difference in &changes {
         let Entry { subclass, parameter, .. } = difference.new;
-        let change = Change::of_value((subclass, parameter), &difference.new.value, allow_unproven)?;
+        let change = Change::of_value((subclass, parameter), &difference.new.value, also_unproven)?;
         if let Some(stored) = now.bytes((*subclass, *parameter)) {
             change.check_reserved(stored)?;
         }

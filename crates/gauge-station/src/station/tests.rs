@@ -26,7 +26,7 @@ use super::{Bench, Plan, STEADY, Scanner, Screen, Slot, Station, serial, take};
 use crate::error::Result;
 use crate::options::Options;
 use crate::setup::Setup;
-use gauge_owner::{Direct, GaugeSetup, Seal, Settings, Source, Startup, operations as op};
+use gauge_owner::{Direct, GaugeOptions, Run, Seal, operations as op};
 use ti_gauge::notation;
 
 mod attacks;
@@ -79,16 +79,9 @@ impl Drop for Folder {
     }
 }
 
-fn simulated(chip: &str) -> GaugeSetup {
+fn simulated(chip: &str) -> GaugeOptions {
     let chip = Chip::by_name(chip).expect("it has a table");
-    GaugeSetup::new(Source::Sim {
-        chip,
-        state: None,
-        key: None,
-        seal: None,
-        scenario: None,
-        knobs: Vec::new(),
-    })
+    GaugeOptions { sim: Some(chip), ..GaugeOptions::default() }
 }
 
 const CHIP: &str = "bq34z100-g1";
@@ -108,7 +101,7 @@ fn golden() -> String {
     let clock = Arc::new(SimClock::new());
     let sim = Sim::new(CHIP, &gauge_sim::Options::default(), clock.clone()).expect("it is simulated");
     clock.sleep(Duration::from_secs(2));
-    let mut gauge = opened(&sim, &clock, Settings::default());
+    let mut gauge = opened(&sim, &clock, Run::default());
     let mut image = Flash::read(&mut gauge).expect("the default key").image();
     for (place, text) in OTHERS {
         let (id, offset) = place.split_once('/').expect("a place");
@@ -122,9 +115,9 @@ fn golden() -> String {
 }
 
 /// A pack's gauge, asked past any station.
-fn opened(sim: &Sim, clock: &Arc<SimClock>, settings: Settings) -> Direct {
+fn opened(sim: &Sim, clock: &Arc<SimClock>, run: Run) -> Direct {
     let chip = Chip::by_name(CHIP).expect("it has a table");
-    let mut gauge = Direct::new(chip, Box::new(sim.bus()), clock.clone(), settings, Startup::default());
+    let mut gauge = Direct::new(chip, Box::new(sim.bus()), clock.clone(), run);
     gauge.open().expect("it answers");
     gauge
 }
@@ -660,7 +653,7 @@ fn the_comparison_finds_every_bit() {
     let line = Line::start(folder.plan(PLAIN), &[], None).expect("a record");
     let sim = new_pack(&clock, 1, None);
     line.run(&clock, [(sim.clone(), "none".into())]);
-    let mut gauge = opened(&sim, &clock, Settings::default());
+    let mut gauge = opened(&sim, &clock, Run::default());
     let good = Flash::read(&mut gauge).expect("the default key");
     super::target::check(&line.station.plan.image, &good, &[]).expect("it has passed");
     for entry in line.station.plan.image.entries.iter().step_by(7) {
@@ -985,8 +978,8 @@ fn regression_a_pack_with_an_erased_row_passed() {
         let torn = new_pack(&clock, 1, None);
         if with_journal {
             let journal = Journal::new(folder.file("journals"), "i2c-9-55".into(), "another bench".into());
-            let settings = Settings { journal: Some(journal), ..Settings::default() };
-            let mut gauge = opened(&torn, &clock, settings);
+            let run = Run { journal: Some(journal), ..Run::default() };
+            let mut gauge = opened(&torn, &clock, run);
             torn.set("tear", "erased").and_then(|()| torn.set("fault", "torn-commit 5")).expect("knobs");
             let row = torn_row();
             let change = Change::of_value(row, &Value::Int(3100), false).expect("it fits");
@@ -1025,7 +1018,7 @@ fn keys_are_changed_and_are_nowhere_in_the_record() {
     let said = line.run(&clock, [(sim.clone(), "none".into())]);
     assert!(said[0].starts_with("PASS"), "{said:?}");
     map.check(&sim, &before, "0x03e8", "new keys");
-    let mut gauge = opened(&sim, &clock, Settings::default());
+    let mut gauge = opened(&sim, &clock, Run::default());
     assert!(Flash::read(&mut gauge).is_err(), "the default key is gone");
     for file in fs::read_dir(folder.file("line1.images")).expect("a folder").flatten().map(|file| file.path())
     {
@@ -1055,7 +1048,7 @@ fn a_pack_that_is_found_open_is_sealed_at_the_end() {
     for (number, seal) in [Seal::Unsealed, Seal::FullAccess].into_iter().enumerate() {
         let sim = new_pack(&clock, 1, None);
         clock.sleep(Duration::from_secs(3));
-        let mut gauge = opened(&sim, &clock, Settings::default());
+        let mut gauge = opened(&sim, &clock, Run::default());
         gauge.ask(&op::SEAL, seal).expect("the default keys");
         let before = sim.flash();
         let said = line.run(&clock, [(sim.clone(), "none".into())]);
@@ -1084,15 +1077,15 @@ fn keys_of_which_one_was_changed_before_are_completed() {
         assert_eq!(sim.get("seal").as_deref(), Some("sealed"));
     }
     let new = ti_gauge::keys::Keys::parse("new.keys", keys.as_bytes(), "BAT0").expect("keys");
-    let settings = Settings { keys: new, ..Settings::default() };
-    let mut gauge = opened(&sim, &clock, settings);
+    let run = Run { keys: new, ..Run::default() };
+    let mut gauge = opened(&sim, &clock, run);
     gauge.ask(&op::SEAL, Seal::FullAccess).expect("both keys are new");
 
     // Nobody knows the key that another pack has.
     let line = Line::start(folder.plan(&format!("{lines}\nname = 'other'")), &[], None).expect("a record");
     let other = new_pack(&clock, 2, None);
     clock.sleep(Duration::from_secs(3));
-    let mut gauge = opened(&other, &clock, Settings::default());
+    let mut gauge = opened(&other, &clock, Run::default());
     let change = b"full-access ffff ffff 1234 5678";
     let change = ti_gauge::keys::KeyChange::parse(change).expect("two keys");
     gauge.ask(&op::KEYS, change).expect("the default keys");
@@ -1237,7 +1230,7 @@ fn regression_a_pack_without_its_keys_stays_without() {
     };
     let opens = |sim: &Sim| {
         let keys = ti_gauge::keys::Keys::parse("new.keys", keys.as_bytes(), "BAT0").expect("keys");
-        let mut gauge = opened(sim, &clock, Settings { keys, ..Settings::default() });
+        let mut gauge = opened(sim, &clock, Run { keys, ..Run::default() });
         gauge.ask(&op::SEAL, Seal::FullAccess).is_ok()
     };
     let erased = new_pack(&clock, 1, None);
@@ -1485,7 +1478,7 @@ fn a_calibration_outside_of_its_limits_fails_and_the_record_becomes_a_table() {
     fs::write(folder.file("golden.toml"), image).expect("a file");
     let clock = Arc::new(SimClock::new());
     let sims = [1, 2].map(|seed| new_pack(&clock, seed, None));
-    let mut gauge = opened(&sims[0], &clock, Settings::default());
+    let mut gauge = opened(&sims[0], &clock, Run::default());
     gauge.ask(&op::REFRESH, ()).expect("it answers");
     let register = gauge.handle.chip().register(ti_gauge::chip::Role::VoltageNow).expect("a voltage");
     let shown =

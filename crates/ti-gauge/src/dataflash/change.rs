@@ -36,22 +36,22 @@ pub struct Change {
 }
 
 impl Change {
-    /// A new value of a parameter, as its file takes it. `allow_unproven` also allows a row whose address or range no
+    /// A new value of a parameter, as its file takes it. `also_unproven` also allows a row whose address or range no
     /// second source confirms (EACCES otherwise).
-    pub fn parse(row: Row, text: &[u8], allow_unproven: bool) -> Result<Self> {
-        let value = check_row(row, allow_unproven).and_then(|()| notation::parse(row.1, text));
+    pub fn parse(row: Row, text: &[u8], also_unproven: bool) -> Result<Self> {
+        let value = check_row(row, also_unproven).and_then(|()| notation::parse(row.1, text));
         let value = value.map_err(|error| error.at_place(Place::of(row).into()))?;
-        Self::of_value(row, &value, allow_unproven)
+        Self::of_value(row, &value, also_unproven)
     }
 
     /// A new value of a parameter. It must be of its type, in the manual's range and above the safe minimum.
-    pub fn of_value(row: Row, value: &Value, allow_unproven: bool) -> Result<Self> {
-        Self::checked(row, value, allow_unproven).map_err(|error| error.at_place(Place::of(row).into()))
+    pub fn of_value(row: Row, value: &Value, also_unproven: bool) -> Result<Self> {
+        Self::checked(row, value, also_unproven).map_err(|error| error.at_place(Place::of(row).into()))
     }
 
-    fn checked(row: Row, value: &Value, allow_unproven: bool) -> Result<Self> {
+    fn checked(row: Row, value: &Value, also_unproven: bool) -> Result<Self> {
         let parameter = row.1;
-        check_row(row, allow_unproven)?;
+        check_row(row, also_unproven)?;
         notation::check(parameter, value)?;
         let bytes = codec::encode(parameter.kind, value).ok_or_else(|| {
             Error::new(parameter.name, Cause::Invalid, format!("does not fit type {}", parameter.kind))
@@ -174,12 +174,12 @@ impl Change {
     }
 }
 
-fn check_row((subclass, parameter): Row, allow_unproven: bool) -> Result<()> {
+fn check_row((subclass, parameter): Row, also_unproven: bool) -> Result<()> {
     if subclass.kind == Kind::Security {
         let why = "keys cannot be changed like other parameters";
         return Err(Error::new(parameter.name, Cause::NotPermitted, why));
     }
-    if parameter.unproven && !allow_unproven {
+    if parameter.unproven && !also_unproven {
         let why = "its address or range is not sure; mount with --allow-unproven to write it";
         return Err(Error::new(parameter.name, Cause::Io(ErrorKind::PermissionDenied), why));
     }

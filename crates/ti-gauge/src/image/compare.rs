@@ -147,7 +147,7 @@ impl Image {
         &'a self,
         file: &'a Image,
         exclude: &[Group],
-        allow_unproven: bool,
+        also_unproven: bool,
     ) -> Result<Changes<'a>> {
         if let (Some(here), Some(there)) = (self.firmware, file.firmware)
             && here != there
@@ -164,7 +164,7 @@ impl Image {
         }
         let mut changes = Vec::new();
         for difference in differences {
-            match difference.new.not_imported(allow_unproven)? {
+            match difference.new.not_imported(also_unproven)? {
                 None => changes.push(difference),
                 Some(why) => passed_over.push(format!("line {}: {difference}: {why}", difference.new.line)),
             }

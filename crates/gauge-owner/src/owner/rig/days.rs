@@ -8,7 +8,7 @@ use std::path::Path;
 use std::time::Duration;
 
 use super::Rig;
-use crate::owner::{Learned, Settings, Startup, operations};
+use crate::owner::{Learned, Run, operations};
 use gauge_bus::clock::Clock as _;
 use ti_gauge::chip::{Chip, Role};
 use ti_gauge::dataflash::Change;
@@ -87,16 +87,16 @@ pub fn days(chip: &'static Chip, days: Range<u32>, seed: u64, remedy: Remedy<'_>
     let rows = chip.subclasses.iter().flat_map(|class| class.parameters.iter().map(move |row| (class, row)));
     let row = rows.into_iter().find(|(_, row)| row.name == "Design Capacity").expect("each has one");
     let profile = vec![Change::of_value(row, &Value::Int(DESIGN), false).expect("it fits").saved()];
-    let settings = match remedy {
-        Remedy::Nothing => Settings::default(),
-        Remedy::Profile => Settings { profile: profile.clone(), ..Settings::default() },
-        Remedy::Learned(folder) => Settings {
+    let run = match remedy {
+        Remedy::Nothing => Run::default(),
+        Remedy::Profile => Run { profile: profile.clone(), ..Run::default() },
+        Remedy::Learned(folder) => Run {
             profile: profile.clone(),
             learned: Some(Learned::new(folder.into(), "days".into(), Some("PACK".into()))),
-            ..Settings::default()
+            ..Run::default()
         },
     };
-    let mut rig = Rig::of(chip.name, settings, Startup::default());
+    let mut rig = Rig::of(chip.name, run);
     let charge = chip.register(Role::Capacity).expect("it shows a state of charge");
     rig.start().expect("it answers");
     rig.poll_after(Duration::from_secs(1));

@@ -5,7 +5,7 @@
 use std::time::Duration;
 
 use super::Rig;
-use crate::owner::{Seal, Settings, Startup, operations};
+use crate::owner::{Run, Seal, operations};
 use gauge_bus::Bus as _;
 use gauge_bus::clock::Clock as _;
 use ti_gauge::chip::{Chip, Kind, Range, Row};
@@ -70,8 +70,8 @@ impl Rig {
 /// ordinary write, beside that. The gauge is left as it was found.
 pub fn cost(chip: &'static Chip, changes: &[Change], lost: Lost, as_a_write: bool) -> Cost {
     let profile = if as_a_write { Vec::new() } else { changes.to_vec() };
-    let settings = Settings { profile, ..Settings::default() };
-    let mut rig = Rig::of(chip.name, settings, Startup::default());
+    let run = Run { profile, ..Run::default() };
+    let mut rig = Rig::of(chip.name, run);
     for (knob, time) in ["cfgupdate_ms", "cfgexit_ms"].iter().zip([lost.ways; 2]) {
         if let Some(time) = time {
             rig.sim.set(knob, &time.as_millis().to_string()).expect("a knob");
