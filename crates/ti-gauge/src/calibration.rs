@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: MIT
 
-//! Calibration of a gauge: many readings, their spread, the new values through a transaction, and the error that
-//! remains. A calibration that makes the error larger is put back by the transaction itself, before its journal is
+//! Calibration of a gauge: repeated readings, their spread, the new values through a transaction, and the remaining
+//! error. If a calibration makes the error larger, the transaction puts the old values back before its journal is
 //! removed.
 //!
-//! The gauge must not be polled meanwhile. Voltages and currents are in the units of the registers, temperatures in
-//! degrees Celsius.
+//! The gauge must not be polled meanwhile. Voltages and currents are in the registers' units, temperatures in degrees
+//! Celsius.
 
 use std::time::Duration;
 
@@ -20,41 +20,41 @@ use crate::notation;
 use crate::unit;
 use crate::value::Value;
 
-/// Readings for a mean, and the time between two. Gauges measure once a second, and the watchdog of some resets them
-/// after more than two standard commands a second.
+/// Readings for a mean, and their interval. Gauges measure once a second, and the watchdog of some resets them after
+/// more than two standard commands a second.
 const READINGS: usize = 8;
 const INTERVAL: Duration = Duration::from_millis(600);
-/// How often a gauge that does not answer for a moment is compared, because it does not answer for another one meanwhile.
+/// Comparisons of a gauge that was silent for a moment: if another one has taken its place, that one must answer.
 const RECOGNITIONS: usize = 3;
-/// Readings before and after the measurement of an offset, which itself takes up to 16 s.
+/// Readings before and after an offset measurement, which itself takes up to 16 s.
 const FEW_READINGS: usize = 4;
 /// From a reset until the first reading.
 const AFTER_RESET: Duration = Duration::from_millis(1500);
-/// From a request until its first commit there are 16 s; the readings leave some of them.
+/// A request has 16 s until its first commit; the readings leave some of them.
 const READ_LIMIT: Duration = Duration::from_secs(12);
-/// The longest time that the measurement of an offset may take.
+/// Longest offset measurement.
 const ENDS: Duration = Duration::from_secs(22);
 const LOOK: Duration = Duration::from_millis(100);
-/// The largest current at which an offset is measured, in mA. Board Offset has 8 bits, and a real load's shunt voltage
-/// would not fit.
+/// Largest current for an offset measurement, in mA. Board Offset has 8 bits, and a real load's shunt voltage would not
+/// fit.
 const NO_CURRENT_MA: f64 = 10.0;
-/// The smallest current that calibrates a gain, in mA.
+/// Smallest current for calibrating a gain, in mA.
 const LEAST_CURRENT_MA: i32 = 100;
-/// The largest change of a gain or divider.
+/// Largest change of a gain or divider.
 const LARGEST_CHANGE: f64 = 0.2;
-/// What Voltage() may differ from the measured voltage with a divider from resistors, which have tolerances.
+/// Tolerance of Voltage() with a divider computed from its resistors.
 const DIVIDER_TOLERANCE: f64 = 0.1;
-/// Temperature() at 0 °C, rounded as for `temp`, and the °C of one step.
+/// Temperature() at 0 °C, rounded as for `temp`, and the °C of a step.
 const FREEZING: f64 = 2731.0;
 const CELSIUS_STEP: f64 = 0.1;
-/// A cell's voltage, in mV, where nobody has measured it.
+/// A cell's voltage in mV, if nobody has measured it.
 const CELL_MV: (f64, f64) = (1500.0, 4600.0);
-/// No cell has less, in mV. A voltage that is given in volts is below it at any number of cells.
+/// Lowest voltage of a cell, in mV. A voltage typed in volts is below it with any number of cells.
 const LEAST_CELL_MV: f64 = 100.0;
 /// Flash Update OK Cell Volt of a cell (SLUSBZ5D 8.2.2.1.3).
 const UPDATE_OK_MV: i64 = 2800;
 
-/// What is calibrated, and what a meter shows.
+/// The calibration, and a meter's reading.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Job {
     /// The offset of the board and the converter, while no current flows.
@@ -80,12 +80,12 @@ pub enum Job {
     },
 }
 
-/// What a job has reached.
+/// The result of a job.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Reached {
-    /// It in words.
+    /// The result in words.
     pub text: String,
-    /// What was measured before and after.
+    /// Quantities before and after.
     pub measured: Vec<Measured>,
 }
 
@@ -94,17 +94,17 @@ pub struct Reached {
 pub struct Measured {
     /// The register or the parameter.
     pub name: &'static str,
-    /// Its unit; empty for none.
+    /// Unit; empty for none.
     pub unit: &'static str,
-    /// What it has to show; `None` where that is not known.
+    /// The target; `None` if unknown.
     pub wanted: Option<f64>,
-    /// What it was: the mean of the readings.
+    /// Mean of the readings before.
     pub before: f64,
-    /// What it is: the mean of the readings.
+    /// Mean of the readings after.
     pub after: f64,
 }
 
-/// Carries out a job. Each step is told before it is done.
+/// Carries out a job. Each step is reported before it starts.
 pub fn run(
     dataflash: &mut DataFlash,
     gauge: &mut Gauge,
@@ -140,28 +140,27 @@ pub fn run(
     Ok(Reached { text, measured: task.measured })
 }
 
-/// Whether a gauge is in calibration mode, from its CONTROL_STATUS.
+/// Whether CONTROL_STATUS shows calibration mode.
 pub fn is_on(chip: &Chip, control_status: u16) -> bool {
     chip.calibration.is_some_and(|calibration| control_status & calibration.mode != 0)
 }
 
-/// The error for a part whose calibration no document has.
+/// The error for a part whose calibration is not documented.
 pub fn not_documented(chip: &Chip) -> Error {
     let why = "no document describes the calibration of this part";
     Error::new(chip.model, Cause::NotPermitted, why).at(Step::Check)
 }
 
-/// What a register is calibrated to.
+/// The target of a calibration.
 #[derive(Clone, Copy)]
 struct Target {
     role: Role,
-    /// What the register must show.
+    /// The reading to reach.
     wanted: f64,
-    /// The spread that is not noise yet.
+    /// Largest normal spread.
     spread: f64,
 }
 
-/// Readings of a register.
 #[derive(Clone, Copy, Debug)]
 struct Readings {
     mean: f64,
@@ -187,7 +186,7 @@ struct Task<'a> {
     gauge: &'a mut Gauge,
     calibration: &'static Calibration,
     asked: Duration,
-    /// From then on it has to be the same gauge.
+    /// It must be the same gauge from then on.
     since: Moment,
     measured: Vec<Measured>,
     tell: &'a mut dyn FnMut(&str),
@@ -202,7 +201,7 @@ impl Task<'_> {
         Err(Error::new(subject, Cause::OutOfRange, why).at(Step::Check))
     }
 
-    /// Reads a register, and refuses readings that are too far apart.
+    /// Reads a register, and refuses scattered readings.
     fn steady(&mut self, target: Target, count: usize) -> Result<Readings> {
         let (name, unit) = naming(self.gauge.chip, target.role);
         (self.tell)(&format!("reading {name} {count} times"));
@@ -223,7 +222,7 @@ impl Task<'_> {
         Ok(readings)
     }
 
-    /// Reads a register, once more if the gauge did not answer for a moment. From then on it has to be the same one.
+    /// Reads a register, and again after a moment's silence. It must be the same gauge from then on.
     fn undisturbed(&mut self, role: Role, count: usize) -> Result<Readings> {
         self.since = self.gauge.moment();
         let first = readings(self.gauge, role, count);
@@ -234,13 +233,12 @@ impl Task<'_> {
         readings(self.gauge, role, count)
     }
 
-    /// A parameter of the table and its value.
     fn value(&mut self, place: (u8, u16)) -> Result<(Row, Value)> {
         let row = row(self.gauge.chip, place)?;
         Ok((row, self.values(row.0, &[row.1])?.remove(0)))
     }
 
-    /// The values of parameters of a subclass, which is read once.
+    /// Values of a subclass's parameters, with one reading.
     fn values(&mut self, subclass: &'static Subclass, parameters: &[&Parameter]) -> Result<Vec<Value>> {
         let waited = self.waited();
         let bytes = self.dataflash.read(self.gauge, &[subclass], waited)?.remove(0);
@@ -259,7 +257,7 @@ impl Task<'_> {
         })
     }
 
-    /// Writes new values. If the register is then further from what it must show than before, they are put back.
+    /// Writes new values. They are put back if the register ends up further from its target than before.
     fn write(
         &mut self,
         target: Target,
@@ -284,7 +282,7 @@ impl Task<'_> {
             gauge.wait(AFTER_RESET);
             after = readings(gauge, target.role, READINGS)?;
             let error = after.mean - target.wanted;
-            // One step of the register is no difference.
+            // A step of the register does not count as a difference.
             let step = if target.role == Role::Temp { CELSIUS_STEP } else { 1.0 };
             if error.abs() > first.abs() + step || after.spread() > 2.0 * target.spread {
                 let (before, now) = (format!("{first:+.1}"), format!("{error:+.1}"));
@@ -368,7 +366,7 @@ impl Task<'_> {
         self.write(target, before, &[(place, new)], false)
     }
 
-    /// Refuses a correction that no tolerance explains.
+    /// Refuses a correction beyond all tolerances.
     fn check_ratio(&self, read: f64, actual: f64, hint: &str) -> Result<()> {
         let ratio = if read == 0.0 { f64::INFINITY } else { actual / read };
         if (1.0 - LARGEST_CHANGE..=1.0 + LARGEST_CHANGE).contains(&ratio) {
@@ -381,7 +379,7 @@ impl Task<'_> {
         self.refuse("calibration", why)
     }
 
-    /// Lets the gauge measure an offset, which it stores itself.
+    /// Makes the gauge measure an offset, which it stores itself.
     fn offset(&mut self, offset: &'static Offset) -> Result<String> {
         let target = Target { role: Role::CurrentNow, wanted: 0.0, spread: NO_CURRENT_MA };
         let before = self.steady(target, FEW_READINGS)?;
@@ -393,7 +391,7 @@ impl Task<'_> {
             };
             return Err(Error::of("Current()", flows).at(Step::Check));
         }
-        // CC_OFFSET_SAVE stores the offset of the converter in either case.
+        // CC_OFFSET_SAVE stores the converter's offset in either case.
         let mut rows = vec![row(self.gauge.chip, offset.row)?];
         if offset.row != self.calibration.cc_offset.row {
             rows.push(row(self.gauge.chip, self.calibration.cc_offset.row)?);
@@ -438,7 +436,7 @@ impl Task<'_> {
         self.put_back(&olds, error)
     }
 
-    /// The value after the gauge itself may have changed it, in its own time.
+    /// The value after the gauge may have changed it in its own time.
     fn value_now(&mut self, place: (u8, u16)) -> Result<(Row, Value)> {
         self.asked = self.gauge.clock.now();
         self.value(place)
@@ -467,8 +465,8 @@ impl Task<'_> {
         self.save()
     }
 
-    /// Makes sure that it is still the same pack. A gauge may not answer while it stores something, so one that did not for a
-    /// moment is compared with what distinguishes its pack.
+    /// Checks that it is still the same pack. A gauge may be silent while it stores something, so after a silence its
+    /// distinguishing values are compared.
     fn recognise(&mut self) -> Result<()> {
         for _ in 0..RECOGNITIONS {
             if self.gauge.is_unbroken_since(self.since) {
@@ -485,7 +483,7 @@ impl Task<'_> {
         assure_same(self.gauge, self.since)
     }
 
-    /// Has the gauge store what it has measured.
+    /// Makes the gauge store its measurement.
     fn save(&mut self) -> Result<()> {
         self.recognise()?;
         self.gauge.command_since(self.calibration.save, self.since)?;
@@ -493,7 +491,7 @@ impl Task<'_> {
         Ok(())
     }
 
-    /// What the gauge shows after a measurement, and the first of the values that it has stored.
+    /// The reading after a measurement, and the first stored value.
     fn judge(&mut self, olds: &[(Row, Value)], before: Readings) -> Result<(Readings, Value)> {
         let after = readings(self.gauge, Role::CurrentNow, FEW_READINGS)?;
         let ((subclass, _), _) = olds[0];
@@ -505,7 +503,7 @@ impl Task<'_> {
         self.asked = self.gauge.clock.now();
         let mut news = self.values(subclass, &parameters)?;
         self.recognise()?;
-        // An offset that was right leaves no current to be taken away.
+        // A correct offset leaves nothing to store.
         let has_stored = olds.iter().zip(&news).any(|((_, old), new)| old != new);
         if !has_stored && before.mean.abs() > 1.0 {
             let why =
@@ -515,7 +513,7 @@ impl Task<'_> {
         Ok((after, news.swap_remove(0)))
     }
 
-    /// Sends CC_OFFSET_SAVE again if nothing was stored: the command may have been lost.
+    /// Repeats CC_OFFSET_SAVE if nothing was stored: the command may have been lost.
     fn save_again(&mut self, olds: &[(Row, Value)]) -> Result<()> {
         let place = self.calibration.cc_offset.row;
         let (row, new) = self.value_now(place)?;
@@ -525,13 +523,13 @@ impl Task<'_> {
         }
     }
 
-    /// Writes old offsets back after a measurement that has failed.
+    /// Writes old offsets back after a failed measurement.
     fn put_back(&mut self, olds: &[(Row, Value)], error: Error) -> Result<String> {
         let show = |((_, parameter), old): &(Row, Value)| {
             format!("{} {}", parameter.name, notation::render(parameter.kind, old))
         };
         let was = olds.iter().map(show).collect::<Vec<_>>().join(", ");
-        // A measurement that still runs would store its result later.
+        // A running measurement would store its result later.
         let wait = Duration::from_secs(1);
         for _ in 0..20 {
             if !is_running(self.gauge, self.calibration.board_offset.running).unwrap_or(false) {
@@ -551,8 +549,8 @@ impl Task<'_> {
         }
     }
 
-    /// Refuses a divider or a voltage that cannot be that of so many cells: the gauge would be set up for it, and only
-    /// then be found to measure something else.
+    /// Refuses a divider or a voltage that does not fit so many cells: otherwise the gauge would be set up before the
+    /// mistake shows.
     fn check_pack(&self, cells: u8, divider: u16, voltage_mv: Option<f64>) -> Result<()> {
         for (name, given) in [("Voltage Divider", Some(divider.into())), ("Voltage()", voltage_mv)] {
             if let Some(given) = given.filter(|given| *given < LEAST_CELL_MV * f64::from(cells)) {
@@ -571,7 +569,8 @@ impl Task<'_> {
         Ok(())
     }
 
-    /// Makes a new board of several cells writable: in calibration mode the limit is set to 0, and the divider with it.
+    /// Makes a new board of several cells writable: calibration mode allows to set the limit to 0, and the divider with
+    /// it.
     fn bring_up(&mut self, cells: u8, divider: u16, voltage_mv: Option<f64>) -> Result<String> {
         let chip = self.gauge.chip;
         let gate = chip.gate.as_ref().and_then(|gate| {
@@ -626,7 +625,7 @@ impl Task<'_> {
         let options =
             WriteOptions { calibrate: true, accept: Some(&mut accept), since, ..WriteOptions::default() };
         self.dataflash.write_with(self.gauge, &changes, options, waited)?;
-        // It was accepted as the same one, whatever has happened to it in its reset.
+        // It was accepted as the same gauge, whatever its reset did.
         self.since = self.gauge.moment();
         let read = match found {
             Some(read) => read,
@@ -639,8 +638,7 @@ impl Task<'_> {
         self.refine((cells, divider), voltage_mv, rows, cell_divider, read, &first)
     }
 
-    /// The second transaction of a new board: the divider that the measured voltage gives, and the limit that belongs
-    /// to it.
+    /// The second transaction of a new board: the divider for the measured voltage, and its limit.
     fn refine(
         &mut self,
         (cells, divider): (u8, u16),
@@ -651,7 +649,7 @@ impl Task<'_> {
         first: &str,
     ) -> Result<String> {
         let chip = self.gauge.chip;
-        // What follows has its own time: flash is open and the pack is measured.
+        // A new time limit: flash is open and the pack is measured.
         self.asked = self.gauge.clock.now();
         let refined = voltage_mv.map(|voltage| (f64::from(divider) * voltage / read.mean).round());
         let ends = refined.unwrap_or(divider.into());
@@ -684,20 +682,17 @@ impl Task<'_> {
     }
 }
 
-/// The row of the table at a place.
 fn row(chip: &'static Chip, (id, offset): (u8, u16)) -> Result<Row> {
     let mut alike = chip.subclasses.iter().filter(|subclass| subclass.id == id);
     let found = alike.find_map(|subclass| Some((subclass, subclass.parameter(offset)?)));
     found.ok_or_else(|| not_documented(chip))
 }
 
-/// A change to a value, which must be in the manual's range.
 fn change(chip: &'static Chip, place: (u8, u16), value: f64) -> Result<Change> {
     let row = row(chip, place)?;
     Change::parse(row, value.to_string().as_bytes(), false)
 }
 
-/// Name and unit of the register that feeds a property.
 fn naming(chip: &'static Chip, role: Role) -> (&'static str, &'static str) {
     match role {
         Role::VoltageNow => ("Voltage()", "mV"),
@@ -707,7 +702,7 @@ fn naming(chip: &'static Chip, role: Role) -> (&'static str, &'static str) {
     }
 }
 
-/// Whether the gauge measures an offset. A bit error is neither the beginning of that nor its end.
+/// Whether the gauge measures an offset. A bit error is neither its start nor its end.
 fn is_running(gauge: &mut Gauge, bits: u16) -> Result<bool> {
     agreed("CONTROL_STATUS", || Ok(gauge.control_status()?.1 & bits != 0))
 }

@@ -48,7 +48,7 @@ impl<Of> Epoch<Of> {
         self.number += 1;
     }
 
-    /// Which one it is, for whoever is told of it by its number.
+    /// Its number, to be named elsewhere.
     pub fn number(self) -> u64 {
         self.number
     }

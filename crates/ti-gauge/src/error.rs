@@ -351,7 +351,7 @@ reasons! {
     OtherPack { expected: u16, found: u16; what: String } "other-pack", Gone,
         "{what} is 0x{found:04x} and was 0x{expected:04x} when its values were read: another pack answers; check its \
          values before you write";
-    /// The part is none that a table describes, or not the one that was named.
+    /// No table describes the part, or it is not the named one.
     WrongPart { device_type: u16, firmware: u16, hardware: u16; what: String } "wrong-part", Gone,
         "device type 0x{device_type:04x}, firmware 0x{firmware:04x}, hardware 0x{hardware:04x}: {what}";
     /// A write failed, and was undone.

@@ -28,7 +28,7 @@ pub use compare::{Changes, Comparison, Difference, RawDifference};
 pub use faults::{Faults, NAMED, Reading};
 use target::chip_of;
 
-/// Longer than any file of a gauge's configuration, or of its firmware.
+/// Larger than any file of a gauge's configuration or firmware.
 pub const LONGEST: u64 = 16 << 20;
 
 /// The formats of an image.
@@ -38,39 +38,39 @@ pub enum Format {
     Toml,
     /// The table that bqStudio exports and imports.
     GgCsv,
-    /// What a host sends to a gauge, transfer by transfer.
+    /// A host's transfers to a gauge.
     FlashStream,
 }
 
-/// The configuration of a gauge, or a part of it.
+/// A gauge's configuration, or a part of it.
 #[derive(Clone, Debug)]
 pub struct Image {
-    /// The chip that it is for.
+    /// The image's chip.
     pub chip: &'static Chip,
-    /// Control(FW_VERSION) of the gauge that it was read from, if known.
+    /// Control(FW_VERSION) of its gauge, if known.
     pub firmware: Option<u16>,
-    /// Values, in the table's order.
+    /// Values in the table's order.
     pub entries: Vec<Entry>,
-    /// Bytes of a FlashStream that belong to no parameter.
+    /// Bytes of a FlashStream outside all parameters.
     pub raw: Vec<Raw>,
     /// Notes for the reader, a line each.
     pub notes: Vec<String>,
-    /// What the file or the gauge has, and this image has not.
+    /// Contents of the file or the gauge that this image lacks.
     pub left_out: Vec<LeftOut>,
-    /// Whether the file names the chip that it is for, or its device type.
+    /// Whether the file names its chip or device type.
     pub names_chip: bool,
-    /// The checksum of the chemistry's data, of an image for ROM mode.
+    /// The chemistry's checksum, from an image for ROM mode.
     pub chemistry_sum: Option<u16>,
-    /// The first line that writes the gauge's firmware as a whole; `None` for an image of data flash only.
+    /// The first line that writes the gauge's whole firmware; `None` for an image of data flash only.
     pub firmware_line: Option<usize>,
 }
 
-/// Something that is not part of an image although its file or its gauge has it.
+/// Something in a file or a gauge that the image leaves out.
 #[derive(Clone, Debug)]
 pub struct LeftOut {
-    /// What it is, where it is from, and why it is left out.
+    /// What it is, where it comes from, and why it is left out.
     pub text: String,
-    /// The group that it belongs to; an import that excludes that group does not ask for it.
+    /// Its group; an import that excludes the group does not ask for it.
     pub group: Option<Group>,
 }
 
@@ -81,10 +81,10 @@ impl LeftOut {
     }
 }
 
-/// Parameters that an import can leave as they are.
+/// Groups of parameters that an import can leave out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Group {
-    /// The classes of calibration: measured for each circuit.
+    /// Calibration classes, measured for each circuit.
     Calibration,
     /// What distinguishes packs: serial number, date and lots.
     Serial,
@@ -92,12 +92,12 @@ pub enum Group {
     Learned,
     /// Bytes that no manual documents.
     Undocumented,
-    /// Keys, which no image contains: a file that contains some is complete without them.
+    /// Keys. No image contains any, and a file with keys is complete without them.
     Keys,
 }
 
 impl Group {
-    /// All of them, each with its name in options.
+    /// All groups with their names in options.
     pub const NAMES: [(&'static str, Group); 5] = [
         ("calibration", Group::Calibration),
         ("serial", Group::Serial),
@@ -116,25 +116,25 @@ impl Group {
     }
 }
 
-/// One value of an image.
+/// A value of an image.
 #[derive(Clone, Debug)]
 pub struct Entry {
     /// Its subclass.
     pub subclass: &'static Subclass,
     /// The parameter.
     pub parameter: &'static Parameter,
-    /// Its value, of the parameter's type but not necessarily in its range.
+    /// A value of the parameter's type, not necessarily in its range.
     pub value: Value,
-    /// The line of the file that it is from; 0 for a value read from a gauge.
+    /// Its line in the file; 0 for a value from a gauge.
     pub line: usize,
 }
 
 /// A run of undocumented bytes from one line.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Raw {
-    /// Subclass, which may be missing from the table, or [`FLAT`].
+    /// Subclass, possibly unknown to the table, or [`FLAT`].
     pub subclass: u8,
-    /// Offset of the first, or its address.
+    /// Offset of the first byte, or its address.
     pub offset: u16,
     /// The bytes.
     pub bytes: Vec<u8>,
@@ -142,7 +142,7 @@ pub struct Raw {
     pub line: usize,
 }
 
-/// An error about a line of a file. What is quoted of the line may be very long.
+/// An error about a line of a file. Quotations of the line may be very long.
 pub(crate) fn at_line(line: usize, why: impl Into<String>) -> Error {
     const LONGEST: usize = 1000;
     let mut why = why.into();
@@ -153,12 +153,12 @@ pub(crate) fn at_line(line: usize, why: impl Into<String>) -> Error {
     Error::new(format!("line {line}"), Cause::Invalid, why)
 }
 
-/// An error about a file that does not hold as much as its first lines say.
+/// An error about a file that is shorter than its first lines say.
 fn cut_short(why: impl fmt::Display) -> Error {
     Error::new("", Cause::Invalid, format!("{why}; the file is cut short, or lines were added or removed"))
 }
 
-/// Checks the count that gaugefs writes into the first lines of a file. A file that has one ends with a whole line.
+/// Checks the count that gaugefs writes at the start of a file. A file with a count ends with a whole line.
 fn check_count(text: &str, written: Option<usize>, found: usize, what: &str) -> Result<()> {
     match written {
         Some(count) if count != found => {
@@ -175,7 +175,7 @@ impl Entry {
         codec::encode(self.parameter.kind, &self.value)
     }
 
-    /// The value as the parameter's file shows it.
+    /// The value as in the parameter's file.
     pub fn text(&self) -> String {
         notation::render(self.parameter.kind, &self.value)
     }
@@ -185,8 +185,8 @@ impl Entry {
         notation::show(self.parameter, &self.value)
     }
 
-    /// Why an import does not write it: its address is uncertain, unless that is allowed, or it is a learned value outside the range. Any
-    /// other value outside its range is an error, with line and parameter.
+    /// Why an import skips the value: its address is uncertain and that is not allowed, or it is a learned value
+    /// outside the range. Other values outside their range are errors, with line and parameter.
     pub fn not_imported(&self, also_unproven: bool) -> Result<Option<&'static str>> {
         match notation::parse(self.parameter, self.text().as_bytes()) {
             _ if self.parameter.unproven && !also_unproven => Ok(Some("its address or range is unproven")),
@@ -208,7 +208,7 @@ impl Entry {
 }
 
 impl Raw {
-    /// The place as `df/transaction` has it.
+    /// The place as in `df/transaction`.
     pub fn name(&self) -> String {
         format!("raw {}", Place { subclass: self.subclass, offset: self.offset })
     }
@@ -239,7 +239,7 @@ impl Image {
         }
     }
 
-    /// The configuration in whole subclasses, given by their indices in the table.
+    /// The configuration in whole subclasses, by their indices in the table.
     pub fn of_flash<'a>(
         chip: &'static Chip,
         firmware: Option<u16>,
@@ -257,14 +257,14 @@ impl Image {
         image
     }
 
-    /// Gives a parameter a value, which takes the place of the one that it has.
+    /// Sets a parameter's value, replacing an earlier one.
     pub fn set(&mut self, subclass: &'static Subclass, parameter: &'static Parameter, value: Value) {
         let new = Entry { subclass, parameter, value, line: 0 };
         self.entries.retain(|entry| !entry.is(&new));
         self.entries.push(new);
     }
 
-    /// Drops what belongs to these groups.
+    /// Drops the contents of these groups.
     pub fn exclude(&mut self, groups: &[Group]) {
         self.entries.retain(|entry| !entry.is_in(groups));
         self.left_out.retain(|left| left.counts(groups));
@@ -273,8 +273,7 @@ impl Image {
         }
     }
 
-    /// Why these undocumented bytes are not written to any gauge. Those of a subclass that the table does not
-    /// have are written if `allowed`.
+    /// Why these undocumented bytes are not written to any gauge. Bytes of unknown subclasses are written if `allowed`.
     pub fn refused(&self, raw: &Raw, allowed: bool) -> Option<Error> {
         let Raw { subclass, offset, line, .. } = *raw;
         if subclass == FLAT {
@@ -290,14 +289,13 @@ impl Image {
         Some(at_line(line, why))
     }
 
-    /// Whether these are bytes of the chemistry, in a file that is for this part and firmware: it was made to
-    /// write them.
+    /// Whether these are chemistry bytes in a file for this part and firmware, whose purpose is to write them.
     fn is_chemistry(&self, raw: &Raw) -> bool {
         let is_for_part = self.names_chip && self.firmware.is_some();
         is_for_part && self.chip.subclass(raw.subclass).is_some_and(Subclass::is_chemistry)
     }
 
-    /// The lines with undocumented bytes of known subclasses, and the number of bytes in each.
+    /// The lines with undocumented bytes of known subclasses, and their numbers of bytes.
     pub fn undocumented(&self) -> String {
         let known = self.raw.iter().filter(|raw| self.refused(raw, false).is_none()).collect::<Vec<_>>();
         let told = known.chunk_by(|one, other| one.line == other.line).map(|line| {
@@ -319,7 +317,7 @@ impl Image {
         told.collect()
     }
 
-    /// Refuses an image that holds the gauge's firmware as well, unless only its data flash is asked for.
+    /// Refuses an image with firmware, unless only its data flash is wanted.
     pub fn check_firmware(&self, data_flash_only: bool) -> Result<()> {
         match self.firmware_line {
             Some(line) if !data_flash_only => {
@@ -331,8 +329,8 @@ impl Image {
         }
     }
 
-    /// The names of the parameters that a file for all of the chip's configuration would have, and this image
-    /// lacks. Keys and unproven parameters are never written and not demanded.
+    /// The names of the parameters missing from a complete file of the chip's configuration. Keys and unproven
+    /// parameters are never written and not required.
     pub fn missing(&self, exclude: &[Group]) -> Vec<String> {
         let subclasses = self.chip.subclasses.iter().filter(|subclass| subclass.kind != Kind::Security);
         let all = subclasses.flat_map(|subclass| subclass.parameters.iter().map(move |row| (subclass, row)));
@@ -346,8 +344,7 @@ impl Image {
         missing.map(|(subclass, row)| self.chip.name_of((subclass, row))).collect()
     }
 
-    /// The changes that restore this configuration on a gauge that has lost it with its power. Unproven rows are
-    /// left out.
+    /// The changes that restore this configuration on a gauge that lost it with its power, without unproven rows.
     pub fn to_restore(&self) -> Result<Vec<Change>> {
         let mut changes = Vec::new();
         for entry in &self.entries {
@@ -358,7 +355,7 @@ impl Image {
             let at = |error: Error| error.within(&format!("line {line}"));
             changes.push(Change::of_value((subclass, parameter), value, false).map_err(at)?.saved());
         }
-        // The chemistry is lost with the power, too.
+        // The chemistry is lost with the power too.
         for raw in self.raw.iter().filter(|raw| self.is_chemistry(raw)) {
             let mut at = 0;
             while at < raw.bytes.len() {
@@ -380,12 +377,12 @@ impl Image {
         self.left_out.push(LeftOut { text: format!("line {line}: {why}"), group });
     }
 
-    /// The name of a parameter as `df/by-name` has it.
+    /// The name of a parameter as in `df/by-name`.
     pub fn name(&self, entry: &Entry) -> String {
         self.chip.name_of((entry.subclass, entry.parameter))
     }
 
-    /// Adds the bytes of the subclasses of which only name and length are known. `stored` returns a whole one, by id.
+    /// Adds the bytes of subclasses that are known by name and length only. `stored` returns a whole subclass by id.
     pub fn add_opaque(&mut self, stored: impl Fn(u8) -> Result<Vec<u8>>) -> Result<()> {
         for subclass in self.chip.subclasses.iter().filter(|subclass| subclass.is_opaque()) {
             let mut bytes = stored(subclass.id)?;
@@ -396,7 +393,7 @@ impl Image {
     }
 }
 
-/// Whether a format has a parameter of this kind.
+/// Whether a format contains this parameter.
 fn is_written(entry: &Entry, format: Format) -> bool {
     // Other FlashStreams have whole blocks.
     !(format == Format::FlashStream && entry.subclass.id == FLAT && entry.parameter.unproven)
@@ -412,7 +409,7 @@ fn listed(subclasses: &[&Subclass]) -> String {
     }
 }
 
-/// An error about a parameter that a file has twice.
+/// An error about a parameter that a file sets twice.
 fn twice(name: &str, first: usize, second: usize) -> Error {
     at_line(second, also_in(name, first))
 }
@@ -421,7 +418,7 @@ fn also_in(name: &str, first: usize) -> String {
     format!("{name} is also in line {first}; remove one of the two")
 }
 
-/// A word in hexadecimal, with or without `0x`.
+/// A hexadecimal word, with or without `0x`.
 fn word(text: &str) -> Option<u16> {
     crate::text::unsigned(&format!("0x{}", text.strip_prefix("0x").unwrap_or(text)))
 }

@@ -20,7 +20,7 @@
 //!   and wait for their packs.
 //! * `KEY.dismissed` and `KEY.N.dismissed` were put aside by a person.
 //!
-//! Whoever works on a journal holds its lock, so that it is never taken for one that was left behind.
+//! A process that works on a journal holds its lock, so that it is never taken for one that was left behind.
 
 use std::fmt::Debug;
 use std::io::{self, ErrorKind};
@@ -43,18 +43,18 @@ mod disk;
 mod machine;
 
 const HEAD: &str = "gaugefs journal 3";
-/// The version before, without the host.
+/// The previous version, without the host.
 const HEAD_2: &str = "gaugefs journal 2";
 /// Follows a plan once its reset is about to be sent.
 const RESET_SENT: &str = "reset sent\n";
 /// Follows a plan of keys once they have been read back.
 pub(crate) const KEYS_WRITTEN: &str = "written\n";
-/// Of a plan whose values the gauge itself measures.
+/// Marks a plan for values that the gauge itself measures.
 const BY_GAUGE: &str = "by gauge\n";
-/// Upper limit for the length of a block's line, and of the other lines together.
+/// Limit for a block's line, and for the other lines together.
 const LINE: usize = 160;
 
-/// Names of files in the folder: the end of one that is pending, one that waits for its pack, and one put aside.
+/// Ends of file names in the folder: pending, waiting for its pack, and put aside.
 const PENDING: &str = "journal";
 const WAITING: &str = "waiting";
 const DISMISSED: &str = "dismissed";
@@ -66,16 +66,15 @@ const SEAL: &str = "seal";
 pub struct Journal {
     disk: Arc<dyn Disk>,
     folder: PathBuf,
-    /// Where the gauge is connected; beginning of the file's name.
+    /// Start of the file's name, for the gauge's connection.
     key: String,
-    /// Name of the gauge in the file.
+    /// The gauge's name in the file.
     gauge: String,
     machine: Machine,
-    /// An account, besides this one and root, whose journals are believed.
+    /// An account, besides this one and root, with believed journals.
     trusted: Option<u32>,
 }
 
-/// Part, firmware and, if the part reports one, serial number.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Identity {
     pub(crate) chip: String,
@@ -86,71 +85,70 @@ pub(crate) struct Identity {
 }
 
 impl Identity {
-    /// A gauge that is known to have its table's part.
+    /// A gauge that certainly has its table's part.
     pub(crate) fn of(chip: &Chip, firmware: u16, serial: u16) -> Self {
         Self { chip: chip.name.into(), device_type: chip.identity.device_type, firmware, serial }
     }
 
-    /// Whether it was noted of a part and firmware like those of a gauge with that table.
+    /// Whether it belongs to a part and firmware like those of a gauge with that table.
     pub(crate) fn is_of_part(&self, gauge: &Identity, chip: &Chip) -> bool {
         (&self.chip, self.device_type) == (&gauge.chip, gauge.device_type)
             && (self.firmware == gauge.firmware || chip.identity.is_device_number(self.firmware))
     }
 }
 
-/// A write, or a read of a sealed gauge, that was started.
+/// A started write, or a started read of a sealed gauge.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Entry {
     pub(crate) identity: Identity,
-    /// The host that has begun it; `None` in a journal of an earlier version.
+    /// The host that began it; `None` in a journal of an earlier version.
     pub(crate) machine: Option<Machine>,
     /// Seal state before.
     pub(crate) found: Seal,
-    /// `None` if no block had been touched yet.
+    /// `None` before any block was touched.
     pub(crate) plan: Option<Plan>,
 }
 
-/// What was about to be written.
+/// What a write was about to do.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Plan {
     /// Whether the gauge needs a reset to work with the new values.
     pub(crate) reset: bool,
-    /// The reset may have been sent, so that the gauge may work with the new values.
+    /// The reset may have been sent, so the gauge may work with the new values.
     pub(crate) reset_sent: bool,
-    /// The gauge itself stores what it measures in the written bytes, and it is not yet judged: `new` is not known.
+    /// The gauge stores its own measurement in the written bytes, and it is not yet judged: `new` is unknown.
     pub(crate) by_gauge: bool,
     /// Values that distinguish packs, as far as they had been read.
     pub(crate) marks: Vec<Mark>,
     pub(crate) blocks: Vec<PlannedBlock>,
-    /// The keys that were about to be written; `None` for a write of parameters.
+    /// The keys about to be written; `None` for a write of parameters.
     pub(crate) key: Option<KeyPlan>,
 }
 
-/// A change of keys: which ones, and how far it has come. It has no key, nor anything that is computed from one.
+/// A change of keys: which ones, and its progress. It contains no key, nor anything computed from one.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct KeyPlan {
-    /// The keys that were about to be changed.
+    /// The keys to be changed.
     pub(crate) names: Vec<Name>,
-    /// The keys that read as erased flash before.
+    /// Keys that read as erased flash before.
     pub(crate) erased: Vec<Name>,
-    /// The keys of this gauge had shown in which order of bytes it keeps them.
+    /// This gauge's keys had shown their byte order.
     pub(crate) ordered: bool,
-    /// The new keys were in data flash, read back.
+    /// The new keys were in data flash and read back.
     pub(crate) written: bool,
 }
 
 impl KeyPlan {
-    /// Whether the gauge has the new keys for certain.
+    /// Whether the gauge certainly has the new keys.
     pub(crate) fn is_over(&self) -> bool {
         self.written
     }
 
-    /// The names of the keys, for a message.
     pub(crate) fn names(&self) -> String {
         self.names.iter().map(|name| name.as_str()).collect::<Vec<_>>().join(" and ")
     }
 
-    /// That key is about to be written, once more or as well.
+    /// That key is about to be written, again or in addition.
     pub(crate) fn begin(&mut self, name: Name) {
         self.written = false;
         if !self.names.contains(&name) {
@@ -179,7 +177,7 @@ impl KeyPlan {
         (!names.is_empty()).then_some(Self { names, erased, ordered, written: false })
     }
 
-    /// Takes what follows the plan, as far as it is whole.
+    /// Takes what follows the plan, as far as it is complete.
     fn follow(&mut self, rest: &str) {
         for line in rest.split_inclusive('\n') {
             if line == KEYS_WRITTEN {
@@ -189,7 +187,7 @@ impl KeyPlan {
             {
                 self.begin(name);
             } else {
-                // What it was meant to be is not known.
+                // The intended text is unknown.
                 self.written = false;
             }
         }
@@ -200,7 +198,6 @@ fn name(word: &str) -> Option<Name> {
     Name::ALL.into_iter().find(|name| name.as_str() == word)
 }
 
-/// A parameter that distinguishes packs, and its bytes.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Mark {
     pub(crate) subclass: u8,
@@ -208,18 +205,17 @@ pub(crate) struct Mark {
     pub(crate) bytes: Vec<u8>,
 }
 
-/// A block before and after. A neighbour, which the write does not change, is the same before and after.
+/// A block before and after. An unchanged neighbour has the same bytes in both.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct PlannedBlock {
     pub(crate) subclass: u8,
     pub(crate) base: u16,
-    /// What the changed parameters occupy.
+    /// Bytes of the changed parameters.
     pub(crate) written: Bytes,
     pub(crate) old: [u8; WINDOW],
     pub(crate) new: [u8; WINDOW],
 }
 
-/// The journal of a write in progress.
 #[derive(Debug)]
 pub(crate) struct OpenJournal {
     disk: Arc<dyn Disk>,
@@ -227,17 +223,14 @@ pub(crate) struct OpenJournal {
     path: PathBuf,
 }
 
-/// A file of the folder.
 #[derive(Debug)]
 pub(crate) struct Found {
     pub(crate) path: PathBuf,
     /// It was begun at this place, and is not set aside.
     pub(crate) is_here: bool,
-    /// What is in it.
     pub(crate) content: Content,
 }
 
-/// What is in a journal.
 #[derive(Debug)]
 pub(crate) enum Content {
     Entry(Entry),
@@ -247,8 +240,8 @@ pub(crate) enum Content {
 }
 
 impl Journal {
-    /// A journal in a folder. `key` identifies where the gauge is connected and must be unique on this host; `gauge`
-    /// names it in the file.
+    /// A journal in a folder. `key` identifies the gauge's connection and must be unique on this host; `gauge` is the
+    /// name in the file.
     pub fn new(folder: PathBuf, key: String, gauge: String) -> Self {
         let machine = Machine::this().clone();
         Self { disk: Arc::new(disk::Host), folder, key, gauge, machine, trusted: None }
@@ -265,18 +258,18 @@ impl Journal {
         Self { machine: Machine::named(name), ..self }
     }
 
-    /// Also believes journals of that account: a service's, for example, whose folder root uses.
+    /// Also believes journals of an account such as a service's, whose folder root uses.
     #[must_use]
     pub fn trusting(self, account: Option<u32>) -> Self {
         Self { trusted: account, ..self }
     }
 
-    /// The file of a write at this place, unless another host has one of that name.
+    /// The file of a write at this place, unless another host uses that name.
     pub fn path(&self) -> PathBuf {
         self.numbered(PENDING, 0)
     }
 
-    /// Journals of this place and this host that are not settled.
+    /// Unsettled journals of this place and this host.
     pub fn unsettled(&self) -> Vec<PathBuf> {
         let paths = self.files(PENDING).unwrap_or_default();
         paths.into_iter().filter(|path| self.is_key_of(path) && !self.is_of_other_host(path)).collect()
@@ -296,7 +289,7 @@ impl Journal {
         })
     }
 
-    /// The files of the folder with names of that end.
+    /// The folder's files with names of that end.
     fn files(&self, end: &str) -> io::Result<Vec<PathBuf>> {
         let mut paths = match self.disk.list(&self.folder) {
             Err(error) if error.kind() == ErrorKind::NotFound => Vec::new(),
@@ -307,7 +300,7 @@ impl Journal {
         Ok(paths)
     }
 
-    /// Whether a file has the key of this place.
+    /// Whether a file has this place's key.
     fn is_key_of(&self, path: &Path) -> bool {
         let Some(stem) = path.file_stem().and_then(|stem| stem.to_str()) else { return false };
         let is_number = |text: &str| !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
@@ -318,7 +311,7 @@ impl Journal {
         }
     }
 
-    /// Whether another host has written a journal. One that cannot be read may be ours.
+    /// Whether another host has written a journal. An unreadable one may be ours.
     fn is_of_other_host(&self, path: &Path) -> bool {
         let entry = self.disk.read(path).ok().and_then(|text| parse(&text));
         entry.is_some_and(|entry| !self.is_ours(&entry))
@@ -328,13 +321,13 @@ impl Journal {
         entry.machine.as_ref().is_none_or(|machine| machine.is(&self.machine))
     }
 
-    /// Makes sure that nobody else can have written, or can replace, what is read from the folder.
+    /// Checks that nobody else can have written, or can replace, what is read from the folder.
     fn check_folder(&self) -> Result<()> {
         let checked = self.disk.check(&self.folder, self.trusted);
         checked.map_err(|error| untrusted(&self.folder, &error))
     }
 
-    /// All journals of the folder, those of this place first. `skip` are known already.
+    /// All journals of the folder, this place's first, without the known ones in `skip`.
     pub(crate) fn search(&self, waiting: bool, skip: &[PathBuf]) -> Result<Vec<Found>> {
         let unlisted =
             |error| Error::io(self.folder.display().to_string(), "cannot look for journals", &error);
@@ -358,7 +351,7 @@ impl Journal {
         Ok(found)
     }
 
-    /// What is in a file; `None` if it is gone, or none of this gauge's host's business: another host works on it.
+    /// A file's content; `None` if it is gone, or if another host works on it.
     fn content(&self, path: &Path) -> Option<Content> {
         let name = path.display().to_string();
         if let Err(error) = self.disk.check(path, self.trusted) {
@@ -392,13 +385,13 @@ impl Journal {
         })
     }
 
-    /// What is in a journal of this place now; `None` if it is gone.
+    /// The present content of this place's journal; `None` if it is gone.
     pub(crate) fn look(&self, path: &Path) -> Option<Content> {
         self.content(path)
     }
 
-    /// Starts an entry and reserves space for a plan of `blocks` blocks. On return the entry is on disk, and locked. One
-    /// of this place that is there already is not replaced.
+    /// Starts an entry and reserves space for a plan of `blocks` blocks. On return the entry is on disk and locked. An
+    /// existing entry of this place is not replaced.
     pub(crate) fn begin(&self, identity: &Identity, found: Seal, blocks: usize) -> Result<OpenJournal> {
         if self.disk.exists(&self.folder) {
             self.check_folder()?;
@@ -420,7 +413,7 @@ impl Journal {
         unreachable!("there are enough numbers")
     }
 
-    /// Writes an entry in place of one of which only the seal state is still owed.
+    /// Replaces an entry that owes only a seal.
     pub(crate) fn replace(&self, path: &Path, identity: &Identity, found: Seal) -> Result<OpenJournal> {
         self.store(path, false, identity, found, 0).map_err(|error| refused(path, &error))
     }
@@ -451,7 +444,7 @@ impl Journal {
         Ok(OpenJournal { disk: self.disk.clone(), file, path: path.into() })
     }
 
-    /// Opens the entry of an interrupted write again, and locks it. `None` if it is gone.
+    /// Reopens and locks the entry of an interrupted write. `None` if it is gone.
     pub(crate) fn open(&self, path: &Path) -> Result<Option<OpenJournal>> {
         let mut file = match self.disk.open(path) {
             Err(error) if error.kind() == ErrorKind::NotFound => return Ok(None),
@@ -465,17 +458,17 @@ impl Journal {
         Ok(Some(OpenJournal { disk: self.disk.clone(), file, path: path.into() }))
     }
 
-    /// The file of a seal that is owed beside a write that waits to be settled.
+    /// The file of a seal that is owed beside an unsettled write.
     fn seal_path(&self) -> PathBuf {
         self.numbered(SEAL, 0)
     }
 
-    /// Records that a seal is owed. On return that is on disk.
+    /// Records an owed seal. On return that is on disk.
     pub(crate) fn owe_seal(&self, identity: &Identity) -> Result<OpenJournal> {
         self.replace(&self.seal_path(), identity, Seal::Sealed)
     }
 
-    /// The gauge to which a seal is owed at this place, if one is.
+    /// The gauge that is owed a seal at this place.
     pub(crate) fn seal_owed(&self) -> Result<Option<Entry>> {
         match self.content(&self.seal_path()) {
             Some(Content::Entry(entry)) => Ok(Some(entry).filter(|entry| self.is_ours(entry))),
@@ -484,7 +477,7 @@ impl Journal {
         }
     }
 
-    /// Removes the record of a seal that is owed, if there is one.
+    /// Removes the record of an owed seal, if there is one.
     pub(crate) fn seal_paid(&self) -> Result<()> {
         let path = self.seal_path();
         if !self.disk.exists(&path) {
@@ -496,23 +489,23 @@ impl Journal {
         })
     }
 
-    /// Sets an entry aside until its pack comes back, under another name, which is returned.
+    /// Sets an entry aside until its pack returns. Returns its new name.
     pub(crate) fn wait(&self, path: &Path) -> Result<PathBuf> {
         self.set_aside(path, WAITING)
     }
 
-    /// Takes an entry out of the way for good and keeps it under another name, which is returned.
+    /// Sets an entry aside for good. Returns its new name.
     pub(crate) fn dismiss(&self, path: &Path) -> Result<PathBuf> {
         self.set_aside(path, DISMISSED)
     }
 
-    /// Removes an entry that is of no use to anybody any more.
+    /// Removes an entry that nobody needs any more.
     pub(crate) fn withdraw(&self, path: &Path) -> Result<()> {
         let removed = self.disk.remove(path).and_then(|()| self.disk.sync(&self.folder));
         removed.map_err(|error| Error::io(path.display().to_string(), "cannot remove the journal", &error))
     }
 
-    /// The entries of this place and this host that wait for their packs.
+    /// Entries of this place and this host that wait for their packs.
     pub(crate) fn waiting(&self) -> Result<Vec<(PathBuf, Entry)>> {
         let found = self.search(true, &[])?.into_iter().filter(|found| self.is_key_of(&found.path));
         let entry = |found: Found| match found.content {
@@ -522,7 +515,7 @@ impl Journal {
         Ok(found.filter_map(entry).collect())
     }
 
-    /// Renames an entry. The new name is a free one: no journal replaces another.
+    /// Renames an entry to a free name: no journal replaces another.
     fn set_aside(&self, path: &Path, end: &str) -> Result<PathBuf> {
         let failed = |error| Error::io(path.display().to_string(), "cannot move the journal", &error);
         for number in 0.. {
@@ -538,13 +531,13 @@ impl Journal {
     }
 }
 
-/// Makes sure that nobody but this account, root or a trusted one can have written a file, or can replace what is in a
+/// Checks that nobody but this account, root or a trusted one can have written a file, or can replace the contents of a
 /// folder.
 pub fn check(path: &Path, trusted: Option<u32>) -> Result<()> {
     is_own(path, trusted).map_err(|error| untrusted(path, &error))
 }
 
-/// The reason why somebody else can have written a file, or can replace what is in a folder.
+/// Why somebody else can have written a file, or can replace the contents of a folder.
 pub fn is_own(path: &Path, trusted: Option<u32>) -> io::Result<()> {
     disk::Host.check(path, trusted)
 }
@@ -558,12 +551,11 @@ fn untrusted(path: &Path, error: &io::Error) -> Error {
 }
 
 impl OpenJournal {
-    /// Its file.
     pub(crate) fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Appends what is about to be written. On return it is on disk.
+    /// Appends a plan. On return it is on disk.
     pub(crate) fn plan(&mut self, plan: &Plan) -> Result<()> {
         let text = render(plan);
         let stored = self.file.append(text.as_bytes()).and_then(|()| self.file.sync());
@@ -575,7 +567,7 @@ impl OpenJournal {
         self.note(RESET_SENT)
     }
 
-    /// Appends a line about how far a plan has come. On return it is on disk.
+    /// Appends a line about a plan's progress. On return it is on disk.
     pub(crate) fn note(&mut self, line: &str) -> Result<()> {
         let stored = self.file.append(line.as_bytes()).and_then(|()| self.file.sync());
         stored.map_err(|error| refused(&self.path, &error))
@@ -615,12 +607,12 @@ fn render(plan: &Plan) -> String {
     text + &format!("end {sum}\n")
 }
 
-/// Distinguishes a complete plan from one of which only some pages reached the disk.
+/// Distinguishes a complete plan from one with missing pages.
 fn sum(text: &str) -> String {
     hex(&Sha1::digest(text))
 }
 
-/// `None` if it is no journal, or a complete plan that is not what was written.
+/// `None` for anything but a journal, or for a complete plan with other content than was written.
 fn parse(text: &str) -> Option<Entry> {
     let (head, rest) = text.split_once('\n')?;
     let (gauge, rest) = rest.split_once('\n')?;
@@ -642,7 +634,7 @@ fn parse(text: &str) -> Option<Entry> {
     let found =
         [Seal::Sealed, Seal::Unsealed, Seal::FullAccess].into_iter().find(|seal| seal.as_str() == word)?;
     let nothing = Entry { identity, machine, found, plan: None };
-    // What is behind the last line, or a part of that, says that the reset may have been sent.
+    // Anything behind the last line, or a part of that, means that the reset may have been sent.
     let ended = plan.rsplit_once("\nend ").and_then(|(text, end)| Some((text, end.split_once('\n')?)));
     let Some((text, (end, rest))) = ended else { return is_begun(plan).then_some(nothing) };
     let text = format!("{text}\n");
@@ -657,12 +649,12 @@ fn parse(text: &str) -> Option<Entry> {
     Some(Entry { plan: Some(plan), ..nothing })
 }
 
-/// Whether a page of it did not reach the disk. No block had been written then.
+/// Whether a page did not reach the disk. No block had been written then.
 fn is_torn(text: &str) -> bool {
     text.contains('\0')
 }
 
-/// Whether it is the beginning of a plan, whose rest did not reach the disk.
+/// Whether it is the start of a plan whose rest did not reach the disk.
 fn is_begun(text: &str) -> bool {
     let (lines, last) = text.rsplit_once('\n').unwrap_or(("", text));
     let is_last = |word: &str| word.starts_with(last) || last.starts_with(word);
@@ -713,7 +705,7 @@ fn parse_block(line: &str) -> Option<PlannedBlock> {
     let base: u16 = words.next()?.parse().ok()?;
     let written = Bytes(u32::from_str_radix(words.next()?, 16).ok()?);
     let (old, new) = (parse_bytes(words.next()?)?, parse_bytes(words.next()?)?);
-    // A block that no gauge has would be an address beyond what can be selected.
+    // A block that no gauge has would be an unselectable address.
     let exists = subclass == FLAT && base.checked_add(WINDOW as u16).is_some()
         || usize::from(base) % WINDOW == 0 && usize::from(base) / WINDOW <= usize::from(u8::MAX);
     (exists && words.next().is_none()).then_some(PlannedBlock { subclass, base, written, old, new })

@@ -2,8 +2,8 @@
 
 //! Key words, which appear nowhere: not in a log, a trace, an error or a process list.
 //!
-//! Errors about a key file name the file and the line, never its content: a line that is not understood
-//! may still be a key. A key is in one allocation, which is wiped when the last of its owners is dropped.
+//! Errors about a key file name the file and the line, never its content: a line that is not understood may still be a
+//! key. A key is in one allocation, which is wiped with its last owner.
 
 use std::fmt;
 use std::sync::Arc;
@@ -12,22 +12,22 @@ use zeroize::{Zeroize, Zeroizing};
 
 use crate::error::{Cause, Error, Result};
 
-/// Which key.
+/// Name of a key.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Name {
     /// From SEALED to UNSEALED.
     Unseal,
     /// From UNSEALED to FULL ACCESS.
     FullAccess,
-    /// The one with which the gauge answers a challenge.
+    /// Answers a challenge.
     Authentication,
 }
 
 impl Name {
-    /// All of them.
+    /// All names.
     pub const ALL: [Name; 3] = [Name::Unseal, Name::FullAccess, Name::Authentication];
 
-    /// Its name in a command, what its line of a key file begins with, and its form.
+    /// Name in a command, start of its line in a key file, and form.
     fn row(self) -> (&'static str, &'static str, Form) {
         match self {
             Name::Unseal => ("unseal", "unseal", Form::Words),
@@ -36,17 +36,17 @@ impl Name {
         }
     }
 
-    /// Its name in a command.
+    /// Name in a command.
     pub fn as_str(self) -> &'static str {
         self.row().0
     }
 
-    /// What its line of a key file begins with.
+    /// Start of its line in a key file.
     pub fn line(self) -> &'static str {
         self.row().1
     }
 
-    /// What a key of this name looks like.
+    /// Description of its form.
     pub fn form(self) -> &'static str {
         match self.row().2 {
             Form::Words => "expected two words of four hexadecimal digits, such as 0414 3672",
@@ -55,20 +55,19 @@ impl Name {
     }
 }
 
-/// How a key is typed.
+/// The typed form of a key.
 enum Form {
-    /// Two words, in the order in which they are sent.
+    /// Two words in their order on the wire.
     Words,
-    /// 16 bytes, spaces anywhere between two of them.
+    /// 16 bytes, with spaces between any two of them.
     Digits,
 }
 
-/// One key as it is typed: two words in the order in which they are sent, each with its most significant
-/// byte first, or the 16 bytes of an authentication key. Clones share the allocation, and a move leaves no copy behind.
+/// A key as typed: two words in their order on the wire, most significant byte first, or the 16 bytes of an
+/// authentication key. Clones share the allocation, and a move leaves no copy behind.
 #[derive(Clone, PartialEq, Eq)]
 pub struct Secret(Arc<Zeroizing<Vec<u8>>>);
 
-/// A key of two words.
 impl From<[u16; 2]> for Secret {
     fn from([first, second]: [u16; 2]) -> Self {
         let ([a, b], [c, d]) = (first.to_be_bytes(), second.to_be_bytes());
@@ -77,7 +76,7 @@ impl From<[u16; 2]> for Secret {
 }
 
 impl Secret {
-    /// Reads what was typed.
+    /// Reads a typed key.
     pub fn parse(name: Name, text: &str) -> Option<Self> {
         let words = text.split_ascii_whitespace();
         match name.row().2 {
@@ -92,7 +91,7 @@ impl Secret {
         }
     }
 
-    /// Reads that many bytes in hexadecimal, directly into the allocation.
+    /// Reads that many hexadecimal bytes directly into the allocation.
     fn of_digits(mut digits: impl Iterator<Item = u8>, length: usize) -> Option<Self> {
         let mut bytes = Zeroizing::new(Vec::with_capacity(length));
         let half = |digit: u8| char::from(digit).to_digit(16).map(|half| half as u8);
@@ -110,28 +109,28 @@ impl Secret {
         Self(Arc::new(Zeroizing::new(bytes.to_vec())))
     }
 
-    /// Its bytes.
+    /// Bytes of the key.
     pub fn bytes(&self) -> &[u8] {
         &self.0
     }
 
-    /// Its two words.
+    /// The two words of the key.
     pub fn words(&self) -> [u16; 2] {
         let word = |at: usize| u16::from_be_bytes([self.0[at], self.0[at + 1]]);
         [word(0), word(2)]
     }
 
-    /// Whether it is what erased flash reads as.
+    /// Whether it reads like erased flash.
     pub fn is_erased(&self) -> bool {
         self.0.iter().all(|byte| *byte == 0xff)
     }
 
-    /// Whether one of its words is what erased flash reads as.
+    /// Whether one of its words reads like erased flash.
     pub(crate) fn has_erased_word(&self) -> bool {
         self.0.chunks(2).any(|word| word == [0xff; 2])
     }
 
-    /// The key as it is typed.
+    /// The key as typed.
     pub fn text(&self) -> Zeroizing<String> {
         let mut text = Zeroizing::new(String::with_capacity(2 * self.0.len() + 1));
         for (at, byte) in self.0.iter().enumerate() {
@@ -152,10 +151,10 @@ impl fmt::Debug for Secret {
     }
 }
 
-/// What is written to `gauge/keys`: a new key, and the old one as proof of permission.
+/// A request to `gauge/keys`: a new key, and the old one as proof of permission.
 #[derive(Clone, Debug)]
 pub struct KeyChange {
-    /// Which key.
+    /// The key to change.
     pub name: Name,
     /// The gauge's present key.
     pub old: Secret,
@@ -183,7 +182,7 @@ impl KeyChange {
         let (word, keys) = text.split_once(' ').ok_or_else(one_line)?;
         let name = Name::ALL.into_iter().find(|name| name.as_str() == word).ok_or_else(one_line)?;
         let keys = keys.trim();
-        // Two keys of the same form: as many words in the one as in the other.
+        // Both keys must have the same number of words.
         let count = keys.split_ascii_whitespace().count();
         let middle = keys.split_ascii_whitespace().nth(count / 2).filter(|_| count % 2 == 0);
         let at = middle.map(|word| word.as_ptr() as usize - keys.as_ptr() as usize).ok_or_else(one_line)?;
@@ -195,12 +194,12 @@ impl KeyChange {
     }
 }
 
-/// The keys of one gauge.
+/// The keys of a gauge.
 #[derive(Clone, Default)]
 pub struct Keys {
     /// By [`Name`].
     secrets: [Option<Secret>; Name::ALL.len()],
-    /// Whether the manual's default keys must not be tried where none is given.
+    /// Whether the manual's default keys must not be tried for missing ones.
     pub no_default: bool,
 }
 
@@ -210,7 +209,7 @@ impl fmt::Debug for Keys {
     }
 }
 
-/// How deep below its caller [`wipe_stack`] wipes, in bytes.
+/// Depth below its caller that [`wipe_stack`] wipes, in bytes.
 pub const WIPED: usize = 24 * 1024;
 
 /// How deep the words of a key are wiped after a transfer. What is wiped stays in memory for as long as a gauge is
@@ -304,7 +303,7 @@ impl Keys {
         self.secrets[name as usize].clone()
     }
 
-    /// Whether there is none.
+    /// Whether there are no keys.
     pub fn is_empty(&self) -> bool {
         self.secrets.iter().all(Option::is_none)
     }

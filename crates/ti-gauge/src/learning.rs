@@ -13,33 +13,33 @@ use crate::chip::{Bit, Chip};
 
 /// Temperatures in degrees at which an open-circuit voltage counts for Qmax.
 const TEMPERATURE: (f64, f64) = (10.0, 40.0);
-/// Voltages of a lithium-ion cell in mV at which it does not, because the curve is too flat.
+/// Voltages of a lithium-ion cell in mV at which it does not count, because the curve is too flat.
 const FLAT_MV: (f64, f64) = (3737.0, 3800.0);
-/// Charge in parts of the design capacity that Qmax needs: for the first time, and later.
+/// Charge that Qmax needs, as a share of the design capacity: for the first time, and later.
 const FIRST_CHARGE: f64 = 0.9;
 const LATER_CHARGE: f64 = 0.37;
-/// Currents in parts of the design capacity at which Ra is learned, with a margin for what is measured.
+/// Currents at which Ra is learned, as a share of the design capacity, with a margin for measured values.
 const RATE: (f64, f64) = (0.097, 0.515);
-/// Time in seconds over which a voltage's slope is measured. One step of 1 mV in that time is 1.1 µV/s.
+/// Time in seconds for measuring a voltage's slope. One step of 1 mV in that time is 1.1 µV/s.
 const SLOPE_S: f64 = 900.0;
-/// After this time in seconds at rest, [OCVTAKEN] is no longer that of the rest before.
+/// After this time at rest, in seconds, [OCVTAKEN] no longer belongs to the rest before.
 const ENTRY_S: f64 = 180.0;
-/// Time in seconds that a register read with every tenth poll may be late.
+/// Possible delay in seconds of a register that every tenth poll reads.
 const LATE_S: f64 = 900.0;
 
 /// How a part learns.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Learns {
-    /// Qmax and Ra, by Impedance Track. IT_ENABLE begins, and Update Status shows how far it is.
+    /// Qmax and Ra, by Impedance Track. IT_ENABLE starts it, and Update Status shows the progress.
     ImpedanceTrack,
-    /// By Impedance Track in RAM: `[QMAX_UP]` and `[RES_UP]` show what was updated since its power came.
+    /// By Impedance Track in RAM: `[QMAX_UP]` and `[RES_UP]` show updates since power came.
     InRam,
     /// The full charge capacity, in a discharge from full down to EDV2 (CEDV).
     FullCharge,
 }
 
 impl Learns {
-    /// What the table of a part shows about it; `None` where its bits do not show a learning cycle.
+    /// How a chip learns, by its table; `None` if its bits do not show a learning cycle.
     pub fn of(chip: &Chip) -> Option<Self> {
         let has = |bits: &[Bit], name: &str| bits.iter().any(|bit| bit.name == name);
         if has(chip.control_status, "QMAX_UP") {
@@ -57,13 +57,13 @@ impl Learns {
 /// Thresholds of data flash; [`Limits::default`] has the manual's.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Limits {
-    /// Quit Current: a rest has less, in mA.
+    /// Quit Current, the limit of a rest, in mA.
     pub quit_ma: f64,
     /// Dsg Current Threshold in mA.
     pub discharge_ma: f64,
     /// Chg Current Threshold in mA.
     pub charge_ma: f64,
-    /// Number of series cells, if it is known.
+    /// Number of series cells, if known.
     pub cells: Option<f64>,
 }
 
@@ -73,14 +73,14 @@ impl Default for Limits {
     }
 }
 
-/// Bits of the status registers that concern learning.
+/// Bits of the status registers about learning.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Bits(u16);
 
 macro_rules! bits {
     ($($name:literal $method:ident $mask:literal),*) => {
         impl Bits {
-            /// The bits with these names; other names are passed over.
+            /// The bits with these names; other names are ignored.
             pub fn named<'a>(names: impl IntoIterator<Item = &'a str>) -> Self {
                 let mask = |name| match name { $($name => $mask,)* "OCV_GD" => 0x0008, _ => 0 };
                 Self(names.into_iter().fold(0, |bits, name| bits | mask(name)))
@@ -97,17 +97,17 @@ bits! {
 }
 
 impl Bits {
-    /// Update Status, as LearnedStatus() shows it.
+    /// Update Status, from LearnedStatus().
     pub fn update_status(self) -> u8 {
         let bits = [self.qmax(), self.both(), self.iten(), self.field()];
         (0..4).fold(0, |byte, at| byte | u8::from(bits[at]) << at)
     }
 }
 
-/// One reading of a gauge.
+/// A reading of a gauge.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Reading {
-    /// When it was read, in seconds.
+    /// Time of the reading, in seconds.
     pub time: f64,
     /// Its status bits.
     pub bits: Bits,
@@ -128,27 +128,27 @@ pub struct Reading {
 /// What has been learned.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Learned {
-    /// Nothing, or nothing is known.
+    /// Nothing, or unknown.
     Nothing,
     /// Qmax.
     Qmax,
-    /// All.
+    /// Everything.
     All,
 }
 
-/// What the pack does.
+/// The pack's phase.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Phase {
-    /// Less than Quit Current flows.
+    /// The current is below Quit Current.
     Rest,
-    /// It is charged.
+    /// It charges.
     Charge,
-    /// It is discharged.
+    /// It discharges.
     Discharge,
 }
 
 impl Phase {
-    /// As a word of the line.
+    /// Word for the line.
     pub fn as_str(self) -> &'static str {
         match self {
             Self::Rest => "resting",
@@ -158,7 +158,7 @@ impl Phase {
     }
 }
 
-/// Why a cycle does not go on as it should.
+/// Why a cycle is disturbed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Spoiled {
     /// `[QEN]` is clear.
@@ -169,16 +169,16 @@ pub enum Spoiled {
     Temperature(f64),
     /// The open-circuit voltage was in the flat part of the curve, in mV of a cell.
     Flat(f64),
-    /// Too little charge passed between two open-circuit voltages, in percent of the design capacity, if that was
-    /// watched from the first one on; and how much is needed.
+    /// Too little charge passed between two open-circuit voltages, in percent of the design capacity, if watched from
+    /// the first one on; and how much is needed.
     TooLittleCharge(Option<f64>, f64),
-    /// The gauge was reset in the middle.
+    /// The gauge was reset during the cycle.
     Reset,
-    /// `[VOK]` is clear while a current flows: no open-circuit voltage qualified before.
+    /// `[VOK]` is clear while a current flows: no earlier open-circuit voltage qualified.
     NoOpenCircuitVoltage,
-    /// `[RUP_DIS]` is set in a discharge.
+    /// `[RUP_DIS]` is set during a discharge.
     RaOff,
-    /// The discharge is too slow or too fast for Ra, in parts of the design capacity an hour.
+    /// The discharge is too slow or too fast for Ra, as a share of the design capacity per hour.
     Rate(f64),
     /// Ra was not updated, although nothing else was wrong.
     RaNotLearned,
@@ -241,7 +241,7 @@ impl fmt::Display for Spoiled {
     }
 }
 
-/// A time as far as it is known.
+/// A start time, as far as known.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Since {
     /// Seconds, on the clock of the readings.
@@ -250,7 +250,7 @@ pub struct Since {
     pub before: bool,
 }
 
-/// How far a cycle is.
+/// Progress of a cycle.
 #[derive(Clone, Debug, PartialEq)]
 pub struct State {
     /// What has been learned.
@@ -259,28 +259,28 @@ pub struct State {
     pub update_status: Option<u8>,
     /// What the cycle waits for; empty when it is over.
     pub waits_for: &'static str,
-    /// What the pack does.
+    /// The pack's phase.
     pub phase: Phase,
-    /// Since when.
+    /// Start of the phase.
     pub phase_since: Since,
-    /// The current in parts of the design capacity an hour, if one flows.
+    /// A flowing current as a share of the design capacity per hour.
     pub rate: Option<f64>,
-    /// The slope of Voltage() at rest in µV/s, once there are readings of some minutes.
+    /// The slope of Voltage() at rest in µV/s, after some minutes of readings.
     pub slope_uv_s: Option<f64>,
     /// In degrees Celsius.
     pub degrees: Option<f64>,
-    /// Bits that show the state, with a `-` before those that are clear.
+    /// Bits that show the state, with `-` before clear ones.
     pub bits: String,
-    /// What is wrong; `None` if the cycle is qualified, or over.
+    /// The disturbance; `None` if the cycle is qualified, or over.
     pub spoiled: Option<Spoiled>,
-    /// Since when it is qualified, or not.
+    /// Start of being qualified, or not.
     pub since: Since,
-    /// When it was read.
+    /// Time of the reading.
     pub time: f64,
 }
 
 impl State {
-    /// The line that `gaugefs learn` and `gaugefs top` show; `clock` prints a time.
+    /// The line of `gaugefs learn` and `gaugefs top`; `clock` prints a time.
     pub fn line(&self, clock: impl Fn(f64) -> String) -> String {
         let mut parts = Vec::new();
         if let Some(status) = self.update_status {
@@ -316,18 +316,16 @@ impl State {
     }
 }
 
-/// A duration such as `1:02 h`.
 fn hours(seconds: f64) -> String {
     let minutes = (seconds / 60.0).max(0.0) as u64;
     format!("{}:{:02} h", minutes / 60, minutes % 60)
 }
 
-/// A current such as `C/5.0` or `1.5 C`.
 fn c_rate(rate: f64) -> String {
     if rate < 1.0 { format!("C/{:.1}", 1.0 / rate.max(1e-3)) } else { format!("{rate:.1} C") }
 }
 
-/// A learning cycle that is watched.
+/// A watched learning cycle.
 #[derive(Clone, Debug)]
 pub struct Cycle {
     learns: Learns,
@@ -335,15 +333,15 @@ pub struct Cycle {
     before: Option<Reading>,
     phase: Phase,
     phase_since: Since,
-    /// [OCVTAKEN] was clear in this rest, so that it is about this one once it is set.
+    /// [OCVTAKEN] was clear in this rest, so it belongs to this rest once it is set.
     ocv_pending: bool,
     ocv_taken: bool,
     /// Charge since the last open-circuit voltage, if there was one.
     passed_mah: Option<f64>,
-    /// When the open-circuit voltage was taken after which Ra should be learned.
+    /// Time of the open-circuit voltage after which Ra should be learned.
     due: Option<f64>,
     learned: Learned,
-    /// What is wrong until the next open-circuit voltage.
+    /// A disturbance until the next open-circuit voltage.
     lasting: Option<Spoiled>,
     spoiled: Option<Spoiled>,
     since: Since,
@@ -351,7 +349,7 @@ pub struct Cycle {
 }
 
 impl Cycle {
-    /// A cycle that nothing is known of yet.
+    /// A cycle without readings.
     pub fn new(learns: Learns, limits: Limits) -> Self {
         let never = Since { time: 0.0, before: true };
         Self {
@@ -372,7 +370,7 @@ impl Cycle {
         }
     }
 
-    /// Takes thresholds that have become known.
+    /// Sets thresholds once they are known.
     pub fn set_limits(&mut self, limits: Limits) {
         self.limits = limits;
     }
@@ -415,7 +413,7 @@ impl Cycle {
             Learns::InRam if bits.qmax_up() && bits.ra_up() => Learned::All,
             Learns::InRam if bits.qmax_up() => Learned::Qmax,
             Learns::ImpedanceTrack | Learns::InRam => Learned::Nothing,
-            // No bit shows it: it is what was seen.
+            // No bit shows it; only watching does.
             Learns::FullCharge => self.learned,
         }
     }
@@ -439,7 +437,7 @@ impl Cycle {
             self.lasting = Some(Spoiled::RestInterrupted(rested, current));
         }
         if next == Phase::Rest {
-            // A pack that rests when watching begins may have done so for long.
+            // A pack at rest at the start may have rested for long.
             self.ocv_taken = before.is_none() && reading.bits.ocv_taken();
             self.ocv_pending = false;
         }
@@ -454,7 +452,7 @@ impl Cycle {
         let mut taken = false;
         if self.phase == Phase::Rest {
             self.ocv_pending |= !bits.ocv_taken();
-            // Polls that are far apart see neither; a reset would set [RUP_DIS].
+            // Distant polls see neither; a reset would set [RUP_DIS].
             let fell = held && !bits.voltage_ok() && !bits.ra_off();
             let new = self.ocv_pending || fell || reading.time - self.phase_since.time > ENTRY_S;
             taken = bits.ocv_taken() && new && !self.ocv_taken;
@@ -463,7 +461,7 @@ impl Cycle {
             self.ocv_taken = true;
             self.take(reading, held);
         } else if held && !bits.voltage_ok() {
-            // Nothing else clears it outside of an open-circuit voltage.
+            // Only an open-circuit voltage clears it otherwise.
             self.lasting = Some(Spoiled::Reset);
             (self.passed_mah, self.due) = (None, None);
             if self.phase == Phase::Rest {
@@ -471,7 +469,7 @@ impl Cycle {
                 self.phase_since = Since { time: reading.time, before: false };
             }
         } else if !held && bits.voltage_ok() && self.phase == Phase::Rest && before.is_some() {
-            // IT_ENABLE in a pack that has come to rest.
+            // IT_ENABLE in a rested pack.
             (self.passed_mah, self.lasting) = (Some(0.0), None);
         }
         if self.learned == Learned::All {
@@ -485,7 +483,7 @@ impl Cycle {
         }
     }
 
-    /// An open-circuit voltage was taken. `held` is whether the gauge kept one from before.
+    /// Takes an open-circuit voltage. `held` means that the gauge kept an earlier one.
     fn take(&mut self, reading: &Reading, held: bool) {
         let passed = self.passed_mah.zip(reading.design_mah.filter(|design| *design > 0.0));
         let passed = passed.map(|(passed, design)| passed.abs() / design);
@@ -511,13 +509,13 @@ impl Cycle {
                 let ra_is_due = discharged && self.learned == Learned::Qmax;
                 self.due = Some(reading.time).filter(|_| ra_is_due);
             }
-            // The gauge goes on counting from the one before.
+            // The gauge continues counting from the earlier one.
             Some(Spoiled::TooLittleCharge(..)) => {}
             Some(_) => self.passed_mah = None,
         }
     }
 
-    /// What is wrong only as long as it lasts.
+    /// A disturbance that ends with its cause.
     fn passing(&self, reading: &Reading) -> Option<Spoiled> {
         let bits = reading.bits;
         if self.learns == Learns::FullCharge {
@@ -614,13 +612,13 @@ impl Cycle {
         }
     }
 
-    /// The slope of the voltage over the last quarter of an hour of a rest.
+    /// The voltage's slope over the last quarter of an hour of a rest.
     fn slope(&mut self, reading: &Reading) -> Option<f64> {
         if self.phase != Phase::Rest {
             return None;
         }
         self.rest.push_back((reading.time, reading.voltage_mv?));
-        // One that is old enough stays, so that the span is never shorter.
+        // An older one stays, so that the span is never shorter.
         while self.rest.get(1).is_some_and(|(time, _)| reading.time - time >= SLOPE_S) {
             self.rest.pop_front();
         }
@@ -630,7 +628,7 @@ impl Cycle {
     }
 }
 
-/// The current in parts of the design capacity an hour.
+/// The current as a share of the design capacity per hour.
 fn rate(reading: &Reading) -> Option<f64> {
     reading.design_mah.filter(|design| *design > 0.0).map(|design| reading.current_ma.abs() / design)
 }

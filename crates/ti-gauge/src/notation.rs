@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! How the value of a parameter is written: as the text of its `df` file, and with a unit or as a date. Pure: no bus, no
-//! file.
+//! Notation of a parameter's value: as text of its `df` file, and with a unit or as a date. Pure: no bus, no file.
 
 use crate::chip::{Parameter, Range};
 use crate::codec;
@@ -24,8 +23,8 @@ pub fn render(kind: Type, value: &Value) -> String {
     }
 }
 
-/// A gauge's string may hold any bytes. Those that a shell or a terminal could act on become `%HH`, and so does what
-/// would otherwise be read as something else: a space at either end, and a `%` before two hexadecimal digits.
+/// A gauge's string may contain any bytes. Bytes that a shell or a terminal could act on become `%HH`, and so do
+/// ambiguous ones: a space at either end, and a `%` before two hexadecimal digits.
 fn escape(bytes: &[u8]) -> String {
     let mut text = String::new();
     for (at, &byte) in bytes.iter().enumerate() {
@@ -41,7 +40,7 @@ fn escape(bytes: &[u8]) -> String {
     text
 }
 
-/// The byte that a text begins with in the form `%HH`.
+/// The byte in a leading `%HH`.
 fn escaped(text: &[u8]) -> Option<u8> {
     match text {
         [b'%', digits @ ..] => unhex(digits.get(..2)?)?.first().copied(),
@@ -59,8 +58,7 @@ fn unescape(mut text: &[u8]) -> Vec<u8> {
     bytes
 }
 
-/// A string in a file of another format, where each byte is shown as a character of its own: `_` for those that are not
-/// printable ASCII.
+/// A string in a file of another format, one character per byte: `_` for those that are not printable ASCII.
 pub fn shown(string: &[u8]) -> String {
     string.iter().map(|&byte| if is_printable(byte) { byte.into() } else { '_' }).collect()
 }
@@ -69,7 +67,7 @@ fn is_printable(byte: u8) -> bool {
     (b' '..=b'~').contains(&byte)
 }
 
-/// A string of any bytes as the value of a parameter, if it is not too long.
+/// A string of any bytes as a parameter's value, if it is short enough.
 pub fn string(parameter: &Parameter, bytes: Vec<u8>) -> Result<Value> {
     let room = parameter.kind.size() - 1;
     if bytes.len() > room {
@@ -88,14 +86,14 @@ fn shortest(value: f64) -> String {
         .to_string()
 }
 
-/// Parses a value for a parameter. It must be of its type and in the manual's range; otherwise the error
-/// says what is allowed. White space around it is ignored; numbers are decimal, `0x` or `0b`; in a string, `%HH` is the
-/// byte of that number.
+/// Parses a parameter's value. It must be of its type and in the manual's range; otherwise the error says what is
+/// allowed. Surrounding white space is ignored; numbers are decimal, `0x` or `0b`; in a string, `%HH` is the byte of
+/// that number.
 pub fn parse(parameter: &Parameter, text: &[u8]) -> Result<Value> {
     parse_in(parameter, Some(&parameter.range), text)
 }
 
-/// Checks that a value of a parameter is in the manual's range.
+/// Checks that a parameter's value is in the manual's range.
 pub fn check(parameter: &Parameter, value: &Value) -> Result<()> {
     match (value, &parameter.range, parameter.kind) {
         (Value::Int(value), Range::Int { min, max, .. }, kind) if !(*min..=*max).contains(value) => {
@@ -109,13 +107,13 @@ pub fn check(parameter: &Parameter, value: &Value) -> Result<()> {
     }
 }
 
-/// What was written is not repeated: it may be a key that was meant for another file.
+/// The text is not repeated: it may be a key that was meant for another file.
 fn outside(parameter: &Parameter, min: &str, max: &str) -> Error {
     let reason = Reason::OutOfRange { least: min.into(), greatest: max.into(), unit: parameter.unit };
     Error::of(parameter.name, reason)
 }
 
-/// Parses a value that a gauge already holds, in or out of range: only the type is checked.
+/// Parses a gauge's present value, in or out of range: only the type is checked.
 pub fn parse_stored(parameter: &Parameter, text: &[u8]) -> Result<Value> {
     parse_in(parameter, None, text)
 }
@@ -187,10 +185,10 @@ fn wanted(parameter: &Parameter, range: Option<&Range>, text: &str) -> String {
     format!("the value is not a {what}; write {limits}{unit}{notations}")
 }
 
-/// The number that a value with a unit stands for, in the unit of the parameter, if it may have that value. This is all
-/// that a message repeats of what was written: other text may be a key.
+/// The number of a value with a unit, in the parameter's unit, if it is a possible value. A message repeats nothing
+/// else of a text, which may be a key.
 fn without_unit(parameter: &Parameter, range: Option<&Range>, text: &str) -> Option<String> {
-    // `367A` may be the half of a key, and `367 A` is not.
+    // `367A` may be half of a key, `367 A` is not.
     if text.strip_suffix('A').is_some_and(|number| number.bytes().all(|byte| byte.is_ascii_digit())) {
         return None;
     }
@@ -217,12 +215,12 @@ fn integer(text: &str) -> Option<Option<i64>> {
     Some(magnitude.map(|magnitude| if negative { -magnitude } else { magnitude }))
 }
 
-/// Parses a value for a parameter: as its file accepts it, or with a unit that gives exactly a value that can be stored, or a
-/// date as `2026-11-22`. The error says which units are accepted.
+/// Parses a parameter's value: as in its file, with a unit that converts exactly to a storable value, or as a date such
+/// as `2026-11-22`. The error lists the accepted units.
 pub fn parse_with_unit(parameter: &Parameter, text: &str) -> Result<Value> {
     let invalid = |why: String| Error::new(parameter.name, Cause::Invalid, why);
     let text = text.trim();
-    // As it is shown, with the stored number behind it.
+    // The shown form, with the stored number behind it.
     let stored = text.strip_suffix(')').and_then(|text| text.rsplit_once(" (")).map(|(_, stored)| stored);
     if let Some(stored) = stored.filter(|stored| quantity::with_unit(stored, unit::shown(parameter)) == text)
     {
@@ -256,7 +254,7 @@ pub fn parse_with_unit(parameter: &Parameter, text: &str) -> Result<Value> {
     parse(parameter, value.as_bytes())
 }
 
-/// The text of a value for people: a date as `2026-11-22`, anything else as [`render`] has it. [`parse_with_unit`] accepts it.
+/// A value for people: a date as `2026-11-22`, anything else as in [`render`]. [`parse_with_unit`] accepts it.
 pub fn show(parameter: &Parameter, value: &Value) -> String {
     let date = match value {
         Value::Int(stored) if parameter.is_date() => date::text(*stored),
@@ -311,7 +309,7 @@ mod tests {
                     let value = Value::Text(string[..string.len().min(parameter.kind.size() - 1)].to_vec());
                     let shown = render(parameter.kind, &value);
                     prop_assert_eq!(parse(parameter, shown.as_bytes()), Ok(value), "{}", shown);
-                    // Whatever a shell does with it, it does not act on it.
+                    // No shell acts on it.
                     let is_safe = |letter: char| letter.is_ascii_alphanumeric() || " .,:+-_/=@%".contains(letter);
                     prop_assert!(shown.chars().all(is_safe), "{}", shown);
                     prop_assert_eq!(shown.trim(), &shown);

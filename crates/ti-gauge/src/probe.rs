@@ -246,7 +246,7 @@ fn questions(chip: &Chip) -> Questions {
 }
 
 impl Answers {
-    /// What is known of a part that is none of the known ones.
+    /// A hint about an unknown part.
     pub fn unknown(&self) -> &'static str {
         match self.device_type {
             // SLUSBH1C 9.5.4.3, SLUSCB7A 6.11: such a gauge takes the first byte of the two.

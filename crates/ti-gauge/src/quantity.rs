@@ -2,7 +2,7 @@
 
 //! Numbers with their units, as a person reads them. A table counts in steps such as `0.1°C` or `20mV`.
 
-/// The units of which a thousand are shown as one of the next.
+/// Units with prefixes: a thousand of one are shown as one of the next.
 const PREFIXED: [&str; 6] = ["V", "A", "Ah", "W", "Wh", "Ω"];
 const PREFIXES: [(char, &str); 3] = [('n', "u"), ('u', "m"), ('m', "")];
 
@@ -37,7 +37,7 @@ fn readable(number: i64, unit: &str) -> Option<String> {
     Some(format!("{sign}{whole}{point}{part} {name}"))
 }
 
-/// The unit of which one is a thousand of this one.
+/// The unit that is a thousand times as large.
 fn larger(name: &str) -> Option<String> {
     let mut letters = name.chars();
     let (_, next) = PREFIXES.iter().find(|(prefix, _)| letters.clone().next() == Some(*prefix))?;

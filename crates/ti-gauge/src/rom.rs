@@ -8,7 +8,7 @@
 //!
 //! - A command is written to the buffer at 0x00: code, row in two bytes, and data from 0x04 on. The 16-bit sum of
 //!   all bytes of the command, written to 0x64, starts it. Then 0x66 reads 0 if it was carried out.
-//! - Instruction flash has 512 rows of 32 words of 24 bits, of which the upper two are 0; erased it reads 0x3FFFFF. Data
+//! - Instruction flash has 512 rows of 32 words of 24 bits, whose upper two are 0; erased it reads 0x3FFFFF. Data
 //!   flash has 32 rows of 32 bytes. Both have a sum, which the gauge calculates and the file compares.
 //! - Row 0 has a mark at word 5. Without it the gauge stays in ROM mode after a loss of power. A file writes it when all
 //!   else is written, alone or with the rest of row 0. So the file can be started again from its first row whatever
@@ -28,42 +28,39 @@ use crate::text::printable;
 use gauge_bus::clock::Clock;
 use gauge_bus::{Bus, BusError};
 
-/// Rows of instruction flash, and their bytes.
 const ROWS: usize = 512;
 const ROW: usize = 96;
-/// Rows of data flash, and their bytes.
 const DATA_ROWS: usize = 32;
 const DATA_ROW: usize = 32;
 /// An erased word of instruction flash.
 const ERASED: [u8; 3] = [0xff, 0xff, 0x3f];
-/// Where row 0 has the mark of valid firmware, as a word and as a byte, and the mark.
+/// The mark of valid firmware in row 0: its word, its byte, and its value.
 const MARK_WORD: u8 = 5;
 const MARK_AT: usize = 15;
 const MARK: [u8; 3] = [0x54, 0x54, 0x15];
-/// Where row 0 has the version of the firmware, the low byte first.
+/// Offset of the firmware's version in row 0, low byte first.
 const VERSION_AT: usize = 48;
-/// What follows the code of a command that erases.
+/// Follows the code of an erase command.
 const MAGIC: [u8; 2] = [0x83, 0xde];
-/// Where the sum of a command is written, and where its result is read.
+/// Registers for a command's sum and for its result.
 const SUM: u8 = 0x64;
 const RESULT: u8 = 0x66;
-/// Where the data of a command begins.
+/// Start of a command's data.
 const DATA: usize = 0x04;
-/// The wait after an erase, in addition to the file's 200 ms: files for later parts have 400 ms.
+/// Wait after an erase, beyond the file's 200 ms: files for later parts have 400 ms.
 const ERASING: Duration = Duration::from_millis(200);
-/// A row that is read can be fetched after this time.
+/// Time before a requested row can be fetched.
 const FETCHING: Duration = Duration::from_millis(20);
-/// How often a transfer without consequences is tried, and the time in between.
+/// Tries of a transfer without consequences, and the time in between.
 const TRIES: usize = 5;
 const PAUSE: Duration = Duration::from_millis(20);
 
-/// The names of the chips that a firmware file brings back, in words.
+/// The chips that a firmware file can restore, in words.
 pub fn supported() -> String {
     let chips = CHIPS.iter().filter(|chip| chip.firmware_file.is_some());
     chips.map(|chip| chip.name).collect::<Vec<_>>().join(" or ")
 }
 
-/// Commands of the boot loader.
 mod code {
     pub(super) const READ_ROW: u8 = 0x00;
     pub(super) const WRITE_WORD: u8 = 0x01;
@@ -76,10 +73,9 @@ mod code {
     pub(super) const LEAVE: u8 = 0x0f;
 }
 
-/// A row of instruction flash.
 type Row = [u8; ROW];
 
-/// A firmware file that was checked from its first line to its last.
+/// A completely checked firmware file.
 #[derive(Debug)]
 pub struct Firmware {
     /// The version of the firmware.
@@ -97,7 +93,7 @@ enum Step {
 }
 
 impl Firmware {
-    /// Checks that a file is the whole firmware of a chip, and that it can be interrupted anywhere.
+    /// Checks that a file is a chip's whole firmware, and can be interrupted anywhere.
     pub fn parse(text: &str, chip: &'static Chip) -> Result<Self> {
         let refuse = |why: String| Error::new("", Cause::Invalid, why);
         let Some(known) = &chip.firmware_file else {
@@ -124,11 +120,11 @@ impl Firmware {
         let mut steps = Vec::new();
         for (line, command) in commands {
             let step = match command {
-                // How ROM mode is entered and what follows it is nothing to a gauge that is in it.
+                // Entering ROM mode, and what follows it, do not concern a gauge that is in it.
                 Command::Write { address: flashstream::GAUGE, .. }
                 | Command::Compare { address: flashstream::GAUGE, .. }
                 | Command::Read { address: flashstream::GAUGE } => continue,
-                // Lines that are no commands were refused.
+                // Unreadable lines were refused.
                 Command::Unread => continue,
                 Command::Wait(_) if !loader.has_begun() => continue,
                 Command::Wait(ms) => Step::Wait(Duration::from_millis(ms.into())),
@@ -167,7 +163,7 @@ impl Firmware {
         Ok(Self { version, name, steps })
     }
 
-    /// Checks the file against what the gauge has. Nothing is changed.
+    /// Checks the file against the gauge's firmware, without changes.
     pub fn check(&self, found: &Found) -> Result<()> {
         match found.version {
             Some(version) if version != self.version => {
@@ -182,10 +178,10 @@ impl Firmware {
         }
     }
 
-    /// Writes the file to a gauge in ROM mode, from the first row to the last, and has the gauge start it. `progress` is
-    /// called with how many steps are done, and of how many.
+    /// Writes the file to a gauge in ROM mode, first row to last, and starts the firmware. `progress` gets the number
+    /// of done steps, and of all.
     ///
-    /// It ends with the first comparison that fails. The gauge then is in ROM mode, or has the whole firmware.
+    /// It ends at the first failed comparison. The gauge is then in ROM mode, or has the whole firmware.
     pub fn write(
         &self,
         bus: &mut dyn Bus,
@@ -196,7 +192,7 @@ impl Firmware {
             let failed = |error: Error| error.about(format!("line {line}"));
             match step {
                 Step::Wait(time) => clock.sleep(*time),
-                // The sum starts a command, which is not started twice.
+                // The sum starts a command, which must not start twice.
                 Step::Write(SUM, bytes) => {
                     bus.transfer(&[&[SUM], &bytes[..]].concat(), &mut [])
                         .map_err(|error| failed(error.into()))?;
@@ -212,15 +208,15 @@ impl Firmware {
     }
 }
 
-/// What a gauge in ROM mode has.
+/// The contents of a gauge in ROM mode.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Found {
-    /// The version of its firmware, if that is marked as whole.
+    /// Version of its firmware, if marked as whole.
     pub version: Option<u16>,
 }
 
-/// Reads row 0 of instruction flash, which shows that the device is the boot loader of a gauge: a smart battery has
-/// the same address. Nothing is erased or programmed.
+/// Reads row 0 of instruction flash, which proves a gauge's boot loader: a smart battery has the same address. Nothing
+/// is erased or programmed.
 pub fn look(bus: &mut dyn Bus, clock: &dyn Clock) -> Result<Found> {
     let failed = |error: BusError| Error::from(error).about(format!("address 0x{ROM_ADDRESS:02x}"));
     let mut row = [0; ROW];
@@ -234,7 +230,7 @@ pub fn look(bus: &mut dyn Bus, clock: &dyn Clock) -> Result<Found> {
             fetch(bus, clock, DATA as u8, &mut row).map_err(failed)?;
             break;
         }
-        // A command that was interrupted may have left bytes in the buffer, which spoil the first sum after it.
+        // An interrupted command may have left bytes in the buffer, which spoil the next sum.
         clock.sleep(PAUSE);
     }
     let is_words = row.chunks(3).all(|word| word[2] & !ERASED[2] == 0);
@@ -246,7 +242,7 @@ pub fn look(bus: &mut dyn Bus, clock: &dyn Clock) -> Result<Found> {
     Ok(Found { version: marked.then(|| version_of(&row)) })
 }
 
-/// Writes to the buffer, which has no consequences, so it is repeated.
+/// Writes to the buffer without consequences, so it is repeated.
 fn send(bus: &mut dyn Bus, clock: &dyn Clock, register: u8, bytes: &[u8]) -> Result<(), BusError> {
     let message = [&[register], bytes].concat();
     repeat(clock, || bus.transfer(&message, &mut []))
@@ -267,7 +263,7 @@ fn repeat(clock: &dyn Clock, mut transfer: impl FnMut() -> Result<(), BusError>)
     }
 }
 
-/// Reads until the bytes are the expected ones: a gauge may be slower than the file allows, and a bit may be read wrong.
+/// Reads until the expected bytes come: a gauge may be slower than the file allows, and a bit may be misread.
 fn compare(bus: &mut dyn Bus, clock: &dyn Clock, register: u8, expected: &[u8]) -> Result<()> {
     let mut found = vec![0; expected.len()];
     for _ in 0..TRIES {
@@ -292,21 +288,20 @@ fn version_of(row: &Row) -> u16 {
     u16::from_le_bytes([row[VERSION_AT], row[VERSION_AT + 1]])
 }
 
-/// A boot loader and its flash, as far as a file has come.
+/// A boot loader and its flash, at some point of a file.
 struct Loader {
-    /// The bytes of the command that is being written.
+    /// The bytes of the present command.
     buffer: [Option<u8>; SUM as usize],
-    /// The last command that was started.
+    /// The last started command.
     last: Option<u8>,
-    /// It has not been compared yet.
+    /// It is not yet compared.
     unproven: bool,
-    /// Rows of instruction flash; none before it was erased.
+    /// Rows of instruction flash; empty before it was erased.
     rows: Vec<Option<Row>>,
     data: Vec<Option<[u8; DATA_ROW]>>,
     /// The sums of all rows were compared.
     summed: bool,
     data_summed: bool,
-    /// The firmware is marked as whole.
     marked: bool,
 }
 
@@ -330,7 +325,6 @@ impl Loader {
         self.last.is_some() || self.buffer.iter().any(Option::is_some)
     }
 
-    /// Whether the last command erases flash.
     fn erases(&self) -> bool {
         matches!(self.last, Some(code::ERASE | code::ERASE_DATA))
     }
@@ -362,7 +356,7 @@ impl Loader {
             return Err("the sum of the row is wrong: it was changed".into());
         }
         let count = self.buffer.iter().rposition(Option::is_some).map_or(0, |last| last + 1);
-        // A byte between the row and the data may be left out.
+        // A byte between the row and the data may be missing.
         let command: Vec<u8> = self.buffer[..count].iter().map(|byte| byte.unwrap_or(0)).collect();
         self.buffer.fill(None);
         let Some(&code) = command.first() else { return Err("a sum without a command".into()) };
@@ -405,7 +399,6 @@ impl Loader {
         Ok(())
     }
 
-    /// A row of instruction flash.
     fn row(&mut self, row: usize, data: &[u8]) -> Result<(), String> {
         let data: Row = data.try_into().map_err(|_| format!("a row of instruction flash has {ROW} bytes"))?;
         let place = self.rows.get_mut(row).ok_or_else(|| format!("instruction flash has no row {row}"))?;
@@ -420,7 +413,6 @@ impl Loader {
         Ok(())
     }
 
-    /// The mark of valid firmware.
     fn mark(&mut self) -> Result<(), String> {
         self.check_written()?;
         if !self.summed {
@@ -432,7 +424,7 @@ impl Loader {
         Ok(())
     }
 
-    /// Before the firmware is marked as whole, everything must be there: an interruption after that cannot be repaired.
+    /// Everything must be there before the firmware is marked as whole: later interruptions cannot be repaired.
     fn check_written(&self) -> Result<(), String> {
         let missing = |rows: usize| format!("it marks the firmware as whole while {rows} rows are missing");
         match self.rows.iter().filter(|row| row.is_none()).count() {
@@ -482,7 +474,6 @@ impl Loader {
         Ok(())
     }
 
-    /// The 32-bit sum of all words of instruction flash.
     fn instruction_sum(&self) -> u32 {
         let erased: Row = std::array::from_fn(|at| ERASED[at % 3]);
         let rows = self.rows.iter().map(|row| row.as_ref().unwrap_or(&erased));
@@ -490,7 +481,6 @@ impl Loader {
         words.fold(0, |sum, word| sum.wrapping_add(u32::from_le_bytes([word[0], word[1], word[2], 0])))
     }
 
-    /// The 16-bit sum of all bytes of data flash.
     fn data_sum(&self) -> u16 {
         let bytes = self.data.iter().flat_map(|row| row.unwrap_or([0xff; DATA_ROW]));
         bytes.fold(0, |sum, byte| sum.wrapping_add(byte.into()))
@@ -508,7 +498,7 @@ impl Loader {
         self.rows[0].as_ref().map_or(0xffff, version_of)
     }
 
-    /// The Device Name, which must be one that the chip can have.
+    /// The Device Name, which the chip must be able to have.
     fn name(&self, known: &FirmwareFile, chip: &Chip) -> Result<String, String> {
         let data: Vec<u8> = self.data.iter().flat_map(|row| row.unwrap_or([0xff; DATA_ROW])).collect();
         let length = usize::from(data[known.name]);
@@ -521,7 +511,7 @@ impl Loader {
             ));
         }
         let name = printable(&String::from_utf8_lossy(name));
-        // A name of the user's own tells nothing; one of TI's does.
+        // A user's own name tells nothing; TI's does.
         if name.to_lowercase().starts_with("bq")
             && !known.names.iter().any(|one| one.eq_ignore_ascii_case(&name))
         {

@@ -69,7 +69,7 @@ pub fn unhex(digits: &[u8]) -> Option<Vec<u8>> {
     if digits.len().is_multiple_of(2) { digits.chunks_exact(2).map(byte).collect() } else { None }
 }
 
-/// The name that was probably meant by a word that is none of these names: one with its parts, or else with its letters.
+/// The known name closest to a misspelt word, if one is close enough: first by its parts, then by its letters.
 pub fn nearest<'a>(word: &str, names: impl Iterator<Item = &'a str>) -> Option<&'a str> {
     let names: Vec<&str> = names.collect();
     let parts = with_parts(word, names.iter().map(|&name| (name, name)));

@@ -1,10 +1,9 @@
 // SPDX-License-Identifier: MIT
 
-//! Units: which ones a number may be written with, and the exact conversion into that of a parameter. How a value is
-//! written is [`crate::notation`]'s.
+//! Units that a number may be written with, and their exact conversion to a parameter's unit. [`crate::notation`] has
+//! the notation of values.
 //!
-//! A value that is stored is converted exactly or refused, never rounded. One that is only compared or measured against
-//! may be any number.
+//! A stored value is converted exactly or refused, never rounded. A value for comparisons may be any number.
 
 use crate::chip::Parameter;
 use crate::date;
@@ -12,7 +11,7 @@ use crate::error::Result;
 pub(crate) use crate::quantity::split;
 use crate::value::Type;
 
-/// A number times a unit, exactly: `num / den` of a base unit.
+/// An exact number times a unit: `num / den` of a base unit.
 #[derive(Clone, Debug, PartialEq, Eq)]
 struct Unit {
     num: i128,
@@ -20,7 +19,7 @@ struct Unit {
     base: String,
 }
 
-/// Names of units: their base unit, and how many of it they are.
+/// Names of units: base unit and factor.
 const SYMBOLS: [(&str, &str, i128); 17] = [
     ("V", "V", 1),
     ("A", "A", 1),
@@ -40,9 +39,9 @@ const SYMBOLS: [(&str, &str, i128); 17] = [
     ("C", "°C", 1),
     ("K", "K", 1),
 ];
-/// The base units that have the prefixes below.
+/// Base units that take the prefixes below.
 const PREFIXED: [&str; 7] = ["V", "A", "Ah", "W", "Wh", "Ω", "s"];
-/// Prefixes, and what they multiply and divide by. The micro sign is a character of its own beside the Greek letter.
+/// Prefixes with their multiplier and divisor. The micro sign and the Greek letter are different characters.
 const PREFIXES: [(&str, i128, i128); 7] = [
     ("", 1, 1),
     ("k", 1_000, 1),
@@ -52,14 +51,14 @@ const PREFIXES: [(&str, i128, i128); 7] = [
     ("μ", 1, 1_000_000),
     ("n", 1, 1_000_000_000),
 ];
-/// What a quantity may be counted for. `mV/cell` is no `mV`: a pack's voltage is another one.
+/// Denominators. `mV/cell` never converts to `mV`: a pack's voltage is a different quantity.
 const PER: [&str; 2] = ["/cell", "/day"];
-/// Longest number with a unit, in digits. It keeps all products within 128 bits.
+/// Most digits of a number with a unit. It keeps all products within 128 bits.
 const DIGITS: usize = 18;
 
 impl Unit {
-    /// A unit of a table, such as `mV`, `0.1°C`, `4 mΩ` or `mV/cell`. `None` for those that are only names, such as
-    /// `hex`, and for those that depend on a setting of the gauge, such as `mWh/cWh`.
+    /// A table's unit, such as `mV`, `0.1°C`, `4 mΩ` or `mV/cell`. `None` for mere names, such as `hex`, and for units
+    /// that depend on a setting of the gauge, such as `mWh/cWh`.
     fn of(text: &str) -> Option<Self> {
         let (number, unit) = split(text);
         let (num, den) = if number.is_empty() { (1, 1) } else { decimal(number)? };
@@ -88,7 +87,7 @@ pub(crate) fn decimal(text: &str) -> Option<(i128, i128)> {
     if is_number { Some((sign * all.parse::<i128>().ok()?, den)) } else { None }
 }
 
-/// The units that [`crate::notation::parse_with_unit`] accepts for a parameter, in words; empty if there is none.
+/// The units that [`crate::notation::parse_with_unit`] accepts for a parameter, in words; empty without any.
 pub fn accepted(parameter: &Parameter) -> String {
     if parameter.is_date() {
         return "a date such as 2026-11-22".into();
@@ -96,7 +95,7 @@ pub fn accepted(parameter: &Parameter) -> String {
     accepted_for(parameter.unit)
 }
 
-/// The units that [`measured`] accepts for a value in `unit`, in words; empty if that is only a name.
+/// The units that [`measured`] accepts for a value in `unit`, in words; empty for a mere name.
 pub fn accepted_for(unit: &str) -> String {
     let Some(Unit { base, .. }) = Unit::of(unit) else { return String::new() };
     let small = ["n", "u"].into_iter().filter(|prefix| unit.contains(prefix));
@@ -112,13 +111,12 @@ pub fn accepted_for(unit: &str) -> String {
     }
 }
 
-/// Whether it is a unit, and not only a name such as `hex`.
+/// Whether it is a unit instead of a mere name such as `hex`.
 pub fn is_known(unit: &str) -> bool {
     Unit::of(unit).is_some()
 }
 
-/// A number with a unit, such as `3.1V`, as a number of `unit`s, such as `uV`. `None` without a unit, and with one of
-/// another quantity.
+/// A number with a unit, such as `3.1V`, in `unit`s, such as `uV`. `None` without a unit, or for another quantity.
 pub fn measured(text: &str, unit: &str) -> Option<f64> {
     let (number, written) = split(text.trim());
     let (num, den) = decimal(number)?;
@@ -126,7 +124,7 @@ pub fn measured(text: &str, unit: &str) -> Option<f64> {
     if written.base != unit.base {
         return None;
     }
-    // Within 128 bits: a number has 18 digits, and no unit is farther from another one than these products.
+    // Within 128 bits: a number has 18 digits, and no two units are further apart than these products.
     let num = num.checked_mul(written.num)?.checked_mul(unit.den)?;
     let den = den.checked_mul(written.den)?.checked_mul(unit.num)?;
     let common = greatest_divisor(num.unsigned_abs(), den.unsigned_abs()).max(1) as i128;
@@ -137,10 +135,10 @@ fn greatest_divisor(a: u128, b: u128) -> u128 {
     if b == 0 { a } else { greatest_divisor(b, a % b) }
 }
 
-/// What somebody who has left out the unit has probably meant, with its unit, where a value is in `unit`s: `3.9` of a voltage in `uV` is
-/// `3.9V`, and `3900` is `3900mV`. `None` if `unit` is only a name.
+/// The probable meaning of a number without a unit, where a value is in `unit`s: `3.9` for a voltage in `uV` is `3.9V`,
+/// and `3900` is `3900mV`. `None` if `unit` is a mere name.
 pub fn likely(number: f64, unit: &str) -> Option<String> {
-    /// Beyond these, people write a smaller unit.
+    /// Above these limits, people write a smaller unit.
     const LARGE: [(f64, &str); 2] = [(100.0, ""), (100_000.0, "m")];
     let Unit { num, den, base } = Unit::of(unit)?;
     let size = number.abs();
@@ -170,14 +168,14 @@ fn word_of(symbol: &str) -> &str {
     }
 }
 
-/// A number with a unit as the number in the parameter's own unit, if it can be stored so.
+/// A number with a unit, in the parameter's own unit, if it can be stored.
 pub(crate) fn in_own(parameter: &Parameter, text: &str) -> Option<String> {
     let (number, unit) = split(text);
     let number_of = decimal(number).filter(|_| !unit.is_empty())?;
     convert(parameter, number_of, unit, text[number.len()..].starts_with(' ')).ok()
 }
 
-/// A number with a unit in the parameter's own unit, or why there is none. `spaced` is whether there is a space between.
+/// A number with a unit, in the parameter's own unit, or why not. `spaced` means a space before the unit.
 pub(crate) fn convert(
     parameter: &Parameter,
     (num, den): (i128, i128),
@@ -186,7 +184,7 @@ pub(crate) fn convert(
 ) -> Result<String, String> {
     let own = parameter.unit;
     let (num, den) = if unit == own && spaced {
-        // As the table prints it; its own number is a part of it.
+        // As the table prints it; its number is a part of the unit.
         (num, den)
     } else {
         let Some(stored) = Unit::of(own) else {
@@ -206,12 +204,12 @@ pub(crate) fn convert(
     digits(parameter.kind, num, den).ok_or_else(why)
 }
 
-/// A step of what is stored, in words: `1 mV`, `0.1°C`.
+/// A step of the stored value, in words: `1 mV`, `0.1°C`.
 fn step(unit: &str) -> String {
     if split(unit).0.is_empty() { format!("1 {unit}") } else { unit.into() }
 }
 
-/// A fraction in digits, if the type holds it exactly. A floating-point number may have any decimal number.
+/// A fraction in digits, if the type can hold it exactly. A floating-point number may have any decimal number.
 fn digits(kind: Type, num: i128, den: i128) -> Option<String> {
     let places = if kind == Type::F4 { 24 } else { 0 };
     let mut scaled = num;
@@ -232,7 +230,7 @@ fn digits(kind: Type, num: i128, den: i128) -> Option<String> {
     None
 }
 
-/// The unit of what [`crate::notation::show`] returns; empty for a date, and for words of the tables that are only names.
+/// The unit for [`crate::notation::show`]; empty for a date and for mere names.
 pub fn shown(parameter: &Parameter) -> &'static str {
     match parameter.unit {
         date::UNIT | "hex" | "Hex" | "flags" | "Num" => "",

@@ -16,7 +16,7 @@ pub enum Type {
     H(u8),
     /// TI's four-byte floating-point number, which is not IEEE 754.
     F4,
-    /// A string of this many bytes, the first of which is its length.
+    /// A string of this many bytes, with its length in the first.
     S(u8),
 }
 

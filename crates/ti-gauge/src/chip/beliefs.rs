@@ -1,22 +1,22 @@
 // SPDX-License-Identifier: MIT
 
-//! What the tables and the simulator have in common although no document, image or part has confirmed it: a test against
-//! the simulator cannot show that it is wrong. `docs/BELIEFS.md` is this list.
+//! Beliefs that the tables and the simulator share although no document, image or part has confirmed them: a test
+//! against the simulator cannot refute them. `docs/BELIEFS.md` is this list.
 
 use super::{Chip, Gate, Row, Scale, Scheme, kernel};
 
-/// Something that is held to be so.
+/// An unconfirmed belief.
 #[derive(Debug)]
 pub struct Belief {
-    /// A name for it.
+    /// Name of the belief.
     pub name: &'static str,
-    /// The parts of which it is believed, in words.
+    /// The parts concerned, in words.
     pub parts: &'static str,
     /// What is believed.
     pub holds: &'static str,
-    /// What would decide it, and where a report has that.
+    /// What would decide it, and the place of that in a report.
     pub decided_by: &'static str,
-    /// What happens on a gauge of which it is not so.
+    /// The consequence for a gauge that differs.
     pub otherwise: &'static str,
     of: fn(&Chip) -> bool,
     rows: fn(&'static Chip) -> Vec<Row>,
@@ -30,12 +30,11 @@ fn is_mac(chip: &Chip) -> bool {
     chip.access.scheme.is_flat()
 }
 
-/// A part with a voltage that depends on a divider in data flash.
+/// A part whose voltage depends on a divider in data flash.
 fn has_divider(chip: &Chip) -> bool {
     chip.gate.as_ref().is_some_and(|gate| gate.divider.is_some())
 }
 
-/// The parameters of those names.
 fn named(chip: &'static Chip, names: &[&str]) -> Vec<Row> {
     let rows = chip
         .subclasses
@@ -44,7 +43,7 @@ fn named(chip: &'static Chip, names: &[&str]) -> Vec<Row> {
     rows.filter(|(_, row)| names.contains(&row.name)).collect()
 }
 
-/// The parameters that hold those bytes.
+/// The parameters that contain those bytes.
 fn at(chip: &'static Chip, places: &[(u8, u16)]) -> Vec<Row> {
     let rows = chip
         .subclasses
@@ -56,7 +55,7 @@ fn at(chip: &'static Chip, places: &[(u8, u16)]) -> Vec<Row> {
     rows.filter(|row| places.iter().any(|place| holds(row, place))).collect()
 }
 
-/// What Voltage() and the limit of the gate depend on.
+/// What Voltage() and the gate's limit depend on.
 fn gate(chip: &'static Chip) -> Vec<Row> {
     let places = |gate: &Gate| {
         let external = gate.external.as_ref().map(|external| external.byte);
@@ -65,12 +64,12 @@ fn gate(chip: &'static Chip) -> Vec<Row> {
     chip.gate.as_ref().map_or_else(Vec::new, |gate| at(chip, &places(gate)))
 }
 
-/// None: something else would decide it.
+/// Empty: something else would decide it.
 fn none(_: &'static Chip) -> Vec<Row> {
     Vec::new()
 }
 
-/// All of them.
+/// All beliefs.
 pub static BELIEFS: &[Belief] = &[
     Belief {
         name: "unit of Board Offset",
@@ -179,12 +178,12 @@ pub static BELIEFS: &[Belief] = &[
 ];
 
 impl Chip {
-    /// What is believed of this part and not confirmed.
+    /// The unconfirmed beliefs about this part.
     pub fn beliefs(&self) -> impl Iterator<Item = &'static Belief> + '_ {
         BELIEFS.iter().filter(|belief| (belief.of)(self))
     }
 
-    /// The parameters whose values could decide them.
+    /// The parameters whose values could decide the beliefs.
     pub fn believed_rows(&'static self) -> Vec<Row> {
         let mut rows: Vec<Row> = Vec::new();
         for row in self.beliefs().flat_map(|belief| (belief.rows)(self)) {

@@ -17,7 +17,7 @@
 //! voltage, voltage, %, % for each of four flags; in that order the image has values that fit, and the percentages are
 //! TI's defaults.
 //!
-//! A row that the manual prints, or of which two sources give address and type, can be written; the others are
+//! A row can be written if the manual prints it, or if two sources give its address and type; the others are
 //! unproven. No source prints a range but the manual, for the rows that have one here. Drivers disagree on one address: EMF is at 0x92A7, where the printed bytes have its default;
 //! Flipper's and LilyGO's 0x92A3 is Design Voltage. A value at 0x92A1 without a name, the coefficients from 0x91CC
 //! on, and the profiles 2 to 6 are left out. The same parameters have a second address from 0x4000 on, that of

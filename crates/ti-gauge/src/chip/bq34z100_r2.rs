@@ -2,10 +2,10 @@
 
 //! bq34z100-R2: the bq34z100-G1 with scales that it reports itself, for packs of more than 65 V, 32 A and 29 Ah.
 //!
-//! Section numbers are those of the technical reference manual, SLUUCO5A, of which the sections on commands, scales and
-//! block access are public, and the summary of data flash is not. Data flash is that of the bq34z100-G1 (SLUSBZ5D, Table
-//! 7-11), row for row, as far as the complete image of a pack with firmware 2.02 agrees with it: its bytes are in range
-//! at the same places, except in subclass 48. What the image does not confirm is unproven. Bits are the bq34z100-G1's.
+//! Section numbers are those of the technical reference manual, SLUUCO5A. Its sections on commands, scales and block access
+//! are public, its summary of data flash is not. Data flash is that of the bq34z100-G1 (SLUSBZ5D, Table 7-11), row for
+//! row, as far as the complete image of a pack with firmware 2.02 agrees with it: its bytes are in range at the same
+//! places, except in subclass 48. What the image does not confirm is unproven. Bits are the bq34z100-G1's.
 
 use std::time::Duration;
 

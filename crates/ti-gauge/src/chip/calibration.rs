@@ -13,11 +13,11 @@ pub struct Calibration {
     pub enter: u16,
     /// Leaves calibration mode.
     pub exit: u16,
-    /// The register and its bit that are set while calibration is enabled.
+    /// The register, and its bit that is set while calibration is enabled.
     pub enabled: (Source, u16),
     /// The bit of CONTROL_STATUS that is set in calibration mode.
     pub mode: u16,
-    /// Measures the offset of the board and the converter; the gauge stores it.
+    /// Measures the offset of the board and the converter, which the gauge stores.
     pub board_offset: Offset,
     /// Measures the offset of the converter.
     pub cc_offset: Offset,
@@ -25,7 +25,7 @@ pub struct Calibration {
     pub save: u16,
     /// The parameter of two bytes to which Voltage() is proportional.
     pub divider: (u8, u16),
-    /// The parameter to which Current() is proportional, and the one by which charge is counted.
+    /// The parameter to which Current() is proportional, and the one for counting charge.
     pub gain: (u8, u16),
     /// See `gain`.
     pub delta: (u8, u16),
@@ -35,17 +35,17 @@ pub struct Calibration {
     pub internal: (u8, u16),
     /// See `internal`.
     pub external: (u8, u16),
-    /// The register and its bit that are set while Temperature() is the thermistor's.
+    /// The register, and its bit that is set while Temperature() is the thermistor's.
     pub thermistor: (Source, u16),
 }
 
-/// An offset that the gauge measures itself while no current flows.
+/// An offset that the gauge measures without a current.
 #[derive(Debug)]
 pub struct Offset {
-    /// The subcommand that begins.
+    /// The subcommand that starts it.
     pub start: u16,
-    /// The bits of CONTROL_STATUS of which one is set meanwhile.
+    /// Bits of CONTROL_STATUS; one of them is set meanwhile.
     pub running: u16,
-    /// The parameter that holds it.
+    /// The parameter for the offset.
     pub row: (u8, u16),
 }

@@ -10,20 +10,20 @@ use crate::value::Type;
 pub struct Identity {
     /// Control(DEVICE_TYPE).
     pub device_type: u16,
-    /// Control(FW_VERSION) values the table was made for; empty where none is known and any is accepted.
+    /// Control(FW_VERSION) values of the table; empty if none is known and any is accepted.
     pub firmware: &'static [u16],
-    /// Control(HW_VERSION), where it distinguishes parts with the same device type.
+    /// Control(HW_VERSION), if it distinguishes parts with the same device type.
     pub hardware: Option<u16>,
-    /// Control(DM_CODE) values, where they distinguish parts with the same device type; empty for any value
-    /// that no other part has.
+    /// Control(DM_CODE) values, if they distinguish parts with the same device type; empty for any value that no other
+    /// part has.
     pub dm_codes: &'static [u16],
     /// The register in which the answers to DEVICE_TYPE and the like are read.
     pub answer: u8,
 }
 
 impl Identity {
-    /// Of a part that is never asked: chosen by its name, or recognised by a row of [`SIBLINGS`]. No part answers
-    /// with type 0.
+    /// For a part that is never asked: chosen by name, or recognised by a row of [`SIBLINGS`]. No part answers with
+    /// type 0.
     pub(super) const NONE: Self =
         Self { device_type: 0, firmware: &[], hardware: None, dm_codes: &[], answer: 0 };
 
@@ -33,18 +33,18 @@ impl Identity {
             && self.hardware.is_none_or(|hardware| hardware == answers.hardware_version)
     }
 
-    /// Whether its answers are not in Control() but in MACData().
+    /// Whether the answers are in MACData() instead of Control().
     pub(crate) fn answers_in_mac_data(&self) -> bool {
         self.answer != 0
     }
 
-    /// Whether a file of that version says nothing of the firmware: gaugefs once took the device number for it, whose
-    /// bytes it had in the other order.
+    /// Whether a version in a file says nothing about the firmware: gaugefs once took the device number for it, with
+    /// its bytes swapped.
     pub(crate) fn is_device_number(&self, version: u16) -> bool {
         self.answers_in_mac_data() && version == self.device_type.swap_bytes()
     }
 
-    /// Whether all fits but the versions of firmware and hardware.
+    /// Whether everything but the versions of firmware and hardware matches.
     pub(super) fn is_of_type(&self, answers: &Answers) -> bool {
         self.device_type == answers.device_type
             && answers.dm_code.is_none_or(|code| known(self.dm_codes, code))
@@ -77,7 +77,7 @@ pub struct Signature {
     pub subclass: u8,
     /// Offset in the subclass.
     pub offset: u16,
-    /// Type; of an `F4` the bytes are compared, as an `H4`, and of a string the length, as a `U1`.
+    /// Type. An `F4` is compared as an `H4`, and a string by its length, as a `U1`.
     pub kind: Type,
     /// Smallest plausible value.
     pub min: i64,
@@ -104,8 +104,8 @@ pub struct Sibling {
     pub name: &'static str,
     /// What it answers.
     pub identity: Identity,
-    /// The chip whose standard commands it shares; `None` where the same addresses mean something else,
-    /// so that every number would be wrong.
+    /// The chip whose standard commands it shares; `None` if the same addresses mean something else, so that every
+    /// number would be wrong.
     pub like: Option<&'static Chip>,
 }
 
@@ -121,8 +121,8 @@ impl Sibling {
     }
 }
 
-/// Known parts without a table, by what they answer. Several rows that fit the same answers are parts that only
-/// the user can tell apart. A device type that is inferred from a part's name has no row.
+/// Known parts without a table, by their answers. Rows with the same answers are parts that only the user can tell
+/// apart. A device type inferred from a part's name has no row.
 pub static SIBLINGS: &[Sibling] = &[
     // The generations differ in firmware only, which can be exchanged. The first has no CycleCount() in
     // the kernel's driver, the last another map of commands; 6.04 is a build for one product.

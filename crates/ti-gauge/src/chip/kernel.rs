@@ -85,31 +85,31 @@ static WHOLE: &[(&str, &str)] = &[
     ("bq27742-g1", "bq27742"),
 ];
 
-/// The other names of a chip: the driver's, and TI's whole one. One that is the name of another chip is that chip's.
+/// The other names of a chip: the driver's, and TI's full one. A name of another chip belongs to that chip.
 pub fn aliases(chip: &Chip) -> impl Iterator<Item = &'static str> {
     let names = DRIVER.iter().chain(WHOLE).filter(|(_, ours)| *ours == chip.name);
     let alias = names.map(|(name, _)| *name).filter(|name| *name != chip.name);
     alias.filter(|name| Chip::by_name(name).is_some_and(|one| one.name == chip.name))
 }
 
-/// The chip that TI calls that.
+/// The chip with that full name of TI's.
 pub(super) fn by_whole_name(name: &str) -> Option<&'static Chip> {
     let (_, ours) = WHOLE.iter().find(|(whole, _)| whole.eq_ignore_ascii_case(name))?;
     Chip::all().find(|chip| chip.name == *ours)
 }
 
-/// The chip that the kernel's driver knows by that name. Its `bq27500` is any part of the family.
+/// The chip with that name in the kernel's driver. Its `bq27500` is any part of the family.
 pub fn by_driver_name(name: &str) -> Option<&'static Chip> {
     let (_, ours) = DRIVER.iter().find(|(driver, _)| *driver == name)?;
     Chip::all().find(|chip| chip.name == *ours)
 }
 
-/// The name by which the kernel's driver knows a chip.
+/// The chip's name in the kernel's driver.
 pub fn driver_name(chip: &Chip) -> Option<&'static str> {
     DRIVER.iter().find(|(_, ours)| *ours == chip.name).map(|(driver, _)| *driver)
 }
 
-/// What the bits of Flags() mean.
+/// The meaning of Flags().
 #[derive(Clone, Copy)]
 enum Flavour {
     /// The bq27000's byte.
@@ -178,12 +178,11 @@ impl Flavour {
     }
 }
 
-/// Bits of the bq27000's flags.
 const CHGS: u16 = 0x80;
 const EDV1: u16 = 0x02;
 const EDVF: u16 = 0x01;
 
-/// A gauge of which only the standard commands are known.
+/// A gauge that is known by its standard commands only.
 const fn gauge(
     name: &'static str,
     model: &'static str,
@@ -362,7 +361,7 @@ const fn flags(code: u8, flavour: Flavour) -> Register {
     word(code, U(2), "Flags", "", Role::Flags).bits(flavour.bits())
 }
 
-/// Between two registers that are needed.
+/// Fills a gap between two registers that are needed.
 const fn nominal(code: u8) -> Register {
     Register::new(code, U(2), "NominalAvailableCapacity", "mAh", Tier::Poll)
 }
@@ -387,12 +386,12 @@ const fn to_full(code: u8) -> Register {
     word(code, U(2), "TimeToFull", "min", Role::TimeToFullNow)
 }
 
-/// Between two registers that are needed.
+/// Fills a gap between two registers that are needed.
 const fn standby(code: u8) -> Register {
     Register::new(code, U(2), "StandbyTimeToEmpty", "min", Tier::Poll)
 }
 
-/// Between two registers that are needed. The driver shows it for the bq27000 and the bq27010 only.
+/// Fills a gap between two registers that are needed. The driver shows it for the bq27000 and the bq27010 only.
 const fn at_constant_power(code: u8) -> Register {
     word(code, U(2), "TimeToEmptyAtConstantPower", "min", Role::TimeToEmptyAvg)
 }
@@ -409,7 +408,7 @@ const fn centiwatts(code: u8) -> Register {
     word(code, I(2), "AveragePower", "cW", Role::PowerAvg).step(10, 1)
 }
 
-/// AveragePower() that is not shown: the driver does not, though its map has it, or its unit is not known.
+/// AveragePower() that is not shown: the driver does not show it, or its unit is unknown.
 const fn power_without_role(code: u8, unit: &'static str) -> Register {
     Register::new(code, I(2), "AveragePower", unit, Tier::Slow)
 }
@@ -443,12 +442,12 @@ const fn byte_flags(code: u8) -> Register {
     word(code, U(1), "Flags", "", Role::Flags).bits(Zero.bits())
 }
 
-/// The gauge shows 0 for a moment now and then; it is true only with `[EDVF]`.
+/// The gauge shows 0 for a moment now and then; it is only valid with `[EDVF]`.
 const fn byte_percent(code: u8) -> Register {
     word(code, U(1), "RelativeStateOfCharge", "%", Role::Capacity).empty(EDVF)
 }
 
-/// 3.57 µVh across 20 mΩ; 0 for a moment now and then, as the percentage.
+/// 3.57 µVh across 20 mΩ; 0 for a moment now and then, like the percentage.
 const fn available(code: u8) -> Register {
     word(code, U(2), "NominalAvailableCapacity", "3.57 uVh", Role::ChargeNow).step(357, 2000).empty(EDVF)
 }
@@ -514,7 +513,7 @@ mod tests {
         assert!(others.iter().all(|name| !Chip::all().any(|chip| chip.name == *name)), "{others:?}");
     }
 
-    /// The registers by which each gauge feeds its attributes, as L612's table has them.
+    /// The registers behind each gauge's attributes, as in L612's table.
     #[test]
     fn registers_are_in_order_and_feed_each_attribute_once() {
         for chip in GAUGES {

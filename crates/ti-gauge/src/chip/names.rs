@@ -5,15 +5,15 @@
 use super::{Chip, FLAT, Parameter, Row};
 use crate::text;
 
-/// How much alike two names have to be for one to be suggested for the other, from 0 to 1.
+/// Similarity above which a name is suggested, from 0 to 1.
 const ALIKE: f64 = 0.85;
 
-/// Why a name is not that of a parameter.
+/// Why a name is not a parameter's.
 #[derive(Clone, Debug)]
 pub enum Unnamed {
-    /// There is none. [`Chip::nearest`] may know which one was meant.
+    /// No parameter has it; [`Chip::nearest`] may suggest one.
     Unknown,
-    /// Several classes have one of this name: their whole names.
+    /// Several classes have one of this name: their full names.
     Several(Vec<String>),
 }
 
@@ -23,13 +23,12 @@ impl Chip {
         self.subclasses.iter().flat_map(|subclass| subclass.parameters.iter().map(move |row| (subclass, row)))
     }
 
-    /// The whole name of a parameter, as `df/by-name` has it: `it-cfg/cell-terminate-voltage`.
+    /// The full name of a parameter, as in `df/by-name`: `it-cfg/cell-terminate-voltage`.
     pub fn name_of(&self, (subclass, parameter): Row) -> String {
         format!("{}/{}", self.class_dir(subclass), kebab_case(parameter.name))
     }
 
-    /// The parameter that a text names: by its place, `80/53`, by its whole name, or by its own name if only one class has
-    /// one of that name.
+    /// The parameter in a text: by place, `80/53`, by full name, or by its own name if that is unique.
     pub fn find(&self, name: &str) -> Result<Row, Unnamed> {
         if let Some((class, own)) = name.strip_prefix("by-name/").unwrap_or(name).split_once('/') {
             let by_place = self.row(class, own);
@@ -48,11 +47,11 @@ impl Chip {
         }
     }
 
-    /// The parameters of that name, of any class.
+    /// The parameters of that name, in any class.
     fn named(&self, name: &str) -> impl Iterator<Item = Row> + use<> {
         let name = kebab_case(name);
         let first = name.chars().next();
-        // A file of many names is read by comparing few of them as a whole.
+        // In a file of many names, few are compared as a whole.
         let begins = move |row: &Parameter| {
             let letter = row.name.chars().find(|letter| letter.is_ascii_alphanumeric() || *letter == '%');
             letter.is_some_and(|letter| letter == '%' || Some(letter.to_ascii_lowercase()) == first)
@@ -60,7 +59,7 @@ impl Chip {
         self.rows().filter(move |(_, row)| begins(row) && kebab_case(row.name) == name)
     }
 
-    /// The parameters whose names have all parts of this one; those with the fewest other parts first.
+    /// The parameters whose names contain all parts of this one; those with the fewest other parts first.
     pub fn with_parts(&self, name: &str) -> Vec<Row> {
         let rows: Vec<(String, Row)> = self.rows().map(|row| (self.name_of(row), row)).collect();
         let is_whole = name.contains('/');
@@ -69,7 +68,7 @@ impl Chip {
         text::with_parts(name, names)
     }
 
-    /// The parameter with the most words, at least two, that all stand in a name: another part may have a longer one.
+    /// The parameter with the most words, at least two, that are all in a name: another part may have a longer name.
     fn within(&self, name: &str) -> Option<Row> {
         const LONGEST: usize = 64;
         let words = |name: &str| kebab_case(name).split('-').map(String::from).collect::<Vec<_>>();
@@ -79,8 +78,8 @@ impl Chip {
         found.max_by_key(|(own, _)| own.len()).map(|(_, row)| row)
     }
 
-    /// The parameter that was probably meant: at the nearest place in the same subclass, with a name that has all parts of
-    /// this one, or with one that is much like it.
+    /// The parameter probably meant: at the nearest place in the same subclass, with a name that has all parts of this
+    /// one, or with a similar name.
     pub fn nearest(&self, name: &str) -> Option<Row> {
         let (class, own) = name.rsplit_once('/').unwrap_or(("", name));
         if let Some(at) = text::unsigned::<u16>(own) {
@@ -92,7 +91,7 @@ impl Chip {
             return Some(row);
         }
         let (own, whole) = (kebab_case(own), format!("{}/{}", kebab_case(class), kebab_case(own)));
-        // A text of more than four times the length is never that much alike, and may be very long.
+        // A text four times as long is never similar, and may be very long.
         let names = self.rows().map(|row| (kebab_case(row.1.name), row));
         let names = names.filter(|(name, _)| own.len() <= 4 * name.len());
         let alone = names.map(|(name, row)| (strsim::jaro_winkler(&name, &own), row));
@@ -101,15 +100,15 @@ impl Chip {
             let with_class = if class.is_empty() { 0.0 } else { strsim::jaro(&self.name_of(row), &whole) };
             ((alone, with_class), row)
         });
-        // Of those that are equally alike, the first.
+        // The first among equally similar ones.
         let best = rows.reduce(|best, row| if row.0 > best.0 { row } else { best });
         best.map(|(_, row)| row)
     }
 }
 
-/// TI's name as a file name of `gauge/`: words of lower-case letters and digits joined by `_`, an
-/// upper-case letter after a lower-case one or a digit starting a new word (`StateOfCharge` is
-/// `state_of_charge`, `DOD@EOC` is `dod_at_eoc`).
+/// TI's name as a file name of `gauge/`: words of lower-case letters and digits joined by `_`. A capital after a
+/// lower-case letter, or after a digit, starts a new word (`StateOfCharge` is `state_of_charge`, `DOD@EOC` is
+/// `dod_at_eoc`).
 pub fn snake_case(name: &str) -> String {
     let mut words = String::new();
     let mut before = ' ';
@@ -127,8 +126,7 @@ pub fn snake_case(name: &str) -> String {
     words.split('_').filter(|word| !word.is_empty()).collect::<Vec<_>>().join("_")
 }
 
-/// A name from the manual as a file name of `df/by-name`: lower case, `%` as `pct`, every other run of
-/// characters as `-`.
+/// The manual's name as a file name of `df/by-name`: lower case, `%` as `pct`, every other run of characters as `-`.
 pub fn kebab_case(name: &str) -> String {
     let lower = name.to_lowercase().replace('%', " pct ");
     let words = lower.split(|letter: char| !letter.is_ascii_alphanumeric());

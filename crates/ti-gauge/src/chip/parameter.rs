@@ -7,7 +7,7 @@ use crate::codec::WINDOW;
 use crate::date;
 use crate::value::Type;
 
-/// The id of every group of a part with a flat address space, where offsets are addresses.
+/// The id of every group on a part with a flat address space, where offsets are addresses.
 pub const FLAT: u8 = 0;
 
 /// A subclass of data flash.
@@ -17,18 +17,18 @@ pub struct Subclass {
     pub class: &'static str,
     /// The manual's name, such as `IT Cfg`.
     pub name: &'static str,
-    /// Subclass id; [`FLAT`] for a group of parameters of a part that addresses data flash directly.
+    /// Subclass id; [`FLAT`] for a group on a part that addresses data flash directly.
     pub id: u8,
-    /// Bytes from [`Subclass::start`] to the end of its last documented parameter, or of its last known byte.
+    /// Bytes from [`Subclass::start`] to the end of its last documented parameter, or to its last known byte.
     pub length: u16,
-    /// What a write to its parameters needs.
+    /// Requirements of a write to its parameters.
     pub kind: Kind,
-    /// Its documented parameters, by offset; none where only the subclass is known.
+    /// Its documented parameters, by offset; empty if only the subclass is known.
     pub parameters: &'static [Parameter],
 }
 
 impl Subclass {
-    /// A subclass of which only the name and the length are known: its bytes are read and written as a whole.
+    /// A subclass known by name and length only: its bytes are read and written as a whole.
     pub const fn opaque(class: &'static str, name: &'static str, id: u8, length: u16) -> Self {
         Self { class, name, id, length, kind: Kind::Reset, parameters: &[] }
     }
@@ -38,29 +38,29 @@ impl Subclass {
         self.parameters.is_empty()
     }
 
-    /// Whether it holds the chemistry.
+    /// Whether it contains the chemistry.
     pub fn is_chemistry(&self) -> bool {
         self.class == "Chemistry" || self.name == "Chem Data"
     }
 
-    /// Offset of its first byte: 0, or the address at which a flat group begins.
+    /// Offset of its first byte: 0, or the first address of a flat group.
     pub fn start(&self) -> u16 {
         if self.id == FLAT { self.parameters.first().map_or(0, |parameter| parameter.offset) } else { 0 }
     }
 
-    /// Bytes that are read and committed with it: whole blocks, including bytes after the last documented
-    /// parameter. For a flat group, only its own bytes.
+    /// Number of bytes read and committed with it: whole blocks, including bytes after the last documented parameter;
+    /// for a flat group, only its own bytes.
     pub fn stored(&self) -> u16 {
         if self.id == FLAT { self.length } else { self.length.next_multiple_of(WINDOW as u16) }
     }
 
-    /// The parameter at that offset.
+    /// The parameter at an offset.
     pub fn parameter(&self, offset: u16) -> Option<&'static Parameter> {
         self.parameters.iter().find(|parameter| parameter.offset == offset)
     }
 }
 
-/// With what a value stays.
+/// What a value belongs to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stays {
     /// The board that was calibrated.
@@ -73,14 +73,14 @@ pub enum Stays {
     Design,
 }
 
-/// What a write to a subclass needs.
+/// Requirements of a write to a subclass.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
-    /// A reset: only then is the change certain to be in effect.
+    /// A reset: without it the change may not take effect.
     Reset,
     /// No reset.
     Plain,
-    /// Keys: never read, exported or shown; written only by the guarded key change.
+    /// Keys: never read, exported or shown; only the guarded key change writes them.
     Security,
 }
 
@@ -95,21 +95,21 @@ pub struct Parameter {
     pub name: &'static str,
     /// Range of the manual.
     pub range: Range,
-    /// No source prints that range: it is that of the type, or a sibling's.
+    /// No source prints the range: it is the type's, or a sibling's.
     pub unprinted: bool,
     /// Unit as the manual prints it; empty for none.
     pub unit: &'static str,
-    /// Names of its bits, if it is a flag word.
+    /// Names of its bits, for a word of flags.
     pub bits: &'static [Bit],
-    /// The DM_CODE of parts of which the default is another integer, and that default.
+    /// A different default for parts with this DM_CODE: (code, default).
     pub flavour: Option<(u16, i16)>,
     /// Rewritten by the gauge itself: cycle counts, lifetime data, learned Qmax and Ra.
     pub learned: bool,
-    /// Narrower limits than the manual's, where its range allows values that ruin a pack.
+    /// Limits narrower than the manual's, whose range allows values that ruin a pack.
     pub safe: Option<Safe>,
     /// Address or range is uncertain: read-only unless the user insists.
     pub unproven: bool,
-    /// The property it feeds.
+    /// The property that it feeds.
     pub role: Option<Role>,
 }
 
@@ -173,18 +173,18 @@ impl Parameter {
         Self::new(offset, kind, name, Range::Int { min, max, default: None }, unit)
     }
 
-    /// An integer row without a printed range or default: whatever the type can hold.
+    /// An integer row without a printed range or default: any value of the type.
     pub const fn any(offset: u16, kind: Type, name: &'static str, unit: &'static str) -> Self {
         let (min, max) = kind.bounds().expect("an integer type");
         Self::new(offset, kind, name, Range::Int { min, max, default: None }, unit).unprinted()
     }
 
-    /// Whether it is there to distinguish packs: serial number, date and lots.
+    /// Whether it distinguishes packs: serial number, date and lots.
     pub fn names_pack(&self) -> bool {
         ["Serial Number", "Manufacture Date", "Pack Lot Code", "PCB Lot Code"].contains(&self.name)
     }
 
-    /// Whether it holds a date.
+    /// Whether it is a date.
     pub fn is_date(&self) -> bool {
         self.unit == date::UNIT
     }
@@ -214,7 +214,7 @@ impl Parameter {
         self
     }
 
-    /// The default of an integer on a part with that DM_CODE; `None` where it depends on an unknown one.
+    /// The default of an integer on a part with that DM_CODE; `None` if it depends on an unknown one.
     pub fn int_default(&self, dm_code: Option<u16>) -> Option<i64> {
         let Range::Int { default, .. } = self.range else { return None };
         match self.flavour {
@@ -225,7 +225,7 @@ impl Parameter {
         }
     }
 
-    /// Names of the bits. Those without a name are reserved, and a write must leave them alone.
+    /// Names of the bits. Bits without a name are reserved, and writes must not change them.
     #[must_use]
     pub const fn bits(mut self, bits: &'static [Bit]) -> Self {
         assert!(self.kind.size() <= 2, "a flag word has one byte or two");
@@ -242,7 +242,7 @@ impl Parameter {
         self
     }
 
-    /// The gauge rewrites this one itself.
+    /// The gauge itself rewrites it.
     #[must_use]
     pub const fn learned(mut self) -> Self {
         self.learned = true;
@@ -278,7 +278,7 @@ pub type Row = (&'static Subclass, &'static Parameter);
 /// Range and default of a parameter.
 #[derive(Debug)]
 pub enum Range {
-    /// Of an integer or bit field; `default` is `None` where sources disagree or none is known.
+    /// Of an integer or bit field; `default` is `None` if sources disagree or none is known.
     Int {
         /// Smallest value.
         min: i64,
@@ -303,14 +303,13 @@ pub enum Range {
     },
 }
 
-/// A limit narrower than the manual's range, to protect the pack. The text gives the reason.
+/// A limit narrower than the manual's range, to protect the pack, with its reason.
 #[derive(Debug)]
 pub enum Safe {
     /// A minimum.
     AtLeast(i32, &'static str),
-    /// Not above the voltage that the gauge will measure with all values of the transaction, as its flash gate
-    /// compares it.
+    /// Not above the voltage that the gauge will measure with the transaction's values, as its flash gate compares it.
     BelowVoltage(&'static str),
-    /// The bits of this mask must keep the value they have.
+    /// The bits of this mask must keep their values.
     Keep(u32, &'static str),
 }

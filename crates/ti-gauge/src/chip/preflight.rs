@@ -1,22 +1,22 @@
 // SPDX-License-Identifier: MIT
 
-//! What is checked before a write, as data.
+//! Checks before a write, as data.
 
 use super::Source;
 
-/// What is checked before a write, besides identity, gate and seal.
+/// Checks before a write, besides identity, gate and seal.
 #[derive(Debug)]
 pub struct Preflight {
-    /// What distinguishes packs with the same part; `None` where nothing is known to.
+    /// What distinguishes packs with the same part, if anything is known.
     pub pack: Option<Pack>,
     /// Parameters whose values distinguish packs: calibration, the serial number, and counters that only rise
-    /// (learned). An interrupted write is settled without asking only where they are as they were.
+    /// (learned). An interrupted write is settled without asking only if they are unchanged.
     pub marks: &'static [(u8, u16)],
     /// Modes that another program may have left on.
     pub modes: &'static [Mode],
-    /// How to recognise a learning cycle, which a reset would lose; `None` where there is no sure sign.
+    /// How to recognise a learning cycle, which a reset would lose; `None` without a sure sign.
     pub learning: Option<Learning>,
-    /// Range of Voltage() in which the part works, where there is no [`Gate`](super::Gate).
+    /// Range of Voltage() in which the part works, for parts without a [`Gate`](super::Gate).
     pub voltage_mv: Option<(u16, u16)>,
 }
 
@@ -29,19 +29,18 @@ impl Preflight {
 /// A word that differs from pack to pack.
 #[derive(Debug)]
 pub struct Pack {
-    /// The word. Reading a register also detects a part of another type, which has something else at that
-    /// address.
+    /// The word. Reading a register also detects another part, which has something else at that address.
     pub word: Source,
     /// Its name in a message.
     pub name: &'static str,
-    /// Subclass and offset of the rows that determine it: a write to those changes it.
+    /// Subclass and offset of the rows that determine it: writes to them change it.
     pub rows: &'static [(u8, u16)],
 }
 
 /// A mode in which a write would be lost, or would disturb the program that entered it.
 #[derive(Debug)]
 pub struct Mode {
-    /// The word that shows it. A subcommand is sent only after the gauge is unsealed.
+    /// The word that shows it. Subcommands are sent only after unsealing.
     pub word: Source,
     /// The bit that is set in this mode.
     pub mask: u16,
@@ -51,7 +50,7 @@ pub struct Mode {
     pub what: &'static str,
     /// What to do, for a message.
     pub remedy: &'static str,
-    /// Whether gaugefs' own transactions enter it too, so that an interrupted one may have left it on.
+    /// Whether gaugefs's own transactions enter it too, so that an interrupted one may have left it on.
     pub ours: bool,
 }
 
@@ -62,21 +61,21 @@ impl Mode {
         Self { word: Source::Status, mask, name, what, remedy, ours: false }
     }
 
-    /// Calibration mode, which stays until somebody leaves it.
+    /// Calibration mode, which lasts until somebody leaves it.
     pub const fn calibration(word: Source, mask: u16, name: &'static str, remedy: &'static str) -> Self {
         Self { word, mask, name, what: "somebody has left calibration mode on", remedy, ours: false }
     }
 }
 
-/// How a learning cycle is recognised.
+/// How to recognise a learning cycle.
 #[derive(Debug)]
 pub struct Learning {
     /// CONTROL_STATUS bits that are all set during a cycle.
     pub status: u16,
-    /// Subclass and offset of Update Status, the byte that distinguishes a first cycle from the continuous
-    /// learning of a finished pack. A write to this byte alone starts or ends a cycle by hand.
+    /// Subclass and offset of Update Status, the byte that distinguishes a first cycle from the continuous learning of
+    /// a finished pack. A write to this byte alone starts or ends a cycle by hand.
     pub row: (u8, u16),
-    /// What shows the same bits without unsealing.
+    /// The place of the same bits without unsealing.
     pub shown: Option<Source>,
     /// The bits of Update Status to compare.
     pub mask: u8,

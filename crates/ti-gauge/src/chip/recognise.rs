@@ -1,37 +1,37 @@
 // SPDX-License-Identifier: MIT
 
-//! Which part gave these answers.
+//! Recognises a part by its answers.
 
 use super::{Answers, CHIPS, Chip, Identity, SIBLINGS, Sibling};
 
-/// What a part's answers identify it as.
+/// The result of recognising a part.
 #[derive(Debug)]
 pub enum Recognised {
     /// A chip with a table.
     Chip(&'static Chip),
-    /// A known part without one: its standard commands may be read, its data flash is out of bounds.
+    /// A known part without a table: its standard commands may be read, its data flash is out of bounds.
     Sibling(&'static Sibling),
-    /// Several chips, or parts without a table, give these answers; only the user can decide.
+    /// Several chips, or parts without a table, give these answers; the user has to decide.
     Ambiguous(Vec<&'static Chip>),
-    /// The device type of these chips, with a firmware or hardware version that their tables were not proven for.
+    /// These chips' device type, with a firmware or hardware version that is not their tables'.
     Unproven(Vec<&'static Chip>),
     /// An unknown part.
     Unknown,
 }
 
-/// Why only the standard commands of a part are used.
+/// Why only a part's standard commands are used.
 #[derive(Clone, Copy, Debug)]
 pub enum Limited {
-    /// It is a relative of the chip, without a table.
+    /// A relative of the chip, without a table.
     Sibling(&'static Sibling),
-    /// It has the chip's device type, but a firmware or hardware version that the table was not proven for.
+    /// The chip's device type, with a firmware or hardware version that is not its table's.
     Unproven,
-    /// The chip itself has no table.
+    /// The chip has no table.
     NoTable,
 }
 
 impl Limited {
-    /// What the part is called.
+    /// Name of the part.
     pub fn name(self, chip: &Chip) -> &'static str {
         match self {
             Limited::Sibling(sibling) => sibling.name,
@@ -66,8 +66,7 @@ impl Limited {
     }
 }
 
-/// Identifies a part by its answers. A part whose identity names the hardware or a DM_CODE takes precedence
-/// over one whose identity does not.
+/// Identifies a part by its answers. A part whose identity names the hardware or a DM_CODE takes precedence.
 pub fn recognise(answers: &Answers) -> Recognised {
     let names_hardware = |one: &Identity| one.hardware.is_some();
     let names_dm_code = |one: &Identity| answers.dm_code.is_some_and(|code| one.dm_codes.contains(&code));
@@ -92,7 +91,7 @@ pub fn recognise(answers: &Answers) -> Recognised {
     }
 }
 
-/// What a part is that answers like none. A hardware version narrows down the chips of one device type.
+/// Judges answers that no part gives exactly. A hardware version narrows down the chips of a device type.
 fn unproven(answers: &Answers) -> Recognised {
     let fits = |chip: &&Chip| chip.identity.is_of_type(answers);
     let mut chips: Vec<_> = CHIPS.iter().copied().filter(fits).collect();
@@ -107,7 +106,7 @@ fn unproven(answers: &Answers) -> Recognised {
 mod tests {
     use super::*;
 
-    /// What a part with these answers is recognised as.
+    /// The recognised part for these answers.
     fn seen(device_type: u16, firmware_version: u16, hardware_version: u16, dm_code: Option<u16>) -> String {
         let answers = Answers { device_type, firmware_version, hardware_version, chem_id: None, dm_code };
         match recognise(&answers) {

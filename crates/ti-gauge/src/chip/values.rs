@@ -1,17 +1,17 @@
 // SPDX-License-Identifier: MIT
 
-//! Which readings of a property are values of it.
+//! Valid readings of a property.
 
 use super::Role;
 
-/// The readings of a property that are values. Any other one says that the gauge has none.
+/// The valid readings of a property. Any other reading means that the gauge has no value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Values {
-    /// The least.
+    /// Least valid reading.
     pub least: i64,
-    /// The greatest.
+    /// Greatest valid reading.
     pub greatest: i64,
-    /// Who says so; empty where every reading is a value.
+    /// The source; empty if every reading is valid.
     pub source: &'static str,
 }
 
@@ -35,14 +35,14 @@ impl Values {
         Self { source, ..self }
     }
 
-    /// Whether a reading is a value.
+    /// Whether a reading is valid.
     pub const fn hold(self, reading: i64) -> bool {
         self.least <= reading && reading <= self.greatest
     }
 }
 
 impl Role {
-    /// The values of a property on every part, unless [`Register::values`](super::Register::values) has others.
+    /// The valid readings of a property on every part, unless [`Register::values`](super::Register::values) differs.
     pub const fn values(self) -> Values {
         match self {
             Role::Capacity => Values::new(0, 100, "SLUSBZ5D 7.3.1.3, SLUUAC9A Table 4-1: 0 to 100"),

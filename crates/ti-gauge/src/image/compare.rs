@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! How two images differ, and what a file would change on a gauge.
+//! Compares images, and finds what a file would change on a gauge.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -14,10 +14,10 @@ use crate::text;
 use crate::unit;
 use crate::value::Value;
 
-/// Undocumented bytes that a gauge and a file have different values for.
+/// Undocumented bytes that differ between a gauge and a file.
 #[derive(Debug)]
 pub struct RawDifference {
-    /// The gauge's bytes; `None` where its files do not show them.
+    /// The gauge's bytes; `None` if its files do not show them.
     pub old: Option<Vec<u8>>,
     /// The file's bytes.
     pub new: Raw,
@@ -30,14 +30,14 @@ impl fmt::Display for RawDifference {
     }
 }
 
-/// One parameter that two images have different values for.
+/// A parameter with different values in two images.
 #[derive(Debug)]
 pub struct Difference<'a> {
-    /// Its name, as `df/by-name` has it.
+    /// Name as in `df/by-name`.
     pub name: String,
-    /// The value of the first.
+    /// The first value.
     pub old: &'a Entry,
-    /// The value of the second.
+    /// The second value.
     pub new: &'a Entry,
 }
 
@@ -49,35 +49,35 @@ impl fmt::Display for Difference<'_> {
     }
 }
 
-/// How two images differ.
+/// The differences between two images.
 #[derive(Debug)]
 pub struct Comparison<'a> {
-    /// Parameters that both have, with different values.
+    /// Parameters of both with different values.
     pub differences: Vec<Difference<'a>>,
-    /// Parameters that only the first has.
+    /// Parameters of the first only.
     pub only_first: Vec<&'a Entry>,
-    /// Parameters that only the second has.
+    /// Parameters of the second only.
     pub only_second: Vec<&'a Entry>,
-    /// Different bytes of subclasses of which only name and length are known.
+    /// Different bytes of subclasses that are known by name and length only.
     pub raw: Vec<RawDifference>,
-    /// Such subclasses of which only the first has bytes.
+    /// Such subclasses with bytes in the first only.
     pub raw_only_first: Vec<&'static Subclass>,
-    /// Such subclasses of which only the second has bytes.
+    /// Such subclasses with bytes in the second only.
     pub raw_only_second: Vec<&'static Subclass>,
 }
 
-/// What an import does with a file.
+/// The effect of importing a file.
 #[derive(Debug)]
 pub struct Changes<'a> {
     /// Parameters to write.
     pub changes: Vec<Difference<'a>>,
-    /// What the file asks for and the gauge does not get, a line each, with the reason.
+    /// Contents of the file that the gauge does not get, a line each, with the reason.
     pub passed_over: Vec<String>,
 }
 
 impl Image {
-    /// Compares with another image of the same chip, except for some groups. A file need not hold everything:
-    /// parameters that only one of the two has are no differences.
+    /// Compares with another image of the same chip, except for some groups. A file may be incomplete: parameters of
+    /// only one image are no differences.
     pub fn compare<'a>(&'a self, new: &'a Image, exclude: &[Group]) -> Result<Comparison<'a>> {
         if !std::ptr::eq(self.chip, new.chip) {
             let why = format!("one is for a {}, the other for a {}", self.chip.model, new.chip.model);
@@ -109,7 +109,7 @@ impl Image {
         Ok(comparison)
     }
 
-    /// Compares the subclasses of which only name and length are known, as far as both have their bytes.
+    /// Compares subclasses that are known by name and length only, where both have their bytes.
     fn compare_opaque(&self, new: &Image, comparison: &mut Comparison<'_>) {
         for subclass in self.chip.subclasses.iter().filter(|subclass| subclass.is_opaque()) {
             let (old, new) = (self.bytes_of(subclass), new.bytes_of(subclass));
@@ -134,15 +134,15 @@ impl Image {
         }
     }
 
-    /// The known bytes that this image has of a subclass, and their lines, by offset.
+    /// The known bytes of a subclass in this image, and their lines, by offset.
     fn bytes_of(&self, subclass: &Subclass) -> BTreeMap<u16, (u8, usize)> {
         let of_it = self.raw.iter().filter(|raw| raw.subclass == subclass.id);
         let bytes = of_it.flat_map(|raw| (raw.offset..).zip(raw.bytes.iter().map(|byte| (*byte, raw.line))));
         bytes.filter(|(offset, _)| *offset < subclass.length).collect()
     }
 
-    /// What must be written to the gauge of this image to give it the values of a file, and what of the file is
-    /// passed over. A value that may not be written is an error.
+    /// The writes that give this gauge a file's values, and what of the file is passed over. A value that may not be
+    /// written is an error.
     pub fn changes<'a>(
         &'a self,
         file: &'a Image,
@@ -172,8 +172,8 @@ impl Image {
         Ok(Changes { changes, passed_over })
     }
 
-    /// What the undocumented bytes of a file would change on a gauge. `stored` returns a whole subclass of it, by
-    /// id. Unless `allowed`, or of the chemistry of this part and firmware, the first such change is an error.
+    /// The changes that a file's undocumented bytes would make. `stored` returns a whole subclass of the gauge, by id.
+    /// The first change is an error unless `allowed`, or of the chemistry for this part and firmware.
     pub fn raw_changes(
         &self,
         stored: impl Fn(u8) -> Result<Vec<u8>>,
@@ -212,7 +212,7 @@ impl Image {
         Ok(changes)
     }
 
-    /// The subclasses of a chemistry of which a gauge has other bytes than this file, as text; `None` if there are none.
+    /// The chemistry's subclasses that differ between a gauge and this file, as text; `None` without a difference.
     pub fn other_chemistry(&self, stored: impl Fn(u8) -> Result<Vec<u8>>) -> Result<Option<String>> {
         let mut found: Vec<&Subclass> = Vec::new();
         for raw in self.raw.iter().filter(|raw| self.is_chemistry(raw)) {
@@ -227,12 +227,12 @@ impl Image {
         Ok((!found.is_empty()).then(|| listed(&found)))
     }
 
-    /// Gives reserved bits of this file the values that a gauge has: no document says what they do, and a gauge may
-    /// hold others than the manual prints. What the file has in them is left out.
+    /// Gives this file's reserved bits the values of a gauge: no document describes them, and a gauge may differ from
+    /// the manual. The file's values for them are dropped.
     pub fn keep_reserved(&mut self, gauge: &Image) {
         for entry in &mut self.entries {
             let Some(Safe::Keep(mask, why)) = entry.parameter.safe else { continue };
-            // A bit with a name has a meaning that the file asks for: that is refused.
+            // A named bit has a meaning that the file asks for: that is refused.
             let named = entry.parameter.bits.iter().fold(0, |all, bit| all | u32::from(bit.mask));
             let mask = i64::from(mask & !named);
             let there =

@@ -1,31 +1,31 @@
 // SPDX-License-Identifier: MIT
 
-//! What is wrong with a file: not only its first mistake, so that a person need not correct one to see the next.
+//! All mistakes in a file, so that a person need not correct one to see the next.
 
 use super::{Image, at_line};
 use crate::error::{Error, Result};
 
-/// How many mistakes of a file are named. Of more, those of the first lines are, and the others are counted.
+/// Number of mistakes that are shown, those of the first lines; the rest is counted.
 pub const NAMED: usize = 20;
 
-/// The mistakes of a file, in the order of its lines. What is wrong with the file as a whole comes first.
+/// The mistakes in a file, in the order of its lines, after those of the file as a whole.
 #[derive(Debug, Default)]
 pub struct Faults {
     named: Vec<(usize, Error)>,
     count: usize,
 }
 
-/// A file as far as it can be read.
+/// A file as far as it is readable.
 #[derive(Debug)]
 pub struct Reading {
-    /// Without the lines that are wrong; `None` if the others mean nothing without them.
+    /// The image without wrong lines; `None` if the rest is meaningless without them.
     pub image: Option<Image>,
     /// What is wrong with it.
     pub faults: Faults,
 }
 
 impl Faults {
-    /// Adds a mistake of a line, or of the whole file if that is 0.
+    /// Adds a mistake of a line, or of the whole file for line 0.
     pub fn add(&mut self, line: usize, error: Error) {
         self.count += 1;
         let at = self.named.partition_point(|(known, _)| *known <= line);
@@ -40,24 +40,24 @@ impl Faults {
         self.add(line, at_line(line, why));
     }
 
-    /// A mistake without which the rest of the file cannot be read.
+    /// Adds a mistake that prevents reading the rest.
     pub(super) fn stop<T>(&mut self, line: usize, error: Error) -> Option<T> {
         self.add(line, error);
         None
     }
 
-    /// What was found, if nothing is wrong with it.
+    /// The result, or its error as a mistake.
     pub(super) fn keep<T>(&mut self, line: usize, outcome: Result<T>) -> Option<T> {
         outcome.map_err(|error| self.add(line, error)).ok()
     }
 
-    /// Forgets what is wrong after a line, where the file is not read any further.
+    /// Drops mistakes after the line at which reading ended.
     pub(super) fn end_at(&mut self, line: usize) {
         self.named.retain(|(known, _)| *known <= line);
         self.count = self.named.len();
     }
 
-    /// Takes the first mistake for all of them if they are many of one kind. Such a file is of another format.
+    /// Keeps the first mistake if they are many of one kind: such a file has another format.
     pub(super) fn unite(&mut self) {
         const SEVERAL: usize = 5;
         let Some((line, first)) = self.named.first().cloned() else { return };
@@ -72,19 +72,19 @@ impl Faults {
         self.count == 0
     }
 
-    /// Those that are named.
+    /// The shown mistakes.
     pub fn iter(&self) -> impl Iterator<Item = &Error> {
         self.named.iter().map(|(_, error)| error)
     }
 
-    /// How many are not.
+    /// Number of further mistakes.
     pub fn more(&self) -> usize {
         self.count - self.named.len()
     }
 }
 
 impl Reading {
-    /// The image of a file without mistakes, or the first one.
+    /// The image of a faultless file, or its first mistake.
     pub fn whole(self) -> Result<Image> {
         match (self.faults.named.into_iter().next(), self.image) {
             (Some((_, error)), _) => Err(error),
@@ -114,7 +114,7 @@ mod tests {
         assert_eq!((faults.iter().count(), faults.more()), (4, 0));
     }
 
-    /// All that is wrong with a text, for a chip.
+    /// All mistakes in a text, for a chip.
     fn all(chip: &str, text: &str) -> Vec<String> {
         let reading = Image::examine_text(text, Chip::by_name(chip));
         assert_eq!(reading.faults.more(), 0);
@@ -146,7 +146,7 @@ mod tests {
                 "line 10: a bq34z100-G1 has no class nonsense",
             ],
         );
-        // What a line that is wrong would have said of the gauge is nobody's mistake.
+        // A wrong line's facts about the gauge are nobody's mistake.
         let head = "chip = \"bq34z100-g9\"\nfirmware = 70000\n[it-cfg]\n";
         let reading = Image::examine_text(head, None);
         let told: Vec<_> = reading.faults.iter().map(ToString::to_string).collect();
@@ -198,7 +198,7 @@ mod tests {
                 "line 20: not a line of a FlashStream",
             ],
         );
-        // What follows from a line that is wrong is not named as well.
+        // A mistake that follows from a wrong line is not listed as well.
         let sum = "W: AA 3E 08 40 FB 50\nW: AA 60 6D 06\nW: AA 3E 08 40\nC: AA 40 FB 50\n";
         let flat = format!("W: AA 3E 08 40 FB 5\nW: AA 60 6C 06\n{sum}W: AA 3E 08 40 FB\nW: AA 60 BC 05\n");
         assert_all(
@@ -206,7 +206,7 @@ mod tests {
             &flat,
             &["line 1: expected bytes of two", "line 4: checksum 0x6d, but the bytes give 0x6c"],
         );
-        // The half of a key of which the other line cannot be read.
+        // Half of a key, whose other line is not readable.
         assert_all(
             "bq34z100-g1",
             &format!("W: AA 00 14 0\nW: AA 00 72 36\n{good}"),

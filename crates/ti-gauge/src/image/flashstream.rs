@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT
 
-//! An image as FlashStream: what a host sends to a gauge, transfer by transfer.
+//! An image as FlashStream: a host's transfers to a gauge.
 //!
-//! A file is never replayed. It is interpreted as the gauge would interpret it, which yields the parameters that
-//! it would change; anything else that it would do to a gauge is refused, with the line.
+//! A file is never replayed. It is interpreted as the gauge would do it, which yields the parameters that it would
+//! change; anything else that it would do to a gauge is refused, with the line.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -15,9 +15,9 @@ use crate::codec::{self, WINDOW, checksum};
 mod romimage;
 use crate::error::{Cause, Error, Result};
 
-/// The gauge's address as FlashStream has it: shifted left by one.
+/// The gauge's address in FlashStream: shifted left by one.
 pub(crate) const GAUGE: u8 = 0xaa;
-/// The address of a gauge in ROM mode, likewise.
+/// The address of a gauge in ROM mode, shifted left by one.
 pub(crate) const ROM: u8 = 0x16;
 /// Control(ROM_MODE) of every gauge of the family.
 pub(super) const ROM_MODE: u16 = 0x0f00;
@@ -32,8 +32,7 @@ const EXIT_RESIM: u16 = 0x0044;
 const ENTER_CFG_UPDATE: u16 = 0x0090;
 const EXIT_CFG_UPDATE_REINIT: u16 = 0x0091;
 const EXIT_CFG_UPDATE: u16 = 0x0092;
-/// Where those of them whose data memory is RAM keep what it is filled from: one-time programmable memory, at
-/// addresses that are no subcommands.
+/// The source of data memory in RAM on such parts: one-time programmable memory, at addresses that are no subcommands.
 const ONE_TIME: std::ops::RangeInclusive<u16> = 0x4000..=0x4fff;
 /// Control().
 const CONTROL: u8 = 0x00;
@@ -47,16 +46,15 @@ const SUM: u8 = 0x60;
 const LENGTH: u8 = 0x61;
 /// Bytes that MACDataLen() counts in addition to the data.
 const OVERHEAD: u8 = 4;
-/// The comment that names the chip: device type and firmware do not distinguish all chips.
+/// The comment that names the chip, because device type and firmware do not distinguish all chips.
 const CHIP_LINE: &str = "; gaugefs chip";
-/// The comment with the number of commands: the format has no mark at its end.
+/// The comment with the number of commands, because the format has no end mark.
 const COUNT_LINE: &str = "; gaugefs commands";
-/// Bytes of a row after the register: TI's tools write at most 96 after the four that name a row in ROM mode.
+/// Bytes of a row after the register: TI's tools write at most 96 after the row's four in ROM mode.
 const LONGEST: usize = 100;
-/// What bqStudio writes for device type and firmware if it has read them from the wrong register.
+/// bqStudio's value for device type and firmware after reading the wrong register.
 const NOT_READ: u16 = 0xffa5;
 
-/// One line of a FlashStream.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Command {
     Write {
@@ -78,7 +76,7 @@ pub(crate) enum Command {
     Unread,
 }
 
-/// The lines that are commands, with their numbers.
+/// The commands with their line numbers.
 pub(crate) fn commands(text: &str) -> Result<Vec<(usize, Command)>> {
     let mut commands = Vec::new();
     for_each_line(text, |number, command| {
@@ -88,14 +86,14 @@ pub(crate) fn commands(text: &str) -> Result<Vec<(usize, Command)>> {
     Ok(commands)
 }
 
-/// Does something with each line that is no comment.
+/// Visits each line that is no comment.
 fn for_each_line(
     text: &str,
     mut act: impl FnMut(usize, Result<Command, String>) -> Result<()>,
 ) -> Result<()> {
     let text = text.replace("\r\n", "\n").replace('\r', "\n");
     for (number, line) in (1..).zip(text.lines()) {
-        // Tools write comments on lines of their own; people also write them after a command.
+        // Tools write comments on separate lines, people also after a command.
         let line = line.split(';').next().unwrap_or_default().trim();
         if !line.is_empty() {
             act(number, command(line))?;
@@ -104,7 +102,7 @@ fn for_each_line(
     Ok(())
 }
 
-/// Whether the first line of a file shows that it was meant for a player of some kind, although it is no command.
+/// Whether the first line shows that the file was meant as a FlashStream, although it is no command.
 pub(super) fn is_meant(line: &str) -> bool {
     let line = line.split(';').next().unwrap_or_default().trim();
     let after_letter =
@@ -112,7 +110,6 @@ pub(super) fn is_meant(line: &str) -> bool {
     is_record(line) || after_letter.is_some_and(is_hex) || (is_hex(line) && line.len() > 4)
 }
 
-/// Bytes in hexadecimal, with or without anything between them.
 fn is_hex(text: &str) -> bool {
     let words = || text.split_ascii_whitespace().map(|word| word.strip_prefix("0x").unwrap_or(word));
     let is_even =
@@ -120,7 +117,6 @@ fn is_hex(text: &str) -> bool {
     words().next().is_some() && words().all(is_even)
 }
 
-/// A line of an Intel HEX or S-record file.
 fn is_record(line: &str) -> bool {
     let rest = match line.strip_prefix(':') {
         None => line.strip_prefix('S').filter(|rest| rest.starts_with(|digit: char| digit.is_ascii_digit())),
@@ -129,17 +125,17 @@ fn is_record(line: &str) -> bool {
     rest.is_some_and(|rest| rest.len() >= 9 && rest.bytes().all(|digit| digit.is_ascii_hexdigit()))
 }
 
-/// What a file for HDQ lacks, a bus without addresses.
+/// A file for HDQ has no addresses.
 const NO_ADDRESS: &str = "no address before the register, as in a file for HDQ; gaugefs reads files for I2C, in which \
                           the gauge's address is AA, as in W: AA 3E 50 01";
 /// The registers that such a file writes.
 fn is_register(byte: u8) -> bool {
-    // 0x55 is the gauge's address, not shifted.
+    // 0x55 is the gauge's address without the shift.
     matches!(byte, CONTROL | SELECT | 0x3f | DATA..=LENGTH) && byte != 0x55
 }
 
 fn command(line: &str) -> Result<Command, String> {
-    // The line itself is not repeated: it may hold key words.
+    // The line is not repeated: it may contain key words.
     if is_record(line) {
         return Err(format!(
             "a record of an Intel HEX or S-record file, which holds a memory and not what is sent to a gauge; {}",
@@ -207,7 +203,7 @@ pub fn parse(text: &str, told: Option<&'static Chip>) -> Result<Image> {
     Reading { image, faults }.whole()
 }
 
-/// Reads a FlashStream as far as it goes, and lists all its mistakes.
+/// Reads a FlashStream as far as possible, and lists all its mistakes.
 pub(super) fn read(text: &str, told: Option<&'static Chip>, faults: &mut Faults) -> Option<Image> {
     let (mut commands, mut count) = (Vec::new(), 0);
     let read = for_each_line(text, |number, command| {
@@ -247,11 +243,11 @@ pub(super) fn read(text: &str, told: Option<&'static Chip>, faults: &mut Faults)
     let chip = match (chip_like(named.or(told), codes.0, codes.1, is_like), device_type) {
         (Ok(chip), _) => chip,
         (Err(error), Some((number, _))) => {
-            // What else is wrong with a file for another gauge does not matter.
+            // Other mistakes in a file for another gauge do not matter.
             *faults = Faults::default();
             return faults.stop(number, error.within(&format!("line {number}")));
         }
-        // A line that cannot be read may be the one that says so.
+        // An unreadable line may be the one that says so.
         (Err(_), None) if !faults.is_empty() => return None,
         (Err(error), None) => return faults.stop(0, error),
     };
@@ -269,7 +265,7 @@ pub(super) fn read(text: &str, told: Option<&'static Chip>, faults: &mut Faults)
     Some(image)
 }
 
-/// Whether a command sets MACDataLen(), as files for a flat address space do.
+/// Whether a command sets MACDataLen(), as in files for a flat address space.
 fn sets_length(command: &Command) -> bool {
     let Command::Write { address: GAUGE, register, bytes } = command else { return false };
     let at = usize::from(LENGTH).checked_sub((*register).into());
@@ -334,16 +330,16 @@ fn check_addresses(
     Some(())
 }
 
-/// A word that the file expects, and the line that says so.
+/// An expected word, and its line.
 pub(super) type Expected = Option<(usize, u16)>;
 
-/// Device type and firmware that the file expects.
+/// The expected device type and firmware.
 pub(crate) fn identity(commands: &[(usize, Command)]) -> (Expected, Expected) {
     let word = |bytes: &[u8]| u16::from_le_bytes([bytes[0], bytes[1]]);
     let told = |(line, word): (usize, u16)| Some((line, word)).filter(|_| word != NOT_READ);
     let device_type = answer(commands, DEVICE_TYPE).map(|(line, bytes)| (line, word(bytes)));
     match answer(commands, FW_VERSION) {
-        // MACData() returns both at once, the most significant byte first, followed by other data.
+        // MACData() returns both at once, most significant byte first, before other data.
         Some((line, &[a, b, c, d, ..])) => {
             let (kind, version) = (u16::from_be_bytes([a, b]), u16::from_be_bytes([c, d]));
             (told((line, kind)).or(device_type), told((line, version)))
@@ -353,7 +349,7 @@ pub(crate) fn identity(commands: &[(usize, Command)]) -> (Expected, Expected) {
     }
 }
 
-/// What the file expects as the answer to a subcommand, two bytes or more, and the line that says so.
+/// The expected answer to a subcommand, two bytes or more, and its line.
 fn answer(commands: &[(usize, Command)], code: u16) -> Option<(usize, &[u8])> {
     let asks = |command: &Command| match command {
         Command::Write { register: CONTROL | SELECT, bytes, .. } => bytes[..] == code.to_le_bytes(),
@@ -373,7 +369,7 @@ fn answer(commands: &[(usize, Command)], code: u16) -> Option<(usize, &[u8])> {
     }
 }
 
-/// The state of a gauge that a FlashStream acts on: what is selected, the window, and what has been committed.
+/// The state of a gauge under a FlashStream: selection, window, and committed bytes.
 struct Stream {
     chip: &'static Chip,
     class: Option<u8>,
@@ -381,26 +377,26 @@ struct Stream {
     address: Option<u16>,
     window: BTreeMap<u8, u8>,
     sum: u8,
-    /// The line of bytes in the window that are not committed yet.
+    /// The line of uncommitted bytes in the window.
     pending: Option<usize>,
     half_key: bool,
-    /// Whether what is selected, or what is in the window, is not known because a line is wrong.
+    /// A wrong line leaves the selection or the window unknown.
     in_doubt: bool,
     /// Bytes that such lines may have set.
     doubtful: BTreeSet<(u8, u16)>,
-    /// Whether there is a line that cannot be read.
+    /// Some line is unreadable.
     unread: bool,
-    /// What is wrong before the line that is read, and does not keep that from being read.
+    /// A mistake before the current line that does not prevent reading it.
     missed: Option<String>,
-    /// The line that has entered CONFIG UPDATE, until another one leaves it.
+    /// The line that entered CONFIG UPDATE, until another one leaves it.
     update: Option<usize>,
-    /// Data flash by subclass and offset: each byte, and the line that it is from.
+    /// Data flash by subclass and offset: each byte and its line.
     stored: BTreeMap<(u8, u16), (u8, usize)>,
     sums: BTreeMap<(u8, u8), u8>,
-    /// Lines with a sum that covers bytes which the file does not set.
+    /// Lines whose sum covers bytes that the file does not set.
     unchecked: Vec<usize>,
     notes: Vec<String>,
-    /// Lines that an import does not carry out, with the reason, and the group that they belong to.
+    /// Lines that an import does not carry out, with reason and group.
     left_out: Vec<(usize, String, Option<Group>)>,
 }
 
@@ -428,7 +424,7 @@ impl Stream {
         }
     }
 
-    /// Carries out all commands, as a gauge would.
+    /// Carries out all commands as a gauge would.
     fn run(&mut self, commands: &[(usize, Command)], faults: &mut Faults) {
         for (at, (number, command)) in commands.iter().enumerate() {
             let outcome = match command {
@@ -455,7 +451,7 @@ impl Stream {
         if let Some(number) = self.pending {
             faults.at(number, "these bytes are never committed by a checksum");
         }
-        // A line that cannot be read may be the one that leaves it.
+        // An unreadable line may be the one that leaves it.
         if let Some(number) = self.update
             && !self.unread
         {
@@ -516,7 +512,7 @@ impl Stream {
         Ok(())
     }
 
-    /// Whether a word is an address between the first and the last documented byte of a flat data flash.
+    /// Whether a word is an address from the first to the last documented byte of a flat data flash.
     fn is_flash(&self, word: u16) -> bool {
         let flat = || self.chip.subclasses.iter().filter(|subclass| subclass.id == FLAT);
         let first = flat().map(Subclass::start).min();
@@ -524,12 +520,11 @@ impl Stream {
         first.zip(last).is_some_and(|(first, last)| (first..=last).contains(&word))
     }
 
-    /// Whether a word is an address of one-time programmable memory.
     fn is_one_time(&self, word: u16) -> bool {
         self.chip.access.scheme == Scheme::MacUpdate && ONE_TIME.contains(&word)
     }
 
-    /// What is selected next. If all of that is named, a line before it that is wrong does not matter any more.
+    /// Selects anew. A complete selection makes an earlier wrong line harmless.
     fn select(&mut self, all: bool) {
         if let Some(line) = self.pending.take() {
             let why = format!("the bytes of line {line} are not committed before the next block is selected");
@@ -539,13 +534,13 @@ impl Stream {
         self.window.clear();
     }
 
-    /// A line is wrong: what it would have done to what is selected or in the window is not known.
+    /// Notes a wrong line, whose effect on selection and window is unknown.
     fn doubt(&mut self) {
         self.in_doubt = true;
         self.pending = None;
     }
 
-    /// Takes what is committed in doubt for not known.
+    /// Marks a commit in doubt as unknown.
     fn forget(&mut self, selected: Option<(u8, u16)>, length: u16) {
         self.window.clear();
         let Some((subclass, start)) = selected else { return };
@@ -558,7 +553,7 @@ impl Stream {
     /// A word for Control(). Key words are never shown, even in an error.
     fn control(&mut self, line: usize, word: u16, rest: &[u8], next: Option<&Command>) -> Result<(), String> {
         if self.pending.is_none() {
-            // What is read next is its answer.
+            // The next reading is its answer.
             self.address = None;
         }
         if std::mem::take(&mut self.half_key) && rest.is_empty() {
@@ -569,7 +564,7 @@ impl Stream {
             let second = |bytes: &[u8]| bytes.len() == 2;
             let follows = matches!(next, Some(Command::Write { register: CONTROL | SELECT, bytes, .. }) if second(bytes));
             let pair = second(rest) || rest.is_empty() && follows;
-            // The other word may be in a line that cannot be read.
+            // The other word may be in an unreadable line.
             let half = rest.is_empty() && (self.in_doubt || matches!(next, Some(Command::Unread)));
             if half {
                 return Ok(());
@@ -692,7 +687,7 @@ impl Stream {
         checked
     }
 
-    /// A byte as a line commits it. Of two lines the later one counts, as for a gauge.
+    /// Stores a byte that a line commits. The later of two lines counts, as on a gauge.
     fn store(&mut self, subclass: u8, offset: u16, byte: u8, line: usize) {
         let before = self.stored.insert((subclass, offset), (byte, line));
         let Some((_, first)) = before.filter(|(old, first)| *first != line && *old != byte) else { return };
@@ -709,7 +704,7 @@ impl Stream {
         }
     }
 
-    /// A comparison at which a player would stop, because the file itself has written something else.
+    /// A comparison that a player would fail, because the file itself has written something else.
     fn compare(&self, register: u8, bytes: &[u8]) -> Result<(), String> {
         if self.in_doubt {
             return Ok(());
@@ -743,7 +738,7 @@ impl Stream {
         Ok(())
     }
 
-    /// The stored bytes as parameters, and the rest as raw bytes.
+    /// Turns stored bytes into parameters, and the rest into raw bytes.
     fn into_image(mut self, image: &mut Image, faults: &mut Faults) {
         for subclass in self.chip.subclasses {
             for parameter in subclass.parameters {
@@ -791,7 +786,7 @@ impl Stream {
     }
 }
 
-/// Sorts what is of no parameter by the lines that set it.
+/// Sorts bytes outside all parameters by line.
 fn by_line(raw: &mut [Raw]) {
     raw.sort_by_key(|raw| raw.line);
 }
@@ -813,7 +808,7 @@ fn mac_sum(address: u16, bytes: &[u8]) -> u8 {
     checksum(bytes).wrapping_sub(low).wrapping_sub(high)
 }
 
-/// The image as text. `raw` returns all bytes of a subclass: undocumented bytes are written as they are.
+/// The image as text. `raw` returns a subclass's bytes: undocumented bytes are written as they are.
 pub fn write(image: &Image, raw: impl Fn(u8) -> Result<Vec<u8>>) -> Result<String> {
     let chip = image.chip;
     let access = &chip.access;
@@ -884,8 +879,8 @@ pub fn write(image: &Image, raw: impl Fn(u8) -> Result<Vec<u8>>) -> Result<Strin
     ))
 }
 
-/// The subcommand that begins CONFIG UPDATE, and those that end it, the first of which is written; `None` for a part
-/// with flash.
+/// The subcommand that begins CONFIG UPDATE, and those that end it, the first for writing; `None` for a part with
+/// flash.
 fn config_update(scheme: Scheme) -> Option<(u16, &'static [u16])> {
     match scheme {
         Scheme::Block | Scheme::Mac | Scheme::None => None,
@@ -899,8 +894,7 @@ fn row(letter: char, register: u8, bytes: &[u8]) -> String {
     format!("{letter}: {GAUGE:02X} {register:02X}{bytes}\n")
 }
 
-/// The parameters of a flat data flash, adjacent ones joined into runs of at most a window. Unproven ones are left
-/// out.
+/// Parameters of a flat data flash, joined where adjacent into runs of at most a window, without unproven ones.
 fn runs(image: &Image) -> Result<Vec<(u16, Vec<u8>)>> {
     let mut entries: Vec<_> =
         image.entries.iter().filter(|entry| is_written(entry, Format::FlashStream)).collect();

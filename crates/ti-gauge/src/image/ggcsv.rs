@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT
 
-//! An image as bqStudio's gg.csv: header lines that begin with `*`, the last of which names the columns, then
-//! one line for each parameter.
+//! An image as bqStudio's gg.csv: header lines with `*`, with the columns' names in the last one, then a line per
+//! parameter.
 
 mod rows;
 mod spreadsheet;
@@ -35,22 +35,20 @@ const COLUMNS: [&str; 18] = [
     "Native Units",
     "Data Flash Raw Value",
 ];
-/// Where a flat address space begins, from which bqStudio counts its offsets.
+/// Start of a flat address space; bqStudio counts offsets from here.
 const FLAT_BASE: u16 = 0x4000;
-/// The header line that names the columns.
 const ORDER_LINE: &str = "Field Order:";
-/// The columns that every file has.
 const NEEDED: [&str; 4] = ["class-name", "subclass-name", "parameter-name", "parameter-value"];
-/// The header line that names the chip: bqStudio's own lines do not distinguish all chips.
+/// The header line with the chip, because bqStudio's own lines do not distinguish all chips.
 const CHIP_LINE: &str = "gaugefs chip";
-/// The header line with the number of rows: the format has no mark at its end.
+/// The header line with the number of rows, because the format has no end mark.
 const COUNT_LINE: &str = "gaugefs parameters";
 
 /// The image as text.
 pub fn write(image: &Image) -> String {
     let rows: Vec<[String; 18]> =
         image.entries.iter().map(|entry| row(entry.subclass, entry.parameter, &entry.value)).collect();
-    // Not every reader knows quotes: if a value contains a comma, the columns are separated by tabs.
+    // Not every reader knows quotes: if a value contains a comma, tabs separate the columns.
     let tabs = rows.iter().flatten().any(|field| field.contains(','));
     let (comma, gap) = if tabs { ("\t", "\t") } else { (",", ", ") };
     let chip = image.chip;
@@ -82,7 +80,7 @@ fn row(subclass: &Subclass, parameter: &Parameter, value: &Value) -> [String; 18
         Type::S(_) => ("S", "s".to_string()),
     };
     let (default, min, max) = match &parameter.range {
-        // An image does not have the DM_CODE.
+        // An image lacks the DM_CODE.
         Range::Int { .. } if parameter.unprinted => (parameter.int_default(None).map(Value::Int), None, None),
         Range::Int { min, max, .. } => {
             (parameter.int_default(None).map(Value::Int), Some(Value::Int(*min)), Some(Value::Int(*max)))
@@ -117,27 +115,26 @@ fn row(subclass: &Subclass, parameter: &Parameter, value: &Value) -> [String; 18
     ]
 }
 
-/// Reads an image. Parameters that the table does not have are left out with a note, and so are keys: bqStudio
-/// and the manual do not always use the same names.
+/// Reads an image. Unknown parameters and keys are left out with a note: bqStudio and the manual do not always use the
+/// same names.
 pub fn parse(text: &str, told: Option<&'static Chip>) -> Result<Image> {
     let mut faults = Faults::default();
     let image = read(text, told, &mut faults);
     Reading { image, faults }.whole()
 }
 
-/// What the header lines say.
+/// The facts in the header lines.
 #[derive(Default)]
 struct Header {
     named: Option<&'static Chip>,
     device_type: Option<u16>,
     firmware: Option<u16>,
     count: Option<usize>,
-    /// Names of the columns.
     order: Option<Vec<String>>,
 }
 
 impl Header {
-    /// Takes a header line without its `*`; an error is one after which nothing can be read.
+    /// Takes a header line without its `*`. An error prevents reading the rest.
     fn take(
         &mut self,
         head: &str,
@@ -185,7 +182,7 @@ impl Header {
     }
 }
 
-/// Reads a gg.csv as far as it goes, and lists all its mistakes.
+/// Reads a gg.csv as far as possible, and lists all its mistakes.
 pub(super) fn read(text: &str, told: Option<&'static Chip>, faults: &mut Faults) -> Option<Image> {
     let mut header = Header::default();
     let mut rows = Vec::new();
@@ -218,7 +215,7 @@ pub(super) fn read(text: &str, told: Option<&'static Chip>, faults: &mut Faults)
         return faults.stop(1, at_line(1, why));
     }
     let chip = chip_of(named.or(told), device_type, firmware);
-    // What is wrong with a line that names it is said already.
+    // A mistake in the line that names it is listed already.
     let chip = if faults.is_empty() { faults.keep(0, chip) } else { chip.ok() }?;
     let Some(order) = order else {
         let why = format!("no line `* {ORDER_LINE}`, which names the columns");
@@ -238,7 +235,7 @@ pub(super) fn read(text: &str, told: Option<&'static Chip>, faults: &mut Faults)
     Some(image)
 }
 
-/// Adds the parameters of all rows, and says of unknown ones what was probably meant.
+/// Adds the parameters of all rows, and suggests names for unknown ones.
 fn add_rows(image: &mut Image, order: &[String], rows: Vec<(usize, Vec<String>)>, faults: &mut Faults) {
     let mut unknown = Vec::new();
     for (number, fields) in rows {
@@ -258,7 +255,7 @@ fn add_rows(image: &mut Image, order: &[String], rows: Vec<(usize, Vec<String>)>
             Err(error) => faults.add(number, error),
         }
     }
-    // A parameter that has its own row is not meant by another one.
+    // A parameter with its own row is not meant by another one.
     let meant = |(at, name): (usize, String)| {
         let (subclass, parameter) = image.chip.nearest(&name)?;
         let is_it = |entry: &Entry| std::ptr::eq(entry.parameter, parameter);
@@ -270,7 +267,7 @@ fn add_rows(image: &mut Image, order: &[String], rows: Vec<(usize, Vec<String>)>
     }
 }
 
-/// Adds the parameter of a row. Returns what is no parameter, as class and name.
+/// Adds a row's parameter. Returns class and name if there is no such parameter.
 fn add_row<'a>(
     image: &mut Image,
     number: usize,
@@ -334,7 +331,7 @@ fn add_row<'a>(
     Ok(None)
 }
 
-/// The number of a row, with how it is shown: format, decimals and unit.
+/// A row's number and its notation: format, decimals and unit.
 fn numeric(
     parameter: &Parameter,
     shown: &str,
@@ -369,7 +366,7 @@ fn numeric(
     Ok(value)
 }
 
-/// The text of a number as [`notation::parse_stored`] takes it, or why there is none, if that is not its format.
+/// A number's text for [`notation::parse_stored`], or why it does not match its format.
 fn plain_number(kind: Type, shown: &str, format: &str, decimals: usize) -> Result<String, Option<String>> {
     if let Some(why) = spreadsheet::trace(shown) {
         return Err(Some(why.into()));
@@ -388,8 +385,8 @@ fn plain_number(kind: Type, shown: &str, format: &str, decimals: usize) -> Resul
     }
 }
 
-/// A string as it was written: by the bytes of the row where these are what is shown, otherwise by what is shown, which
-/// somebody has edited. A spreadsheet has not edited it.
+/// A string as it was written: from the row's bytes if they match the shown text, otherwise the text, which somebody
+/// has edited. A spreadsheet has not edited it.
 fn string(parameter: &Parameter, shown: &str, raw: Option<Value>) -> Result<Value> {
     let bad = |why: &'static str| Err(Error::new(parameter.name, Cause::Invalid, why));
     if let Some(Value::Text(stored)) = raw {
@@ -417,11 +414,11 @@ fn decimals(format: &str) -> usize {
     format.split_once('.').map_or(0, |(_, after)| after.len())
 }
 
-/// The number of decimals with which a file without formats shows a value, by its unit; `None` where it shows
-/// another quantity than the stored one, such as a resistance for a gain.
+/// Decimals of a value in a file without formats, by its unit; `None` if it shows another quantity than the stored one,
+/// such as a resistance for a gain.
 fn short_form(parameter: &Parameter, unit: &str) -> Option<usize> {
     let plain = |unit: &str| unit.to_lowercase().replace([' ', '\u{fffd}'], "").replace('°', "deg");
-    // A cell's voltage is one, with or without the word.
+    // A cell's voltage may lack the words.
     let plain = |unit: &str| plain(unit).replace("percell", "/cell").trim_end_matches("/cell").to_string();
     let (shown, stored) = (plain(unit), plain(parameter.unit));
     let none = |unit: &str| matches!(unit, "" | "-" | "num" | "number" | "counts" | "hex" | "flg" | "flags");
@@ -433,7 +430,7 @@ fn short_form(parameter: &Parameter, unit: &str) -> Option<usize> {
     }
 }
 
-/// A number shown with this many decimals, as the whole number that is stored.
+/// A number with this many decimals as the stored whole number.
 fn unscaled(shown: &str, decimals: usize) -> Option<String> {
     if decimals == 0 {
         return Some(shown.to_string());

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! Reads a file of any format, which its first line shows.
+//! Reads a file of any format, recognised by its first line.
 
 use std::borrow::Cow;
 use std::path::Path;
@@ -13,7 +13,7 @@ use crate::chip::Chip;
 use crate::error::{Cause, Error, Result};
 
 impl Image {
-    /// Reads a regular file of any format. `chip` is the chip that it is for, if the file does not name one.
+    /// Reads a regular file of any format. `chip` is for files that name none.
     pub fn open(path: &Path, chip: Option<&'static Chip>) -> Result<Self> {
         let name = path.display().to_string();
         let bytes =
@@ -26,7 +26,7 @@ impl Image {
         Self::examine(name, bytes, chip).whole().map_err(|error| error.within(name))
     }
 
-    /// Reads the bytes of a file with that name as far as that is possible, and finds all that is wrong with it.
+    /// Reads the bytes of a file as far as possible, and lists all mistakes.
     pub fn examine(name: &str, bytes: &[u8], chip: Option<&'static Chip>) -> Reading {
         let is_dfi =
             Path::new(name).extension().is_some_and(|extension| extension.eq_ignore_ascii_case("dfi"));
@@ -42,13 +42,12 @@ impl Image {
         Self::examine_text(&decoded(bytes), chip)
     }
 
-    /// Reads the text of a file. Its first line shows which format it has. A file without any parameter is refused,
-    /// and so is one that has a parameter twice.
+    /// Reads a file's text. A file without parameters is refused, and so is one that sets a parameter twice.
     pub fn parse(text: &str, chip: Option<&'static Chip>) -> Result<Self> {
         Self::examine_text(text, chip).whole()
     }
 
-    /// Reads the text of a file as far as it goes, and lists all its mistakes.
+    /// Reads a file's text as far as possible, and lists all its mistakes.
     pub fn examine_text(text: &str, chip: Option<&'static Chip>) -> Reading {
         let mut faults = Faults::default();
         let image = Self::found(text, chip, &mut faults);
@@ -92,7 +91,7 @@ impl Image {
     }
 }
 
-/// The text of a file. Tools use other encodings in comments and units, which are not needed here; a spreadsheet also saves
+/// The text of a file. Tools use other encodings in comments and units, which do not matter; spreadsheets also save
 /// UTF-16.
 fn decoded(bytes: &[u8]) -> Cow<'_, str> {
     let units = |word: fn([u8; 2]) -> u16| -> Vec<u16> {
@@ -105,7 +104,7 @@ fn decoded(bytes: &[u8]) -> Cow<'_, str> {
     }
 }
 
-/// Whether these bytes are no text in any encoding that tools write, as those of a .dfi. UTF-16 begins with a mark.
+/// Whether these bytes are no text in any tool's encoding, as in a .dfi. UTF-16 begins with a mark.
 fn is_binary(bytes: &[u8]) -> bool {
     let is_utf16 = bytes.starts_with(&[0xff, 0xfe]) || bytes.starts_with(&[0xfe, 0xff]);
     !is_utf16 && bytes.contains(&0)

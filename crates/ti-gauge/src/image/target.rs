@@ -1,12 +1,11 @@
 // SPDX-License-Identifier: MIT
 
-//! Which chip a file is for.
+//! Finds the chip of a file.
 
 use crate::chip::{CHIPS, Chip, SIBLINGS};
 use crate::error::{Cause, Error, Result};
 
-/// The chip that a file is for, by the device type and firmware in it and by the chip that is `told`. A
-/// contradiction is an error.
+/// A file's chip, by its device type and firmware and by the chip `told`. A contradiction is an error.
 pub(super) fn chip_of(
     told: Option<&'static Chip>,
     device_type: Option<u16>,
@@ -15,7 +14,7 @@ pub(super) fn chip_of(
     chip_like(told, device_type, firmware, |_| true)
 }
 
-/// The same, of the chips that the file may be for by its form.
+/// The same among the chips that the file's form allows.
 pub(super) fn chip_like(
     told: Option<&'static Chip>,
     device_type: Option<u16>,
@@ -75,7 +74,7 @@ pub(super) fn chip_like(
     }
 }
 
-/// The chips and the firmware that their tables are for: `bq34z100-G1 with firmware 0x0016 and a bq34z100-R2 ...`.
+/// The chips and their tables' firmware: `bq34z100-G1 with firmware 0x0016 and a bq34z100-R2 ...`.
 pub(super) fn versions(chips: &[&Chip]) -> String {
     let version = |chip: &&Chip| match chip.identity.firmware {
         [] => chip.model.to_string(),
@@ -87,7 +86,7 @@ pub(super) fn versions(chips: &[&Chip]) -> String {
     chips.iter().map(version).collect::<Vec<_>>().join(" and a ")
 }
 
-/// What to use in place of a file that cannot be read, for the chip that it is for, if that is known.
+/// What to use instead of an unreadable file, for its chip if known.
 pub(super) fn instead(chip: Option<&Chip>) -> String {
     match chip {
         Some(chip) if chip.subclasses.is_empty() => {

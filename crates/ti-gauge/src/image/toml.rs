@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! An image as TOML: a table for each class and a key for each parameter, named as in `df/by-name`.
+//! An image as TOML: a table per class and a key per parameter, named as in `df/by-name`.
 
 use std::borrow::Cow;
 use std::collections::BTreeSet;
@@ -34,7 +34,7 @@ pub fn write(image: &Image) -> String {
             let (parameter, shown) = (entry.parameter, entry.shown());
             let shown = match (parameter.kind, &entry.value) {
                 (_, Value::Text(string)) => quoted(string),
-                // A float may have more digits than a TOML integer may.
+                // A float may have more digits than a TOML integer.
                 (Type::F4, _) if !shown.contains('.') => shown + ".0",
                 _ => shown,
             };
@@ -51,7 +51,7 @@ pub fn write(image: &Image) -> String {
     text
 }
 
-/// A string of any bytes: each is the character of its number.
+/// A string of any bytes, each as the character with its number.
 fn quoted(string: &[u8]) -> String {
     let letters = string.iter().map(|&byte| match byte {
         b'"' | b'\\' => format!("\\{}", char::from(byte)),
@@ -61,24 +61,23 @@ fn quoted(string: &[u8]) -> String {
     format!("\"{}\"", letters.collect::<String>())
 }
 
-/// Whether a text that is not TOML was meant to be: it has a table, a comment or a chip.
+/// Whether a broken text was meant as TOML: it has a table, a comment or a chip.
 fn is_meant(text: &str) -> bool {
     let begins = |line: &str| line.starts_with(['[', '#']) || line.starts_with("chip");
     text.lines().map(str::trim_start).any(begins)
 }
 
-/// Reads an image. A table or key that the chip does not have is an error, and so is a value of the wrong
-/// type.
+/// Reads an image. Unknown tables and keys, and values of the wrong type, are errors.
 pub fn parse(text: &str, told: Option<&'static Chip>) -> Result<Image> {
     let mut faults = Faults::default();
     let image = read(text, told, &mut faults);
     Reading { image, faults }.whole()
 }
 
-/// The longest text of which more than the first mistake in its grammar is looked for: there may be one for each letter.
+/// In a longer text only the first syntax error is reported; there could be one per character.
 const LONGEST: usize = 256 << 10;
 
-/// Reads a TOML as far as it goes, and lists all its mistakes.
+/// Reads a TOML as far as possible, and lists all its mistakes.
 pub(super) fn read(text: &str, told: Option<&'static Chip>, faults: &mut Faults) -> Option<Image> {
     let ends: Vec<usize> = text.match_indices('\n').map(|(at, _)| at).collect();
     let line = |at: usize| 1 + ends.partition_point(|end| *end < at);
@@ -96,7 +95,7 @@ pub(super) fn read(text: &str, told: Option<&'static Chip>, faults: &mut Faults)
     }
     let start = |error: &toml::de::Error| error.span().map_or(0, |span| span.start);
     errors.sort_by_key(start);
-    // One mistake may be several to the grammar.
+    // The grammar may see one mistake as several.
     errors.dedup_by_key(|error| line(start(error)));
     for (at, error) in errors.iter().enumerate() {
         let number = line(start(error));
@@ -104,7 +103,7 @@ pub(super) fn read(text: &str, told: Option<&'static Chip>, faults: &mut Faults)
         let twice = if at < NAMED { duplicate(text, number) } else { None };
         faults.add(number, twice.unwrap_or_else(|| at_line(number, format!("not TOML: {why}"))));
     }
-    // Where a line is not TOML, its key may have any value.
+    // A line that is not TOML may give its key any value.
     let broken: BTreeSet<usize> = errors.iter().map(|error| line(start(error))).collect();
     let mut file = File { faults, broken, line: &line, count: 0, unknown: 0 };
     let (mut named, mut device_type, mut firmware, mut count) = (None, None, None, None);
@@ -140,14 +139,14 @@ pub(super) fn read(text: &str, told: Option<&'static Chip>, faults: &mut Faults)
         return file.faults.stop(0, Error::new("", Cause::Invalid, why));
     }
     let chip = chip_of(named.or(told), device_type, firmware);
-    // What is wrong with a line that names it is said already.
+    // A mistake in the line that names it is listed already.
     let chip = if file.faults.is_empty() { file.faults.keep(0, chip) } else { chip.ok() }?;
     let mut image = Image::new(chip, firmware);
     image.names_chip = named.is_some() || device_type.is_some();
     for (key, table) in tables {
         file.add_table(&mut image, key, table);
     }
-    // A line that is not TOML may hold a parameter or none.
+    // A broken line may or may not contain a parameter.
     if file.broken.is_empty() {
         let counted = check_count(text, count, file.count, "parameters (`parameters = `)");
         file.faults.keep(0, counted);
@@ -155,7 +154,7 @@ pub(super) fn read(text: &str, told: Option<&'static Chip>, faults: &mut Faults)
     Some(image)
 }
 
-/// The error about a table or key in that line, if an earlier line has the same one.
+/// The error for a table or key that an earlier line has too.
 fn duplicate(text: &str, number: usize) -> Option<Error> {
     let name = |line: &str| line.split(['=', '#']).next().unwrap_or_default().trim().to_string();
     let lines: Vec<String> = text.lines().take(number).map(name).collect();
@@ -167,19 +166,18 @@ fn duplicate(text: &str, number: usize) -> Option<Error> {
     Some(twice(this, first + 1, number))
 }
 
-/// A name with its place in the text.
+/// A name and its place in the text.
 type Key<'a> = Spanned<Cow<'a, str>>;
 
-/// A file that is being read.
 struct File<'a> {
     faults: &'a mut Faults,
-    /// Lines that are not TOML.
+    /// Broken lines.
     broken: BTreeSet<usize>,
     /// The line of a place in the text.
     line: &'a dyn Fn(usize) -> usize,
-    /// Keys in its tables.
+    /// Number of keys in tables.
     count: usize,
-    /// Those that are no parameters.
+    /// Number of unknown keys.
     unknown: usize,
 }
 
@@ -221,7 +219,7 @@ impl File<'_> {
                 // A file may have very many.
                 self.unknown += 1;
                 let nearest = if self.unknown <= NAMED { chip.nearest(&whole) } else { None };
-                // Whether it is a parameter of a class that is only guessed is not known.
+                // A guessed class leaves open whether this is its parameter.
                 if found.is_none() && !nearest.is_some_and(|(of, _)| std::ptr::eq(of, subclass)) {
                     continue;
                 }

@@ -6,8 +6,8 @@ use super::{Format, Image, flashstream, ggcsv, is_written, listed, toml};
 use crate::error::Result;
 
 impl Image {
-    /// The image in a format. A FlashStream also needs the bytes between parameters: `stored` returns a whole
-    /// subclass, by id.
+    /// The image in a format. A FlashStream also needs the bytes between parameters: `stored` returns a whole subclass,
+    /// by id.
     pub fn write(&self, format: Format, stored: impl Fn(u8) -> Result<Vec<u8>>) -> Result<String> {
         match format {
             Format::Toml => Ok(toml::write(self)),
@@ -16,7 +16,7 @@ impl Image {
         }
     }
 
-    /// What a file of this image in a format lacks, beside keys and bytes between parameters: a line each.
+    /// What a file in this format lacks, besides keys and bytes between parameters: a line each.
     pub fn omitted(&self, format: Format) -> Vec<String> {
         let (chemistry, others): (Vec<_>, Vec<_>) = self
             .chip

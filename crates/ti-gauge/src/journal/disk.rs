@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! The calls of a file system that a journal needs, one method each, so that tests can lose what was not synced.
+//! File system calls of a journal, one method each, so that tests can lose what was not synced.
 
 use std::fmt::Debug;
 use std::fs::{self, DirBuilder};
@@ -15,24 +15,24 @@ use rustix::process::geteuid;
 
 /// Attempts to lock a file.
 const LOCKS: u32 = 100;
-/// Longer than any journal, backup or record of gaugefs.
+/// Larger than any journal, backup or record of gaugefs.
 const LONGEST: u64 = 256 << 20;
 
 /// A file system.
 pub trait Disk: Debug + Send + Sync {
-    /// Creates a folder in one that is there.
+    /// Creates a folder in an existing one.
     fn create_folder(&self, folder: &Path) -> io::Result<()>;
     /// Whether there is a file or folder of that name.
     fn exists(&self, path: &Path) -> bool;
     /// The content of a file.
     fn read(&self, path: &Path) -> io::Result<String>;
-    /// Creates an empty file, or empties it, to write to.
+    /// Creates or empties a file for writing.
     fn create(&self, path: &Path) -> io::Result<Box<dyn File>>;
     /// Opens a file to append to.
     fn open(&self, path: &Path) -> io::Result<Box<dyn File>>;
-    /// Renames a file, in place of one that has the new name already.
+    /// Renames a file, replacing an existing one.
     fn rename(&self, from: &Path, to: &Path) -> io::Result<()>;
-    /// Renames a file. If there is one of the new name, nothing happens, and the error says so.
+    /// Renames a file, or fails without a change if the new name exists.
     fn rename_new(&self, from: &Path, to: &Path) -> io::Result<()> {
         if self.exists(to) { Err(ErrorKind::AlreadyExists.into()) } else { self.rename(from, to) }
     }
@@ -42,47 +42,46 @@ pub trait Disk: Debug + Send + Sync {
     fn is_locked(&self, _path: &Path) -> io::Result<bool> {
         Ok(false)
     }
-    /// Makes sure that a file or folder belongs to this account, to root or to a trusted one, and that nobody else may
+    /// Checks that a file or folder belongs to this account, to root or to a trusted one, and that nobody else may
     /// write to it.
     fn check(&self, _path: &Path, _trusted: Option<u32>) -> io::Result<()> {
         Ok(())
     }
     /// Removes a file.
     fn remove(&self, path: &Path) -> io::Result<()>;
-    /// Returns once the names in a folder are on disk.
+    /// Returns once the folder's names are on disk.
     fn sync(&self, folder: &Path) -> io::Result<()>;
 }
 
 /// An open file.
 pub trait File: Debug + Send {
-    /// Writes at its end.
+    /// Writes at the end.
     fn append(&mut self, bytes: &[u8]) -> io::Result<()>;
-    /// Makes sure that it can grow to a length, as far as the file system supports that.
+    /// Reserves room for a length, if the file system can.
     fn reserve(&mut self, length: u64) -> io::Result<()>;
-    /// Returns once its content is on disk.
+    /// Returns once the content is on disk.
     fn sync(&mut self) -> io::Result<()>;
     /// Removes what is beyond a length. Not every disk can do that.
     fn truncate(&mut self, _: u64) -> io::Result<()> {
         Err(ErrorKind::Unsupported.into())
     }
 
-    /// Locks it until it is closed. `false` if another process has it, or has removed it.
+    /// Locks it until it is closed. `false` if another process has locked or removed it.
     fn lock(&mut self) -> io::Result<bool> {
         Ok(true)
     }
 }
 
-/// How a file is stored.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum How {
-    /// In place of one of that name.
+    /// In place of an existing file.
     Plain,
-    /// Locked, with room for more bytes to append, and with `is_new` only if there is none of that name.
+    /// Locked, with room to append; with `is_new` only if there is no such file.
     Journal { is_new: bool, room: usize },
 }
 
-/// Stores a file as a whole: it gets its name when its content is on disk. On return all of it is on disk, the folders
-/// above it included.
+/// Stores a file as a whole: it gets its name when its content is on disk. On return everything is on disk, with the
+/// folders above it.
 pub(super) fn store(
     disk: &dyn Disk,
     path: &Path,
@@ -127,8 +126,8 @@ fn create_folder(disk: &dyn Disk, folder: &Path) -> io::Result<()> {
     disk.sync(above)
 }
 
-/// Stores a file as a whole on the host's disk, by way of a temporary name in the same folder. On return it is on
-/// disk. Only its owner can read it; if root writes it, that is the owner of the folder.
+/// Stores a file as a whole on the host's disk, through a temporary name in the same folder. On return it is on disk.
+/// Only its owner can read it; root's files belong to the folder's owner.
 pub fn save(path: &Path, temporary: &Path, text: &str) -> io::Result<()> {
     save_on(&Host, path, temporary, text)
 }
@@ -160,7 +159,7 @@ impl Disk for Host {
         let mut options = fs::File::options();
         options.write(true).create(true).truncate(true).mode(0o600);
         let file = regular::open(&options, path)?;
-        // If the folder belongs to a service, that service must be able to settle what root leaves there.
+        // A service must be able to settle what root leaves in its folder.
         if geteuid().is_root()
             && let Some(folder) = path.parent()
         {

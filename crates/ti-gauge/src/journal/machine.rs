@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! The machine that a journal was written on. Several may keep their journals in one folder.
+//! The machine that wrote a journal. Several may keep their journals in one folder.
 
 use std::fmt;
 use std::path::Path;
@@ -11,10 +11,10 @@ use sha1::{Digest as _, Sha1};
 
 use crate::text::hex;
 
-/// In place of what is not known.
+/// In place of an unknown value.
 const UNKNOWN: &str = "-";
 
-/// A host, by its name, by what identifies it, and by its last start. None of them is secret.
+/// A host: its name, its identifier, and its last start. None of them is secret.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Machine {
     name: String,
@@ -30,14 +30,14 @@ impl fmt::Display for Machine {
 }
 
 impl Machine {
-    /// The one that this process runs on.
+    /// This process's machine.
     pub fn this() -> &'static Self {
         static THIS: OnceLock<Machine> = OnceLock::new();
         THIS.get_or_init(|| {
             let text = |path| regular::read_text(Path::new(path), regular::SYSTEM).ok();
             let read = |path| text(path).as_deref().map(str::trim).map(word);
             let or_unknown = |text: Option<String>| text.unwrap_or_else(|| UNKNOWN.into());
-            // machine-id(5) asks programs not to give it away.
+            // machine-id(5) asks programs not to disclose it.
             let hashed = |text: String| hex(&Sha1::digest(format!("gaugefs {text}")))[..16].to_string();
             Self {
                 name: or_unknown(read("/proc/sys/kernel/hostname")),
@@ -47,30 +47,30 @@ impl Machine {
         })
     }
 
-    /// A machine that is known by its name only.
+    /// A machine known by name only.
     pub(crate) fn named(name: &str) -> Self {
         let name = word(name);
         Self { id: name.clone(), boot: name.clone(), name }
     }
 
-    /// What it is known by; `-` if it has nothing of that kind.
+    /// Its identifier; `-` without one.
     pub fn id(&self) -> &str {
         &self.id
     }
 
-    /// What its last start is known by, which its containers share.
+    /// Identifier of its last start, which its containers share.
     pub fn boot(&self) -> &str {
         &self.boot
     }
 
-    /// Whether it is the same one. Containers of one host differ in the first two, and share its start.
+    /// Whether it is the same machine. Containers of a host differ in the first two, and share its start.
     pub fn is(&self, other: &Self) -> bool {
         let same = |one: &str, other: &str| one != UNKNOWN && one == other;
         let nameless = self.id == UNKNOWN && other.id == UNKNOWN;
         same(&self.boot, &other.boot) || same(&self.id, &other.id) || nameless && self.name == other.name
     }
 
-    /// The machine of such a line.
+    /// The machine in such a line.
     pub fn parse(line: &str) -> Option<Self> {
         let mut words = line.strip_prefix("host ")?.split(' ').map(word);
         let machine = Self { name: words.next()?, id: words.next()?, boot: words.next()? };

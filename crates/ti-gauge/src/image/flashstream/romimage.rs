@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! An image for ROM mode, `.df.fs` or `.bq.fs`, as the parameters in it.
+//! An image for ROM mode, `.df.fs` or `.bq.fs`, as its parameters.
 //!
 //! TI's tools export one for parts such as the bq34z100-G1. Its commands erase flash and write it row by row, past the
 //! gauge's firmware; interrupted, they leave a gauge that answers at another address only. So the file is interpreted
@@ -15,35 +15,31 @@ use crate::image::{Faults, Group, Image, LeftOut, Raw, at_line, cut_short};
 use crate::notation;
 use crate::value::{Type, Value};
 
-/// Bytes of a row of data flash.
 const ROW: usize = 32;
-/// Rows of data flash.
 const ROWS: usize = 32;
-/// The rows of instruction flash that hold the vectors and the firmware's version. A file for data flash only erases
-/// them first and writes them back at its end, so that an interrupted gauge stays in ROM mode.
+/// Rows of instruction flash with the vectors and the firmware's version. A file for data flash only erases them first
+/// and writes them back at its end, so that an interrupted gauge stays in ROM mode.
 const BOOT_ROWS: usize = 2;
-/// Bytes of a command that writes a row of instruction flash.
+/// Bytes of a command for a row of instruction flash.
 const INSTRUCTION_ROW: usize = 100;
-/// The index of the firmware's version in the command that writes row 0 of instruction flash, the low byte first.
+/// Index of the firmware's version in the command for row 0 of instruction flash, low byte first.
 const VERSION: usize = 52;
-/// Where a command is written.
+/// Register for a command.
 const COMMAND: u8 = 0x00;
-/// Where four bytes, or two, of an answer are read.
+/// Register for an answer of four or two bytes.
 const ANSWER: u8 = 0x04;
-/// Where the sum of a command's bytes is written, which executes it.
+/// Register for the sum of a command's bytes, which executes it.
 const EXECUTE: u8 = 0x64;
-/// Where the outcome is read.
+/// Register for the outcome.
 const STATUS: u8 = 0x66;
 /// Control().
 const CONTROL: u8 = 0x00;
-/// The command that writes a row of data flash.
 const DATA_ROW: u8 = 0x0a;
-/// What the commands that erase need.
+/// Data of the erase commands.
 const ERASE: [u8; 5] = [0x00, 0x00, 0x00, 0x83, 0xde];
-/// Lifetime data: the history of the pack that the image was made from.
+/// Lifetime data: the history of the image's original pack.
 const LIFETIME: [u8; 2] = [59, 60];
 
-/// Whether these commands write data flash in ROM mode.
 pub(super) fn is_one(commands: &[(usize, Command)]) -> bool {
     let writes = |command: &Command| match command {
         Command::Write { address: ROM, register: COMMAND, bytes } => bytes[0] == DATA_ROW,
@@ -52,7 +48,7 @@ pub(super) fn is_one(commands: &[(usize, Command)]) -> bool {
     commands.iter().any(|(_, command)| writes(command))
 }
 
-/// Reads the data flash of an image. `told` is the chip that it is for, if the user says so.
+/// Reads an image's data flash. `told` is its chip if the user names it.
 pub(super) fn read(
     commands: &[(usize, Command)],
     told: Option<&'static Chip>,
@@ -64,7 +60,7 @@ pub(super) fn read(
         faults.at(*line, why);
         rom.doubt();
     }
-    // What a whole file has besides may follow from a line that is wrong.
+    // Missing parts of a whole file may follow from a wrong line.
     if !faults.is_empty() {
         return None;
     }
@@ -91,14 +87,14 @@ fn content(rom: Rom, commands: &[(usize, Command)], told: Option<&'static Chip>)
     Ok(image)
 }
 
-/// What is known of a file while it is read: a gauge in ROM mode.
+/// A gauge in ROM mode, while its file is read.
 #[derive(Default)]
 struct Rom {
-    /// The bytes of the command that is not executed yet, and its line.
+    /// The bytes of a command before its execution, and its line.
     buffer: Vec<u8>,
-    /// The last command that was executed.
+    /// The last executed command.
     last: Vec<u8>,
-    /// The last line of a command that was not executed.
+    /// The last line of an unexecuted command.
     pending: Option<usize>,
     rows: Vec<(usize, [u8; ROW])>,
     is_erased: bool,
@@ -109,9 +105,9 @@ struct Rom {
     whole_firmware: Option<usize>,
     unchecked: usize,
     keys: Option<usize>,
-    /// Whether the command that is not executed yet is not known because a line is wrong.
+    /// A wrong line leaves the unexecuted command unknown.
     in_doubt: bool,
-    /// Whether rows may be missing, or have other bytes than are meant, for that reason.
+    /// For that reason, rows may be missing or wrong.
     is_partial: bool,
 }
 
@@ -149,14 +145,14 @@ impl Rom {
         }
     }
 
-    /// A line is wrong: the command that it is a part of is not known.
+    /// Notes a wrong line: the command around it is unknown.
     fn doubt(&mut self) {
         self.buffer.clear();
         self.pending = None;
         (self.in_doubt, self.is_partial) = (true, true);
     }
 
-    /// Hosts with small buffers write a command in several pieces.
+    /// Hosts with small buffers write a command in pieces.
     fn fill(&mut self, line: usize, register: u8, bytes: &[u8]) -> Result<(), String> {
         if register == COMMAND {
             if let Some(line) = self.pending {
@@ -233,7 +229,7 @@ impl Rom {
     }
 
     fn compare(&mut self, told: &[u8]) -> Result<(), String> {
-        // Sums of what is not known.
+        // Sums of unknown bytes.
         if self.is_partial {
             return Ok(());
         }
@@ -247,7 +243,7 @@ impl Rom {
                 }
                 self.is_checked = true;
             }
-            // Of all instruction flash, most of which is not in the file.
+            // The sum of all instruction flash, most of which is not in the file.
             ([0x05], [_, _, _, _]) => self.unchecked += 1,
             _ => return Err("an answer that the command before does not give".into()),
         }
@@ -258,7 +254,7 @@ impl Rom {
         self.rows.iter().flat_map(|(_, row)| *row).collect()
     }
 
-    /// All that a whole file must have.
+    /// Checks that a whole file is complete.
     fn finish(self) -> Result<Self> {
         if let Some(line) = self.pending {
             return Err(at_line(line, "this command is not executed by a sum; the file is cut short"));
@@ -275,7 +271,7 @@ impl Rom {
         Ok(self)
     }
 
-    /// The chip that it is for: the one whose firmware and layout fit.
+    /// The file's chip, by its firmware and layout.
     fn chip(
         &self,
         told: Option<&'static Chip>,
@@ -309,7 +305,7 @@ impl Rom {
         }
     }
 
-    /// Whether names and the number of cells are where the layout has them.
+    /// Whether names and the number of cells are in the layout's places.
     fn fits(&self, chip: &'static Chip, layout: &RomImage) -> bool {
         let bytes = self.bytes();
         places(chip, layout).all(|(subclass, start)| {
@@ -338,12 +334,12 @@ impl Rom {
         u16::from_be_bytes([bytes[at], bytes[at + 1]])
     }
 
-    /// The line of the row that holds a byte.
+    /// The line of a byte's row.
     fn line(&self, at: usize) -> usize {
         self.rows[at / ROW].0
     }
 
-    /// Adds parameters, undocumented bytes of subclasses, and the notes.
+    /// Adds parameters, undocumented bytes of subclasses, and notes.
     fn fill_image(&self, image: &mut Image, layout: &RomImage) {
         let bytes = self.bytes();
         let mut is_named = [false; ROW * ROWS];
@@ -428,7 +424,7 @@ impl Rom {
     }
 }
 
-/// The subclasses of a layout, and the index of the first byte of each.
+/// The subclasses of a layout, with the index of each one's first byte.
 fn places(chip: &'static Chip, layout: &RomImage) -> impl Iterator<Item = (&'static Subclass, u16)> {
     layout.subclasses.iter().filter_map(|&(id, start)| Some((chip.subclass(id)?, start)))
 }

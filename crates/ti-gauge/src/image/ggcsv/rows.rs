@@ -1,29 +1,28 @@
 // SPDX-License-Identifier: MIT
 
-//! The rows of a gg.csv, with or without quotes. The crate `csv` also reads a quote that is never closed, text behind
-//! a closing quote, and a blank before a quote, which would become a part of the field.
+//! Rows of a gg.csv, with or without quotes. The crate `csv` would also accept an open quote, text behind a closing
+//! quote, and a blank before a quote as a part of the field.
 
-/// A row: the number of its first line, and its fields or the reason why they cannot be read.
+/// A row: its first line, and its fields or why they are unreadable.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) struct Row {
     pub(super) number: usize,
     pub(super) fields: Result<Vec<String>, &'static str>,
 }
 
-/// What encloses a field.
 const QUOTE: char = '"';
 const ENDS: [char; 2] = ['\r', '\n'];
 
 const OPEN: &str = "a quote that is opened is never closed";
 const BEHIND: &str = "text behind a closing quote; a quote within a field is written twice";
 
-/// What separates the fields of a row, by the row that names the columns. No name of a column has one of these in it.
+/// The separator of a row's fields, by the row that names the columns, whose names contain none of these.
 pub(super) fn separator(names: &str) -> char {
     names.chars().find(|letter| [',', ';', '\t'].contains(letter)).unwrap_or(',')
 }
 
-/// All rows that have anything in them. A row that begins with `*` without a quote ends with its line: it is a comment,
-/// and whatever a comment has in it closes no quote.
+/// All rows with content. A row that begins with `*` without a quote ends with its line: it is a comment, whose text
+/// closes no quote.
 pub(super) fn rows(text: &str, comma: char) -> Vec<Row> {
     let (mut rows, mut rest, mut number) = (Vec::new(), text, 1);
     while !rest.is_empty() {
@@ -43,17 +42,17 @@ pub(super) fn rows(text: &str, comma: char) -> Vec<Row> {
     rows
 }
 
-/// A field as it is written: in quotes only if a reader would otherwise take it for another one.
+/// A field as it is written: in quotes only if a reader would misread it otherwise.
 pub(super) fn quoted(field: &str) -> String {
     if field.contains(QUOTE) { format!("\"{}\"", field.replace(QUOTE, "\"\"")) } else { field.into() }
 }
 
-/// How many lines end within a text.
+/// Number of line ends in a text.
 fn lines_in(text: &str) -> usize {
     text.matches(ENDS).count() - text.matches("\r\n").count()
 }
 
-/// The fields of the first row of a text, and how many bytes of it are read: up to the end of its line.
+/// The fields of a text's first row, and the number of bytes up to the end of its line.
 fn row(text: &str, comma: char) -> (Result<Vec<String>, &'static str>, usize) {
     let (mut fields, mut rest) = (Vec::new(), text);
     loop {
@@ -65,14 +64,14 @@ fn row(text: &str, comma: char) -> (Result<Vec<String>, &'static str>, usize) {
                 };
                 rest = next;
             }
-            // All of the rest would be in this field.
+            // The rest would all be in this field.
             Err((OPEN, _)) => return (Err(OPEN), text.len()),
             Err((why, at)) => return (Err(why), text.len() - at.len() + at.find(ENDS).unwrap_or(at.len())),
         }
     }
 }
 
-/// The first field of a text and what is behind it, or why it cannot be read and what is behind that.
+/// A text's first field and the rest, or why it is unreadable and the rest.
 fn field(text: &str, comma: char) -> Result<(String, &str), (&'static str, &str)> {
     let is_blank = |letter: char| letter == ' ' || (letter == '\t' && letter != comma);
     let Some(mut rest) = text.trim_start_matches(is_blank).strip_prefix(QUOTE) else {

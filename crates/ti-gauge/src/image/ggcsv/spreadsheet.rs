@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT
 
-//! What a spreadsheet makes of a value. It takes for a number or a date whatever looks like one, and saves what it shows.
+//! Traces of a spreadsheet, which saves texts that look like numbers or dates as it shows them.
 
-/// Why a value is not believed without the bytes beside it, if it has the form in which a spreadsheet shows a number or a
-/// date, or is in quotes.
+/// Why a value needs the bytes beside it to be believed: it has a spreadsheet's form of a number or a date, or is in
+/// quotes.
 pub(super) fn trace(shown: &str) -> Option<&'static str> {
     let is_in = |quote: char| shown.len() > 1 && shown.starts_with(quote) && shown.ends_with(quote);
     if is_in('"') || is_in('\'') {
@@ -20,7 +20,7 @@ pub(super) fn trace(shown: &str) -> Option<&'static str> {
     is_date(shown).then_some("a spreadsheet has made a date of it; import the column as text")
 }
 
-/// Two decimals and an exponent of two digits at least, as for a number that is too long: `1.23E+05`.
+/// Two decimals and an exponent of at least two digits, as for an overlong number: `1.23E+05`.
 fn is_rounded(shown: &str) -> bool {
     let digits =
         |text: &str, least: usize| text.len() >= least && text.bytes().all(|byte| byte.is_ascii_digit());
@@ -30,7 +30,7 @@ fn is_rounded(shown: &str) -> bool {
     is_number && exponent.strip_prefix(['+', '-']).is_some_and(|exponent| digits(exponent, 2))
 }
 
-/// A day with a month by its name or number, with a year or without: `1-Mar`, `Mar-07`, `03.11.2026`, `2026-03-11`.
+/// A day and a month by name or number, with or without a year: `1-Mar`, `Mar-07`, `03.11.2026`, `2026-03-11`.
 fn is_date(shown: &str) -> bool {
     const MONTHS: [&str; 12] =
         ["jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec"];
@@ -46,13 +46,13 @@ fn is_date(shown: &str) -> bool {
     named + numbers == parts.len() && matches!((named, numbers), (1, 1 | 2) | (0, 3))
 }
 
-/// Whether a spreadsheet that takes a text for a number shows it as this one: `7` for `007`.
+/// Whether a spreadsheet that takes a text for a number shows it like this: `7` for `007`.
 pub(super) fn is_number_of(shown: &str, text: &str) -> bool {
     let number = |text: &str| text.trim().parse::<f64>().ok();
     shown != text && number(shown).is_some() && number(shown) == number(text)
 }
 
-/// Whether a number is another one without its point, which is a mark between thousands in some countries.
+/// Whether a number has lost its point, which separates thousands in some countries.
 pub(super) fn has_lost_its_point(shown: &str, number: &str) -> bool {
     let digits = |text: &str| {
         let digits = text.trim_start_matches('-').replace('.', "");
