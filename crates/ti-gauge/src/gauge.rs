@@ -6,7 +6,6 @@
 //! (subcommands and their answers), `wire` (transfers, retries, time), and below these what is kept of them: `presence`
 //! (is it still the same gauge), `effects` (how long it takes), `statistics`, `state`.
 
-use std::cell::Cell;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -16,7 +15,6 @@ use crate::error::{Cause, Error, Result, Step};
 use crate::keys::Keys;
 use gauge_bus::Bus;
 use gauge_bus::clock::Clock;
-use gauge_bus::trace::Event;
 
 mod access;
 mod control;
@@ -27,15 +25,18 @@ mod state;
 mod statistics;
 mod wire;
 
+use access::Access;
 pub use access::DEFAULT_FULL_ACCESS;
 pub use effects::Effects;
 use effects::Watch;
 pub(crate) use presence::Moment;
 use presence::Presence;
+use seal::Looks;
 pub(crate) use seal::SEAL_LAG;
 pub(crate) use state::Look;
 pub use state::{BEHIND, Seal};
 pub use statistics::{Progress, Statistics};
+use wire::Wire;
 
 /// Address of Control().
 const CONTROL: u8 = 0x00;
@@ -71,44 +72,11 @@ pub struct Gauge {
     pub clock: Arc<dyn Clock>,
     /// Where its keys are to be put, for messages.
     pub key_file: String,
-    bus: Box<dyn Bus>,
-    keys: Keys,
-    byte_writes: bool,
-    /// The gauge refused the unseal key; it is not sent again.
-    refused: bool,
-    /// When one look has shown that the gauge took the unseal key; a block that is read proves it.
-    opened: Option<Moment>,
-    /// When the gauge accepted the unseal key, if it has since it arrived. A refusal is then a disturbance.
-    proven: Option<Moment>,
-    /// Transfers are not recorded while this is not 0.
-    secrets: u32,
-    /// The transfers since [`Self::record`].
-    recording: Option<Vec<Event>>,
-    /// Transfers that failed.
-    failures: u64,
-    /// When the last transfer ended.
-    stopped: Option<Duration>,
-    /// When the gauge last answered, and the longest silence since `watch`.
-    answered: Duration,
-    silence: Duration,
     presence: Presence,
     effects: Watch,
-    /// When the last wait was to end.
-    rested: Cell<Duration>,
-    /// The seal state that the last look has shown; the next look counts if it agrees. `None` once something was sent
-    /// that may change the state.
-    seen: Option<Seal>,
-    /// The seal state that a command of ours leads to, and until when CONTROL_STATUS may show the one before it.
-    commanded: Option<(Seal, Duration)>,
-    /// When the seal state was last agreed on.
-    agreed: Option<Moment>,
-    /// What a command of ours has done that it was not meant to do, until somebody reports it.
-    mishap: Option<String>,
-    /// The last look at CONTROL_STATUS, and how many bytes behind it each look reads.
-    look: Look,
-    also: usize,
-    /// No transfer starts after this time, so that write(2) returns in time.
-    deadline: Option<Duration>,
+    wire: Wire,
+    looks: Looks,
+    access: Access,
 }
 
 impl Gauge {
@@ -126,28 +94,11 @@ impl Gauge {
             statistics,
             clock,
             key_file: "a file named with --key-file".into(),
-            bus,
-            keys,
-            byte_writes,
-            refused: false,
-            opened: None,
-            proven: None,
-            secrets: 0,
-            recording: None,
-            failures: 0,
-            stopped: None,
-            answered: Duration::ZERO,
-            silence: Duration::ZERO,
             presence: Presence::default(),
             effects: Watch::default(),
-            rested: Cell::default(),
-            seen: None,
-            commanded: None,
-            agreed: None,
-            mishap: None,
-            look: Look::NONE,
-            also: 0,
-            deadline: None,
+            wire: Wire::new(bus, byte_writes),
+            looks: Looks::new(),
+            access: Access::new(keys),
         }
     }
 
@@ -155,9 +106,8 @@ impl Gauge {
     pub fn start_over(&mut self) {
         self.forget_refusal();
         self.limit_until(None);
-        (self.seen, self.commanded, self.also) = (None, None, 0);
-        (self.secrets, self.recording) = (0, None);
-        self.bus.set_secret(false);
+        self.looks.start_over();
+        self.hide_nothing();
         self.statistics.progress.end();
     }
 }

@@ -9,13 +9,32 @@ use super::statistics::Statistics;
 use super::{CONTROL, Gauge, RESET};
 use crate::chip::Scheme;
 use crate::error::{Cause, Error, Reason, Result, Step};
-use crate::keys::{Name, Secret, wipe_words};
+use crate::keys::{Keys, Name, Secret, wipe_words};
 
 /// Factory default of the full-access key, the same for every part that has one.
 pub const DEFAULT_FULL_ACCESS: [u16; 2] = [0xffff; 2];
 
 /// Times that SEALED is sent. A frame may be lost, and I2C has no error detection.
 const SEALS: u32 = 4;
+
+/// The keys, and what is known of them.
+pub(super) struct Access {
+    keys: Keys,
+    /// The gauge refused the unseal key; it is not sent again.
+    refused: bool,
+    /// When one look has shown that the gauge took the unseal key; a block that is read proves it.
+    opened: Option<Moment>,
+    /// When the gauge accepted the unseal key, if it has since it arrived. A refusal is then a disturbance.
+    proven: Option<Moment>,
+    /// What a command of ours has done that it was not meant to do, until somebody reports it.
+    mishap: Option<String>,
+}
+
+impl Access {
+    pub(super) fn new(keys: Keys) -> Self {
+        Self { keys, refused: false, opened: None, proven: None, mishap: None }
+    }
+}
 
 impl Gauge {
     /// Goes from SEALED to UNSEALED and confirms it.
@@ -34,46 +53,46 @@ impl Gauge {
             let before = "SEALED, and no key is given";
             return Err(refuse(Reason::NoKey { key: Name::Unseal.as_str(), before, file }));
         };
-        if self.refused {
+        if self.access.refused {
             return Err(refused("SEALED, and the key was refused before"));
         }
-        let failures = self.failures;
+        let failures = self.failures();
         if self.takes(&key, Seal::Unsealed)? {
             return Ok(());
         }
-        if self.proven.is_some() || self.failures != failures {
+        if self.access.proven.is_some() || self.failures() != failures {
             let why = "SEALED, and the gauge did not take its key, twice: the bus is disturbed; try again";
             return Err(Error::new(self.chip.model, Cause::NotNow, why).at(Step::Unseal));
         }
-        self.refused = true;
+        self.access.refused = true;
         Err(refused("SEALED, and the gauge refused the key"))
     }
 
     /// Whether the gauge that is there is known to have the unseal key: it has accepted it, and nothing has happened
     /// since behind which it could have been exchanged.
     pub fn key_is_proven(&self) -> bool {
-        self.proven.is_some_and(|moment| self.is_unbroken_since(moment))
+        self.access.proven.is_some_and(|moment| self.is_unbroken_since(moment))
     }
 
     /// Whether the unseal key was accepted since the gauge arrived, or by one that was exchanged unnoticed.
     pub(crate) fn key_has_worked(&self) -> bool {
-        self.proven.is_some() || self.opened.is_some()
+        self.access.proven.is_some() || self.access.opened.is_some()
     }
 
     /// Notes that the gauge is known to have the unseal key, though it has not been used.
     pub fn prove_key(&mut self) {
-        self.proven = Some(self.moment());
+        self.access.proven = Some(self.moment());
     }
 
     /// Notes that the gauge is certainly open: it has shown data flash, or two looks agree. If a key has opened it, that
     /// key is right.
     pub fn note_open(&mut self) {
-        self.proven = self.opened.or(self.proven);
+        self.access.proven = self.access.opened.or(self.access.proven);
     }
 
     /// Whether the gauge that is there was opened with the unseal key, so that it may be sealed again.
     pub(crate) fn was_opened(&self) -> bool {
-        self.opened.into_iter().chain(self.proven).any(|moment| self.is_unbroken_since(moment))
+        self.access.opened.into_iter().chain(self.access.proven).any(|moment| self.is_unbroken_since(moment))
     }
 
     /// Goes from UNSEALED to FULL ACCESS and confirms it.
@@ -95,7 +114,7 @@ impl Gauge {
 
     /// Sends a key, once more after a pause if it was refused, and returns whether the state followed.
     pub fn takes(&mut self, key: &Secret, goal: Seal) -> Result<bool> {
-        if goal == Seal::Unsealed && self.make_ready().is_ok() && self.agreed != Some(self.moment()) {
+        if goal == Seal::Unsealed && self.make_ready().is_ok() && self.looks.agreed() != Some(self.moment()) {
             // Another gauge may have come since the state was looked at.
             let now = self.seal_anew()?;
             if now != Seal::Sealed {
@@ -106,7 +125,7 @@ impl Gauge {
             return Ok(true);
         }
         let silence = self.chip.security.key_silence;
-        if self.deadline.is_some_and(|deadline| self.clock.now() + silence >= deadline) {
+        if !self.has_time_for(silence) {
             let why = "the gauge did not take the key, and no time is left to send it once more; try again";
             return Err(Error::new(self.chip.model, Cause::TimedOut, why).at(Step::Unseal));
         }
@@ -138,11 +157,11 @@ impl Gauge {
         // could look like success: two looks must agree. Elsewhere one does, because only an open gauge echoes the
         // selection of the block that is read next.
         let is_echoed = goal == Seal::Unsealed && self.chip.access.scheme == Scheme::Block;
-        self.seen = is_echoed.then_some(goal);
+        self.looks.expect(is_echoed.then_some(goal));
         let state = self.seal().map_err(|error| error.at(Step::Unseal))?;
         // Another gauge may have been open already.
         if state == goal && goal == Seal::Unsealed && self.is_unbroken_since(moment) {
-            self.opened = Some(moment);
+            self.access.opened = Some(moment);
         }
         Ok(state == goal)
     }
@@ -187,7 +206,11 @@ impl Gauge {
     }
 
     fn seal_with(&mut self, send: impl Fn(&mut Self) -> Result<()>) -> Result<()> {
-        let before = self.agreed.filter(|&moment| self.is_unbroken_since(moment)).map(|_| self.look.status);
+        let before = self
+            .looks
+            .agreed()
+            .filter(|&moment| self.is_unbroken_since(moment))
+            .map(|_| self.last_look().status);
         let mut outcome = Ok(Seal::Unsealed);
         for attempt in 0..SEALS {
             if attempt > 0 {
@@ -195,7 +218,7 @@ impl Gauge {
                     "SEALED did not reach the gauge, which may have taken it for another command; sent again";
                 log::warn!("{}: {why}", self.chip.name);
             }
-            self.opened = None;
+            self.access.opened = None;
             self.effects.seals();
             let sent = send(self);
             self.commands(Seal::Sealed);
@@ -222,23 +245,23 @@ impl Gauge {
         let enabled = self.chip.control_status.iter().find(|bit| bit.name == "QEN").map_or(0, |bit| bit.mask);
         let is_new = |now: u16| before.is_some_and(|before| before & enabled == 0) && now & enabled != 0;
         // I2C has no error detection.
-        if is_new(self.look.status) && self.seal_anew().is_ok() && is_new(self.look.status) {
+        if is_new(self.last_look().status) && self.seal_anew().is_ok() && is_new(self.last_look().status) {
             let why = "SEALED has reached the gauge as IT_ENABLE: [QEN] is set, and Update Status with it (04), which \
                        nothing takes back; check whether Impedance Track was to be enabled";
-            self.mishap = Some(why.into());
+            self.access.mishap = Some(why.into());
         }
     }
 
     /// What a command of ours has done that it was not meant to do, once.
     pub(crate) fn take_mishap(&mut self) -> Option<String> {
-        self.mishap.take()
+        self.access.mishap.take()
     }
 
     /// Sends RESET, after which a part that had been sealed is sealed again (SLUSBZ5D 7.3.3.1 step 11): not to a gauge
     /// that may have been exchanged since then.
     pub(crate) fn reset_since(&mut self, moment: Moment) -> Result<()> {
         Statistics::count(&self.statistics.resets);
-        (self.seen, self.commanded) = (Some(Seal::Sealed), None);
+        self.looks.resets();
         self.command_since(RESET, moment).map_err(|error| error.at(Step::Reset))?;
         self.effects.reset(self.clock.now());
         Ok(())
@@ -252,12 +275,12 @@ impl Gauge {
 
     /// The key to send: the configured one, or the manual's default if that is allowed.
     pub fn key(&self, name: Name) -> Option<Secret> {
-        self.keys.secret(name).or_else(|| self.default_key(name))
+        self.access.keys.secret(name).or_else(|| self.default_key(name))
     }
 
     /// The manual's default key, if that is allowed.
     pub fn default_key(&self, name: Name) -> Option<Secret> {
-        self.manual_key(name).filter(|_| !self.keys.no_default).map(Secret::from)
+        self.manual_key(name).filter(|_| !self.access.keys.no_default).map(Secret::from)
     }
 
     /// The two words that the manual gives for the key of that name.
@@ -271,12 +294,12 @@ impl Gauge {
 
     /// Sets the key that the gauge has now.
     pub fn set_key(&mut self, name: Name, key: &Secret) {
-        self.keys.set(name, key);
+        self.access.keys.set(name, key);
         self.forget_refusal();
     }
 
     /// Forgets whether a key was refused or accepted: the gauge may be another one of the same kind.
     pub fn forget_refusal(&mut self) {
-        (self.refused, self.opened, self.proven) = (false, None, None);
+        (self.access.refused, self.access.opened, self.access.proven) = (false, None, None);
     }
 }

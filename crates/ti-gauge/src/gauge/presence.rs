@@ -9,17 +9,15 @@
 
 use std::time::Duration;
 
-use super::{CONTROL, Gauge, Seal};
-use gauge_bus::BusError;
+use super::CONTROL;
 
 /// DataFlashClass() and DataFlashBlock(), or ManufacturerAccessControl(), which show what was selected last.
-const SELECTION: u8 = 0x3e;
+pub(super) const SELECTION: u8 = 0x3e;
 /// The selection that an access leaves behind.
-const NOTHING: [u8; 2] = [0, 0];
+pub(super) const NOTHING: [u8; 2] = [0, 0];
 /// A pause without a transfer in which a pack can be exchanged without a trace.
-const PAUSE: Duration = Duration::from_secs(1);
-/// Looks at the selection before another one counts, and failed ones in a row before it cannot be known.
-const LOOKS: u32 = 2;
+pub(super) const PAUSE: Duration = Duration::from_secs(1);
+/// Failed looks at the selection in a row before it cannot be known.
 const FAILED_LOOKS: u32 = 6;
 
 /// A moment in the presence of a gauge.
@@ -71,106 +69,74 @@ impl Presence {
         }
     }
 
-    fn end(&mut self) {
+    /// It may be another gauge from now on.
+    pub(super) fn end(&mut self) {
         self.breaks += 1;
         (self.in_doubt, self.failed) = (false, 0);
         self.selected.clear();
     }
-}
 
-impl Gauge {
-    /// The present moment, for [`Self::is_unbroken_since`]. What is in doubt now counts as happening later.
-    pub(crate) fn moment(&self) -> Moment {
-        Moment(self.presence.breaks)
+    /// The present moment. What is in doubt now counts as happening later.
+    pub(super) fn moment(&self) -> Moment {
+        Moment(self.breaks)
     }
 
-    /// Whether nothing has happened since then behind which the gauge could have been exchanged for another one.
-    pub(crate) fn is_unbroken_since(&self, moment: Moment) -> bool {
-        !self.presence.in_doubt && self.presence.breaks == moment.0
+    /// Whether nothing has happened since then behind which the gauge could have been exchanged.
+    pub(super) fn is_unbroken_since(&self, moment: Moment) -> bool {
+        !self.in_doubt && self.breaks == moment.0
+    }
+
+    /// Whether something has happened that is not explained yet.
+    pub(super) fn is_doubted(&self) -> bool {
+        self.in_doubt
+    }
+
+    /// Whether the gauge has to be asked, if there was a pause.
+    pub(super) fn is_doubted_after(&self, paused: bool) -> bool {
+        self.in_doubt || paused && self.attended
+    }
+
+    /// Whether the gauge has been told something by which it is known again.
+    pub(super) fn is_marked(&self) -> bool {
+        !self.selected.is_empty()
+    }
+
+    /// What the gauge shows as its selection, if that is certain.
+    pub(super) fn mark(&self) -> Option<[u8; 2]> {
+        let [selected] = self.selected[..] else { return None };
+        Some(selected)
+    }
+
+    /// The gauge shows this as its selection, by which it is known again.
+    pub(super) fn learn(&mut self, seen: [u8; 2]) {
+        self.selected = vec![seen];
+    }
+
+    /// Begins a look at the selection, which may itself come to be in doubt.
+    pub(super) fn look(&mut self) {
+        self.in_doubt = false;
+    }
+
+    /// Whether a selection that was looked at shows that it is the same gauge, which then has no other.
+    pub(super) fn knows_again(&mut self, seen: [u8; 2]) -> bool {
+        let known = seen != NOTHING && self.selected.contains(&seen);
+        if known {
+            self.failed = 0;
+            self.learn(seen);
+        }
+        known
+    }
+
+    /// A look at the selection has failed; whether another one may show it.
+    pub(super) fn may_look_again(&mut self) -> bool {
+        let may = self.failed < FAILED_LOOKS;
+        self.failed += u32::from(may);
+        may
     }
 
     /// Whether an access is going on from now on, in which pauses between two transfers count.
-    pub(crate) fn attend(&mut self, attended: bool) {
-        if !attended && !self.presence.selected.is_empty() && self.seen != Some(Seal::Sealed) {
-            // A gauge that is left open is not to be taken for another one on which the same was done.
-            let _ = match self.chip.access.scheme.is_flat() {
-                true => self.write_once(CONTROL, &[0, 0]),
-                false => self.write_once(SELECTION, &NOTHING),
-            };
-        }
-        self.presence.attended = attended;
-        self.presence.selected.clear();
-        self.rested.set(self.clock.now());
-    }
-
-    /// Whether a gauge that was sent RESET, and has not been away, no longer shows the block that was selected.
-    pub(crate) fn has_forgotten_selection(&mut self) -> bool {
-        let [selected] = self.presence.selected[..] else { return false };
-        let mut seen = [[0; 2]; 2];
-        for seen in &mut seen {
-            if self.again(|gauge| gauge.transfer(&[SELECTION], seen)).is_err() {
-                return false;
-            }
-        }
-        seen[0] == seen[1] && seen[0] != selected
-    }
-
-    /// Learns what the gauge shows as its selection, so that it is known again from now on.
-    pub(crate) fn learn_selection(&mut self) {
-        let mut seen = [0; 2];
-        if self.again(|gauge| gauge.transfer(&[SELECTION], &mut seen)).is_ok() && !self.presence.in_doubt {
-            self.presence.selected = vec![seen];
-        }
-    }
-
-    /// Makes sure, before the next transfer, that it is still the same gauge.
-    pub(crate) fn doubt(&mut self) {
-        if !self.presence.selected.is_empty() {
-            self.presence.doubt();
-        }
-    }
-
-    /// It is in a state in which nobody has put it: it may be another gauge.
-    pub(crate) fn lose_sight(&mut self) {
-        self.presence.end();
-    }
-
-    /// Finds out, before something is sent, whether a gauge that may have been exchanged is the same one.
-    pub(super) fn recognise(&mut self) -> Result<(), BusError> {
-        let paused = self.stopped.is_some_and(|stopped| {
-            // A wait of our own is as long as it has to be.
-            self.clock.now() >= stopped.max(self.rested.get()) + PAUSE
-        });
-        if !(self.presence.in_doubt || paused && self.presence.attended) {
-            return Ok(());
-        }
-        self.presence.doubt();
-        // Nothing may come between the words of a key.
-        if self.presence.selected.is_empty() || self.secrets > 0 {
-            self.presence.end();
-            return Ok(());
-        }
-        for _ in 0..LOOKS {
-            let mut seen = [0; 2];
-            self.presence.in_doubt = false;
-            match self.pass(&[SELECTION], &mut seen) {
-                // The host was asleep in this very transfer.
-                Ok(()) if self.presence.in_doubt => {}
-                Ok(()) if seen != NOTHING && self.presence.selected.contains(&seen) => {
-                    self.presence.failed = 0;
-                    self.presence.selected = vec![seen];
-                    return Ok(());
-                }
-                Ok(()) => {}
-                Err(error) if error.is_transient() && self.presence.failed < FAILED_LOOKS => {
-                    self.presence.failed += 1;
-                    return Err(error);
-                }
-                // The transfer itself says what is wrong.
-                Err(_) => break,
-            }
-        }
-        self.presence.end();
-        Ok(())
+    pub(super) fn attend(&mut self, attended: bool) {
+        self.attended = attended;
+        self.selected.clear();
     }
 }

@@ -5,8 +5,9 @@
 use std::time::Duration;
 
 use super::effects::Status;
+use super::presence::{Moment, NOTHING, SELECTION};
 use super::state::{BEHIND, Look, Seal};
-use super::{CONTROL_STATUS, Gauge, TRIES};
+use super::{CONTROL, CONTROL_STATUS, Gauge, TRIES};
 use crate::chip::{SealStatus, Source};
 use crate::error::{Cause, Error, Result, Step};
 use gauge_bus::BusError;
@@ -20,6 +21,46 @@ const APART: Duration = Duration::from_millis(5);
 pub(crate) const SEAL_LAG: Duration = Duration::from_millis(240);
 pub(super) const SEAL_POLL: Duration = Duration::from_millis(80);
 
+/// What the looks at CONTROL_STATUS have shown, and what is to be expected of the next one.
+pub(super) struct Looks {
+    /// The seal state that the last look has shown; the next look counts if it agrees. `None` once something was sent
+    /// that may change the state.
+    seen: Option<Seal>,
+    /// The seal state that a command of ours leads to, and until when CONTROL_STATUS may show the one before it.
+    commanded: Option<(Seal, Duration)>,
+    /// When the seal state was last agreed on.
+    agreed: Option<Moment>,
+    /// The last look, and how many bytes behind CONTROL_STATUS each look reads.
+    look: Look,
+    also: usize,
+}
+
+impl Looks {
+    pub(super) fn new() -> Self {
+        Self { seen: None, commanded: None, agreed: None, look: Look::NONE, also: 0 }
+    }
+
+    /// Forgets what an access that was not brought to its end expected.
+    pub(super) fn start_over(&mut self) {
+        (self.seen, self.commanded, self.also) = (None, None, 0);
+    }
+
+    /// When the seal state was last agreed on.
+    pub(super) fn agreed(&self) -> Option<Moment> {
+        self.agreed
+    }
+
+    /// RESET is about to be sent, after which the gauge is sealed; one look that shows it counts.
+    pub(super) fn resets(&mut self) {
+        (self.seen, self.commanded) = (Some(Seal::Sealed), None);
+    }
+
+    /// The next look counts if it shows this state.
+    pub(super) fn expect(&mut self, seal: Option<Seal>) {
+        self.seen = seal;
+    }
+}
+
 impl Gauge {
     /// Reads the seal state.
     pub fn seal(&mut self) -> Result<Seal> {
@@ -28,7 +69,7 @@ impl Gauge {
 
     /// Reads the seal state with two looks, whatever was seen before.
     pub fn seal_anew(&mut self) -> Result<Seal> {
-        self.seen = None;
+        self.looks.seen = None;
         self.seal()
     }
 
@@ -48,7 +89,7 @@ impl Gauge {
         let mut differ = 0;
         loop {
             let seal = self.control_status_once()?;
-            match self.seen.replace(seal) {
+            match self.looks.seen.replace(seal) {
                 Some(before) if before == seal => {}
                 before => {
                     differ += 1;
@@ -62,11 +103,11 @@ impl Gauge {
                     continue;
                 }
             }
-            match self.commanded {
+            match self.looks.commanded {
                 Some((goal, until)) if seal != goal && self.clock.now() < until => self.wait(SEAL_POLL),
                 _ => {
-                    self.agreed = Some(self.moment());
-                    return Ok(self.look);
+                    self.looks.agreed = Some(self.moment());
+                    return Ok(self.looks.look);
                 }
             }
         }
@@ -75,19 +116,19 @@ impl Gauge {
     /// From now on each look at CONTROL_STATUS reads, in the same transfer, that many bytes of the registers from
     /// 0x02 on.
     pub(crate) fn also_read(&mut self, count: usize) {
-        self.also = count.min(BEHIND);
+        self.looks.also = count.min(BEHIND);
     }
 
     /// The last look at CONTROL_STATUS.
     pub(crate) fn last_look(&self) -> Look {
-        self.look
+        self.looks.look
     }
 
     fn control_status_once(&mut self) -> Result<Seal> {
         let begun = self.clock.now();
         self.command(CONTROL_STATUS)?;
         let mut behind = [0; BEHIND];
-        let also = self.also;
+        let also = self.looks.also;
         let status = self.status_word(&mut behind[..also])?;
         let seal = match self.chip.security.status {
             SealStatus::Bits { sealed, .. } if status & sealed != 0 => Seal::Sealed,
@@ -122,7 +163,7 @@ impl Gauge {
                 }
             }
         };
-        self.look = Look { seal, status, behind };
+        self.looks.look = Look { seal, status, behind };
         let look = Status { begun, ended: self.clock.now(), status, seal };
         self.effects.look(&look, &self.statistics.reset_seals, &self.statistics.offsets);
         Ok(seal)
@@ -130,6 +171,18 @@ impl Gauge {
 
     /// Something is sent that leads to a seal state, which CONTROL_STATUS may show late.
     pub(super) fn commands(&mut self, goal: Seal) {
-        (self.seen, self.commanded) = (None, Some((goal, self.clock.now() + SEAL_LAG)));
+        (self.looks.seen, self.looks.commanded) = (None, Some((goal, self.clock.now() + SEAL_LAG)));
+    }
+    /// Whether an access is going on from now on, in which pauses between two transfers count.
+    pub(crate) fn attend(&mut self, attended: bool) {
+        if !attended && self.presence.is_marked() && self.looks.seen != Some(Seal::Sealed) {
+            // A gauge that is left open is not to be taken for another one on which the same was done.
+            let _ = match self.chip.access.scheme.is_flat() {
+                true => self.write_once(CONTROL, &[0, 0]),
+                false => self.write_once(SELECTION, &NOTHING),
+            };
+        }
+        self.presence.attend(attended);
+        self.rest();
     }
 }

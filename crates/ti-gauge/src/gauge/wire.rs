@@ -4,6 +4,7 @@
 //!
 //! Only this module retries, and only idempotent transfers; the checksum that commits a block is not one.
 
+use std::cell::Cell;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
@@ -13,7 +14,9 @@ use super::{CONTROL, Gauge};
 use crate::chip::Source;
 use crate::error::{Cause, Error, Result, Step};
 use gauge_bus::trace::Event;
-use gauge_bus::{BusError, wire_bytes};
+use gauge_bus::{Bus, BusError, wire_bytes};
+
+mod recognise;
 
 /// Pauses before each further attempt at an idempotent transfer. A gauge that programs a row of its flash stretches
 /// the clock or does not answer, for up to 250 ms, and it programs rows of its own at any time.
@@ -28,6 +31,44 @@ const PAUSES: [Duration; 5] = [
 /// The least time between two transfers (SLUSBZ5D 6.14, SLUSBH1C 9.5.4.3).
 const BUS_FREE: Duration = Duration::from_micros(66);
 
+/// The bus, and what is known of the transfers on it.
+pub(super) struct Wire {
+    bus: Box<dyn Bus>,
+    byte_writes: bool,
+    /// Transfers are not recorded while this is not 0.
+    secrets: u32,
+    /// The transfers since [`Gauge::record`].
+    recording: Option<Vec<Event>>,
+    /// Transfers that failed.
+    failures: u64,
+    /// When the last transfer ended.
+    stopped: Option<Duration>,
+    /// When the gauge last answered, and the longest silence since [`Gauge::watch`].
+    answered: Duration,
+    silence: Duration,
+    /// When the last wait was to end.
+    rested: Cell<Duration>,
+    /// No transfer starts after this time, so that write(2) returns in time.
+    deadline: Option<Duration>,
+}
+
+impl Wire {
+    pub(super) fn new(bus: Box<dyn Bus>, byte_writes: bool) -> Self {
+        Self {
+            bus,
+            byte_writes,
+            secrets: 0,
+            recording: None,
+            failures: 0,
+            stopped: None,
+            answered: Duration::ZERO,
+            silence: Duration::ZERO,
+            rested: Cell::default(),
+            deadline: None,
+        }
+    }
+}
+
 impl Gauge {
     /// Lets no transfer start later than `time` from now; `None` removes the limit.
     pub fn limit(&mut self, time: Option<Duration>) {
@@ -36,12 +77,12 @@ impl Gauge {
 
     /// Lets no transfer start later than that; `None` removes the limit.
     pub fn limit_until(&mut self, deadline: Option<Duration>) {
-        self.deadline = deadline;
-        self.bus.limit(deadline);
+        self.wire.deadline = deadline;
+        self.wire.bus.limit(deadline);
     }
 
     fn is_late(&self) -> bool {
-        self.deadline.is_some_and(|deadline| self.clock.now() >= deadline)
+        self.wire.deadline.is_some_and(|deadline| self.clock.now() >= deadline)
     }
 
     /// Whether something may still be tried: that time has not come, and the limit for transfers allows it.
@@ -49,10 +90,15 @@ impl Gauge {
         self.clock.now() < time && !self.is_late()
     }
 
+    /// Whether transfers may still be started that long from now.
+    pub(super) fn has_time_for(&self, time: Duration) -> bool {
+        self.wire.deadline.is_none_or(|deadline| self.clock.now() + time < deadline)
+    }
+
     /// Waits without any transfer.
     pub fn wait(&self, time: Duration) {
         if !time.is_zero() {
-            self.rested.set(self.clock.now() + time);
+            self.wire.rested.set(self.clock.now() + time);
             self.clock.sleep(time);
         }
     }
@@ -76,18 +122,18 @@ impl Gauge {
 
     /// A transfer as it is.
     pub(super) fn pass(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
-        if let Some(stopped) = self.stopped {
+        if let Some(stopped) = self.wire.stopped {
             self.wait((stopped + BUS_FREE).saturating_sub(self.clock.now()));
         }
         let begun = self.clock.now();
         Statistics::count(&self.statistics.transfers);
         self.statistics.bytes.fetch_add(wire_bytes(write.len(), read.len()), Ordering::Relaxed);
-        let outcome = self.bus.transfer(write, read);
+        let outcome = self.wire.bus.transfer(write, read);
         let stopped = self.clock.now();
-        self.stopped = Some(stopped);
+        self.wire.stopped = Some(stopped);
         self.presence.note_duration(stopped.saturating_sub(begun));
         self.note(write, read, outcome);
-        if self.secrets > 0 {
+        if self.wire.secrets > 0 {
             self.effects.forget();
         } else {
             let seen = Seen { begun, ended: stopped, write, read, outcome };
@@ -95,11 +141,11 @@ impl Gauge {
         }
         match outcome {
             Ok(()) => {
-                self.silence = self.longest_silence();
-                self.answered = self.clock.now();
+                self.wire.silence = self.longest_silence();
+                self.wire.answered = self.clock.now();
             }
             Err(_) => {
-                self.failures += 1;
+                self.wire.failures += 1;
                 self.presence.doubt();
             }
         }
@@ -108,18 +154,18 @@ impl Gauge {
 
     /// Starts recording the transfers.
     pub fn record(&mut self) {
-        self.recording = Some(Vec::new());
+        self.wire.recording = Some(Vec::new());
     }
 
     /// Stops recording, and returns what was transferred since [`Self::record`]. Keys are left out; serial numbers are
     /// not, see [`anonymous`](crate::dataflash::anonymous).
     pub fn recorded(&mut self) -> Vec<Event> {
-        self.recording.take().unwrap_or_default()
+        self.wire.recording.take().unwrap_or_default()
     }
 
     fn note(&mut self, write: &[u8], read: &[u8], outcome: Result<(), BusError>) {
-        let is_secret = self.secrets > 0;
-        let Some(recording) = &mut self.recording else { return };
+        let is_secret = self.wire.secrets > 0;
+        let Some(recording) = &mut self.wire.recording else { return };
         recording.push(if is_secret {
             Event::Hidden
         } else {
@@ -130,12 +176,12 @@ impl Gauge {
 
     /// Starts measuring the longest silence of the gauge.
     pub fn watch(&mut self) {
-        (self.answered, self.silence) = (self.clock.now(), Duration::ZERO);
+        (self.wire.answered, self.wire.silence) = (self.clock.now(), Duration::ZERO);
     }
 
     /// The longest time without an answer since `watch`. Within a short one nobody can exchange a pack.
     pub fn longest_silence(&self) -> Duration {
-        self.silence.max(self.clock.now().saturating_sub(self.answered))
+        self.wire.silence.max(self.clock.now().saturating_sub(self.wire.answered))
     }
 
     /// Retries an idempotent transfer a limited number of times.
@@ -189,7 +235,7 @@ impl Gauge {
     fn send(&mut self, code: u8, data: &[u8]) -> Result<(), BusError> {
         // Where the manual has the rule it is for Control() as well (SLUSBH1C 9.5.4.3); elsewhere Control()
         // is only ever written as a word.
-        if self.byte_writes && (code != CONTROL || self.chip.byte_writes_above_hz.is_some()) {
+        if self.wire.byte_writes && (code != CONTROL || self.chip.byte_writes_above_hz.is_some()) {
             for (at, &byte) in (code..).zip(data) {
                 self.transfer(&[at, byte], &mut [])?;
             }
@@ -209,22 +255,27 @@ impl Gauge {
 
     /// Makes sure that no kernel driver has taken the address.
     pub fn claim(&mut self) -> Result<()> {
-        self.bus.claim().map_err(|bus| Error::bus(self.chip.name, bus).at(Step::Check))
+        self.wire.bus.claim().map_err(|bus| Error::bus(self.chip.name, bus).at(Step::Check))
     }
 
     /// Releases an adapter that was removed.
     pub fn release_if_gone(&mut self) {
-        self.bus.release_if_gone();
+        self.wire.bus.release_if_gone();
     }
 
     /// How many transfers have failed.
     pub(crate) fn failures(&self) -> u64 {
-        self.failures
+        self.wire.failures
     }
 
     /// Marks the following transfers as secret (`true`), until as many calls have ended that (`false`).
     pub fn set_secret(&mut self, secret: bool) {
-        self.secrets = if secret { self.secrets + 1 } else { self.secrets.saturating_sub(1) };
-        self.bus.set_secret(self.secrets > 0);
+        self.wire.secrets = if secret { self.wire.secrets + 1 } else { self.wire.secrets.saturating_sub(1) };
+        self.wire.bus.set_secret(self.wire.secrets > 0);
+    }
+    /// Forgets the secrets and the recording of an access that was not brought to its end.
+    pub(super) fn hide_nothing(&mut self) {
+        (self.wire.secrets, self.wire.recording) = (0, None);
+        self.wire.bus.set_secret(false);
     }
 }

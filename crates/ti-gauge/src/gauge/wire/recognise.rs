@@ -1,0 +1,92 @@
+// SPDX-License-Identifier: MIT
+
+//! Looks at the selection, which show whether it is still the same gauge that answers.
+
+use crate::gauge::Gauge;
+use crate::gauge::presence::{Moment, PAUSE, SELECTION};
+use gauge_bus::BusError;
+
+/// Looks at the selection before another one counts.
+const LOOKS: u32 = 2;
+
+impl Gauge {
+    /// The present moment, for [`Self::is_unbroken_since`]. What is in doubt now counts as happening later.
+    pub(crate) fn moment(&self) -> Moment {
+        self.presence.moment()
+    }
+
+    /// Whether nothing has happened since then behind which the gauge could have been exchanged for another one.
+    pub(crate) fn is_unbroken_since(&self, moment: Moment) -> bool {
+        self.presence.is_unbroken_since(moment)
+    }
+
+    /// Whether a gauge that was sent RESET, and has not been away, no longer shows the block that was selected.
+    pub(crate) fn has_forgotten_selection(&mut self) -> bool {
+        let Some(selected) = self.presence.mark() else { return false };
+        let mut seen = [[0; 2]; 2];
+        for seen in &mut seen {
+            if self.again(|gauge| gauge.transfer(&[SELECTION], seen)).is_err() {
+                return false;
+            }
+        }
+        seen[0] == seen[1] && seen[0] != selected
+    }
+
+    /// Learns what the gauge shows as its selection, so that it is known again from now on.
+    pub(crate) fn learn_selection(&mut self) {
+        let mut seen = [0; 2];
+        if self.again(|gauge| gauge.transfer(&[SELECTION], &mut seen)).is_ok() && !self.presence.is_doubted()
+        {
+            self.presence.learn(seen);
+        }
+    }
+
+    /// Makes sure, before the next transfer, that it is still the same gauge.
+    pub(crate) fn doubt(&mut self) {
+        if self.presence.is_marked() {
+            self.presence.doubt();
+        }
+    }
+
+    /// It is in a state in which nobody has put it: it may be another gauge.
+    pub(crate) fn lose_sight(&mut self) {
+        self.presence.end();
+    }
+
+    /// A pause begins now.
+    pub(in crate::gauge) fn rest(&self) {
+        self.wire.rested.set(self.clock.now());
+    }
+
+    /// Finds out, before something is sent, whether a gauge that may have been exchanged is the same one.
+    pub(super) fn recognise(&mut self) -> Result<(), BusError> {
+        let paused = self.wire.stopped.is_some_and(|stopped| {
+            // A wait of our own is as long as it has to be.
+            self.clock.now() >= stopped.max(self.wire.rested.get()) + PAUSE
+        });
+        if !self.presence.is_doubted_after(paused) {
+            return Ok(());
+        }
+        self.presence.doubt();
+        // Nothing may come between the words of a key.
+        if !self.presence.is_marked() || self.wire.secrets > 0 {
+            self.presence.end();
+            return Ok(());
+        }
+        for _ in 0..LOOKS {
+            let mut seen = [0; 2];
+            self.presence.look();
+            match self.pass(&[SELECTION], &mut seen) {
+                // The host was asleep in this very transfer.
+                Ok(()) if self.presence.is_doubted() => {}
+                Ok(()) if self.presence.knows_again(seen) => return Ok(()),
+                Ok(()) => {}
+                Err(error) if error.is_transient() && self.presence.may_look_again() => return Err(error),
+                // The transfer itself says what is wrong.
+                Err(_) => break,
+            }
+        }
+        self.presence.end();
+        Ok(())
+    }
+}
