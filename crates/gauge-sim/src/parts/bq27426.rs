@@ -9,17 +9,15 @@
 use super::bq27427;
 use super::bq27441_g1::UPDATE_STATUS;
 use super::flash::Image;
-use super::part::Action::*;
-use super::part::{Action, BlockPart, DataMemory, Part, Scheme, Status};
-use super::seal::Level::{self, Sealed as Anyone, Unsealed};
-use super::update::Exit;
+use super::part::{Action, BlockPart, DataMemory, Part, Scheme};
+use super::seal::Level;
 
 pub(super) static PART: Part = Part {
     name: "bq27426",
     image: IMAGE,
     timing: bq27427::TIMING,
     scheme: Scheme::Block(&BlockPart {
-        subcommands: SUBCOMMANDS,
+        subcommands: &SUBCOMMANDS,
         data_memory: Some(DataMemory { seals: UPDATE_STATUS, gain_sign: None }),
         ..bq27427::SCHEME
     }),
@@ -27,26 +25,13 @@ pub(super) static PART: Part = Part {
 };
 
 /// The list of NuttX's driver. The firmware version is what shipped images expect.
-#[rustfmt::skip]
-static SUBCOMMANDS: &[(u16, Level, Action)] = &[
-    (0x0000, Anyone, ControlStatus),
-    (0x0001, Anyone, Answer(0x0426)),
-    (0x0002, Anyone, Answer(0x0202)),
-    (0x0004, Anyone, AnswerCode),
-    (0x0007, Anyone, Previous),
-    (0x0008, Anyone, AnswerChemistry(0x3230)),
-    (0x000C, Anyone, BatteryInsert(true)),
-    (0x000D, Anyone, BatteryInsert(false)),
-    (0x0013, Unsealed, ConfigUpdate),
-    (0x001B, Unsealed, Set(Status::ShutdownArmed)),
-    (0x001C, Unsealed, Shutdown),
-    (0x0020, Unsealed, Seal),
-    (0x0030, Unsealed, Chemistry(0x3230)),
-    (0x0031, Unsealed, Chemistry(0x1202)),
-    (0x0032, Unsealed, Chemistry(0x3142)),
-    (0x0041, Unsealed, Reset),
-    (0x0042, Unsealed, Leave(Exit::Anew)),
-];
+const SUBCOMMANDS: [(u16, Level, Action); bq27427::SUBCOMMANDS.len()] = {
+    let mut all = bq27427::SUBCOMMANDS;
+    assert!(all[1].0 == 0x0001 && all[2].0 == 0x0002);
+    all[1].2 = Action::Answer(0x0426);
+    all[2].2 = Action::Answer(0x0202);
+    all
+};
 
 #[rustfmt::skip]
 static IMAGE: Image = &[

@@ -9,11 +9,10 @@
 
 use std::time::Duration;
 
-use super::bq27441_g1::{self, FLAGS, LEARNS, OWN, UPDATE_STATUS, family, rate};
+use super::bq27441_g1::{self, OWN, UPDATE_STATUS, family, rate};
 use super::flash::{Flash, Image};
 use super::gauging::Quantity as Q;
 use super::gauging::{Map, Settings};
-use super::model::Host;
 use super::part::Action::*;
 use super::part::{Action, BlockPart, DataMemory, Own, Part, Scheme, Status};
 use super::seal::Level::{self, Sealed as Anyone, Unsealed};
@@ -38,29 +37,17 @@ pub(super) const TIMING: Timing = Timing { update_enter: Duration::from_millis(1
 pub(super) const SCHEME: BlockPart = BlockPart {
     // Not documented.
     code: 0x0001,
-    map: Map { settings, registers: REGISTERS, flags: FLAGS, cycles: None, lifetime: None, learned: LEARNS },
-    subcommands: SUBCOMMANDS,
+    map: Map { settings, registers: REGISTERS, ..bq27441_g1::SCHEME.map },
+    subcommands: &SUBCOMMANDS,
     status: STATUS,
-    // The bq27441-G1's.
-    remembered: 0x0015,
-    last_register: 0x7F,
-    flags_register: 0x06,
-    voltage_register: 0x04,
-    host_registers: &[(0x02, Host::Temperature)],
-    keys: &[0],
     data_memory: Some(DataMemory { seals: UPDATE_STATUS, gain_sign: Some((105, 5)) }),
-    gate: None,
-    authentication: None,
-    sealed_blocks: &[],
-    sealed_writes: None,
-    battery_insert: Some((64, 0, 0x20)),
     own: Own { sleep: Some(((64, 0, 0x0020), (82, 23))), ..OWN },
-    rom: None,
+    ..bq27441_g1::SCHEME
 };
 
 /// The table of 5.1. The firmware version is what parts answer.
 #[rustfmt::skip]
-static SUBCOMMANDS: &[(u16, Level, Action)] = &[
+pub(super) const SUBCOMMANDS: [(u16, Level, Action); 17] = [
     (0x0000, Anyone, ControlStatus),
     (0x0001, Anyone, Answer(0x0427)),
     (0x0002, Anyone, Answer(0x0202)),

@@ -49,7 +49,7 @@ pub(super) const TIMING: Timing = Timing {
     ..Timing::USUAL
 };
 
-const SCHEME: BlockPart = BlockPart {
+pub(super) const SCHEME: BlockPart = BlockPart {
     // SLUSBH1C, device comparison.
     code: 0x0048,
     map: Map { settings, registers: REGISTERS, flags: FLAGS, cycles: None, lifetime: None, learned: LEARNS },

@@ -7,12 +7,11 @@
 //! those of the chemistry are invented, each class filled with its own number. The estimate of the current
 //! is as good as a measurement here.
 
-use super::bq27441_g1::{FLAGS, LEARNS, OWN, TIMING};
+use super::bq27441_g1::{self, OWN, TIMING};
 use super::flash::{Flash, Image};
 use super::gauging::Quantity as Q;
 use super::gauging::{Map, Settings};
 use super::learning::QMAX;
-use super::model::Host;
 use super::part::Action::*;
 use super::part::{Action, BlockPart, DataMemory, Own, Part, Scheme, Status};
 use super::seal::Level::{self, Sealed as Anyone, Unsealed};
@@ -32,26 +31,14 @@ static REWRITES: &[(u16, usize, usize)] = &[(82, 0, 2), (82, 28, 2), (85, 0, 2),
 static SCHEME: BlockPart = BlockPart {
     // There is no DM_CODE.
     code: 0,
-    map: Map { settings, registers: REGISTERS, flags: FLAGS, cycles: None, lifetime: None, learned: LEARNS },
+    map: Map { settings, registers: REGISTERS, ..bq27441_g1::SCHEME.map },
     subcommands: SUBCOMMANDS,
     status: STATUS,
-    // The bq27441-G1's.
-    remembered: 0x0015,
-    last_register: 0x7F,
-    flags_register: 0x06,
-    voltage_register: 0x04,
-    host_registers: &[(0x02, Host::Temperature)],
-    keys: &[0],
     // OpConfigB [DEF_SEAL].
     data_memory: Some(DataMemory { seals: (64, 2, 0x20), gain_sign: None }),
-    gate: None,
-    authentication: None,
-    sealed_blocks: &[],
-    sealed_writes: None,
-    battery_insert: Some((64, 0, 0x20)),
     // No bit of OpConfig is known to allow SLEEP.
     own: Own { load_mode: Some((82, 2)), sleep: None, ..OWN },
-    rom: None,
+    ..bq27441_g1::SCHEME
 };
 
 /// The firmware version is what TI's image expects.

@@ -7,7 +7,7 @@
 
 use std::array;
 
-use super::flash::{Flash, Image};
+use super::flash::Flash;
 use super::gauging::Quantity as Q;
 use super::gauging::{
     BATHI, BATLOW, CF, CHG, CHG_INH, DSG, FC, Learns, Map, OCVTAKEN, OTC, OTD, SOC1, SOCF, Settings, XCHG,
@@ -20,7 +20,7 @@ use super::timing::Timing;
 
 pub(super) static PART: Part = Part {
     name: "bq34z100-g1",
-    image: IMAGE,
+    image: &IMAGE,
     timing: Timing::USUAL,
     scheme: Scheme::Block(&SCHEME),
     rewrites: REWRITES,
@@ -28,12 +28,12 @@ pub(super) static PART: Part = Part {
 
 /// Cycle Count, lifetime data and their samples, Qmax and Avg I Last Run, R_a0x, CC Offset and Board Offset.
 #[rustfmt::skip]
-static REWRITES: &[(u16, usize, usize)] = &[
+pub(super) static REWRITES: &[(u16, usize, usize)] = &[
     (48, 6, 2), (59, 0, 2), (59, 4, 2), (59, 8, 2), (60, 0, 2), (82, 0, 2), (82, 7, 2), (89, 2, 2), (89, 16, 2),
     (104, 8, 2), (104, 10, 1),
 ];
 
-static SCHEME: BlockPart = BlockPart {
+pub(super) const SCHEME: BlockPart = BlockPart {
     code: 0,
     map: Map {
         settings,
@@ -48,7 +48,7 @@ static SCHEME: BlockPart = BlockPart {
             status: Some((82, 4)),
         }),
     },
-    subcommands: SUBCOMMANDS,
+    subcommands: &SUBCOMMANDS,
     status: STATUS,
     remembered: 0x0020,
     last_register: 0x7F,
@@ -91,7 +91,7 @@ static LAYOUT: Layout = &[
 
 /// SLUSBZ5D table 7-2. Answers are those of SLUA790 section 2.3, versions those of production parts.
 #[rustfmt::skip]
-static SUBCOMMANDS: &[(u16, Level, Action)] = &[
+pub(super) const SUBCOMMANDS: [(u16, Level, Action); 22] = [
     (0x0000, Anyone, ControlStatus),
     (0x0001, Anyone, Answer(0x0100)),
     (0x0002, Anyone, Answer(0x0016)),
@@ -180,7 +180,7 @@ static REGISTERS: &[(u8, usize, Q)] = &[
     (0x74, 2, Q::DodTimeHours),
 ];
 
-fn settings(flash: &Flash) -> Settings {
+pub(super) fn settings(flash: &Flash) -> Settings {
     let i16 = |id, offset| f64::from(flash.i16(id, offset));
     let u8 = |id, offset| f64::from(flash.u8(id, offset));
     let i8 = |id, offset| flash.u8(id, offset) as i8;
@@ -241,7 +241,7 @@ fn settings(flash: &Flash) -> Settings {
 }
 
 #[rustfmt::skip]
-static IMAGE: Image = &[
+pub(super) const IMAGE: [(u16, &[u8]); 22] = [
     // Safety
     (2, &[0x02, 0x26, 0x02, 0x01, 0xF4, 0x02, 0x58, 0x02, 0x02, 0x26]),
     // Charge Inhibit Cfg
@@ -313,7 +313,7 @@ mod tests {
     #[test]
     fn blocks_have_the_checksums_of_the_manual() {
         check_sums(
-            IMAGE,
+            &IMAGE,
             &[
                 (2, 0, 0x5C),
                 (48, 0, 0xBF),
