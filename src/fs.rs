@@ -52,7 +52,7 @@ use root::Root;
 pub use root::free_names;
 pub use sim_dir::SimItem;
 pub(crate) use smart_battery::{
-    ADDRESS as BATTERY_ADDRESS, SmartBattery, Told, obstacle as battery_obstacle,
+    ADDRESS as BATTERY_ADDRESS, BatteryEvent, SmartBattery, obstacle as battery_obstacle,
 };
 pub use supply::{Supply, SupplyItem};
 

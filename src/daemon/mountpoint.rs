@@ -52,7 +52,7 @@ pub(super) enum Mounted {
 pub(crate) enum Hiding<'a> {
     Refused,
     /// Warns, for units that are older than the refusal.
-    Told(&'a dyn Fn(&str)),
+    Warned(&'a dyn Fn(&str)),
     Wanted,
 }
 
@@ -61,7 +61,7 @@ impl<'a> Hiding<'a> {
     pub(crate) fn by(options: &MountOptions, is_unit: bool, tell: &'a dyn Fn(&str)) -> Self {
         match options.over {
             true => Self::Wanted,
-            false if is_unit || background::is_of_a_unit() => Self::Told(tell),
+            false if is_unit || background::is_of_a_unit() => Self::Warned(tell),
             false => Self::Refused,
         }
     }
@@ -82,7 +82,7 @@ impl<'a> Hiding<'a> {
         let Some(first) = first else { return Ok(()) };
         let what = format!("not empty, it has {}, and a mount hides what is in it", shown(&first.path()));
         let subject = path.display().to_string();
-        if let Self::Told(tell) = self {
+        if let Self::Warned(tell) = self {
             tell(&format!(
                 "{subject}: {what}; write `over = true` below [mount], or --over: a later version refuses this"
             ));

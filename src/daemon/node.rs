@@ -29,7 +29,7 @@ use rustix::net::{
 use super::service;
 use crate::config::Setup;
 use crate::error::{Cause, Error, Result};
-use crate::fs::{BATTERY_ADDRESS, Fs, SmartBattery, Told, battery_obstacle};
+use crate::fs::{BATTERY_ADDRESS, BatteryEvent, Fs, SmartBattery, battery_obstacle};
 use crate::vhci::{self, Plugged};
 use gauge_bus::clock::{Clock, RealClock};
 use gauge_owner::{GaugeOptions, Signal};
@@ -164,7 +164,7 @@ fn tell(uevent: File, battery: &SmartBattery, signal: &Signal, limit: Duration) 
         close_all_but(uevent.as_raw_fd());
     }
     let clock = RealClock::new();
-    let mut told: Told = None;
+    let mut told: BatteryEvent = None;
     let mut seen = 0;
     loop {
         let now = battery.told();

@@ -82,7 +82,7 @@ pub(crate) fn obstacle(chip: &Chip) -> Option<String> {
 }
 
 /// Values of a present battery whose change is worth an event.
-pub(crate) type Told =
+pub(crate) type BatteryEvent =
     Option<(Option<&'static str>, Option<u16>, Option<&'static str>, Option<&'static str>)>;
 
 pub(crate) struct SmartBattery {
@@ -100,7 +100,7 @@ impl SmartBattery {
     }
 
     /// The subject of events.
-    pub(crate) fn told(&self) -> Told {
+    pub(crate) fn told(&self) -> BatteryEvent {
         self.ask(|reading| {
             let capacity = word(reading, RELATIVE_STATE_OF_CHARGE, false);
             is_there(reading)

@@ -215,7 +215,7 @@ impl Announcing {
             && self.announcer.keeps_names()
             && let Err(error) = look_up_again(&self.announcer.device)
         {
-            log::warn!("/dev/fuse: the kernel shows some values two seconds late: {error}");
+            log::warn!("cannot notify the kernel ({error}): values may lag by 2 s");
         }
         self.announce_folders(&gauges);
     }

@@ -13,7 +13,7 @@ use super::envelope::{DRAWN, Envelope, Lost, NackAs};
 use super::error::{Error, Kind, Result};
 use super::fault::{Commit, Plan};
 use super::flash::{BLOCK, Flash, Store};
-use super::knob::{self, Dial, Knob, Of};
+use super::knob::{self, Knob, KnobValue, Of};
 use super::model::Kept;
 use super::model::Model;
 use super::options::Options;
@@ -159,13 +159,13 @@ impl Device {
     }
 
     /// The knob of a time or of the envelope with that name.
-    fn dial(&mut self, name: &str) -> Option<&mut dyn Dial> {
+    fn knob_value(&mut self, name: &str) -> Option<&mut dyn KnobValue> {
         if name == "reset_busy" {
             return Some(&mut self.timing.reset_busy);
         }
         match self.timing.knob(name) {
             Some(time) => Some(time),
-            None => self.envelope.dial(name),
+            None => self.envelope.knob_value(name),
         }
     }
 
@@ -442,7 +442,7 @@ impl Gauge {
 
     pub(super) fn envelope(&mut self) -> String {
         let device = &mut self.device;
-        let drawn = |name: &&str| Some(format!("{name} {}", device.dial(name)?.show()));
+        let drawn = |name: &&str| Some(format!("{name} {}", device.knob_value(name)?.show()));
         let shown: Vec<String> = DRAWN.iter().filter_map(drawn).collect();
         let seed = self.drawn.map_or_else(|| "friendly".into(), |seed| format!("seed {seed}"));
         format!("{seed}: {}", shown.join(", "))
@@ -618,8 +618,8 @@ impl Gauge {
     pub(super) fn knob(&mut self, name: &str, now: Duration) -> Option<String> {
         let (device, wire) = (&mut self.device, &mut *self.wire);
         device.run(wire, now, true);
-        if let Some(dial) = device.dial(name) {
-            return Some(dial.show());
+        if let Some(value) = device.knob_value(name) {
+            return Some(value.show());
         }
         let mode = match wire.mode(&device.flash) {
             _ if !device.is_on() => "off",
@@ -674,8 +674,8 @@ impl Gauge {
                 (false, false) => device.power = Power::Off(None),
                 (true, true) => {}
             },
-            _ => match device.dial(name) {
-                Some(dial) => dial.turn(name, text)?,
+            _ => match device.knob_value(name) {
+                Some(value) => value.turn(name, text)?,
                 None => wire.set_knob(device, name, text)?,
             },
         }

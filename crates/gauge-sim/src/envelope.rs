@@ -6,7 +6,7 @@
 use std::time::Duration;
 
 use super::flash::{BLOCK, Flash};
-use super::knob::{Choice, Dial};
+use super::knob::{KnobChoice, KnobValue};
 use super::model::Kept;
 use super::part::{Part, Scheme};
 use super::random::Random;
@@ -60,11 +60,11 @@ impl NackAs {
     }
 }
 
-impl Choice for Early {
+impl KnobChoice for Early {
     const WORDS: &'static [(&'static str, Self)] = &[("previous", Early::Previous), ("blank", Early::Blank)];
 }
 
-impl Choice for Tear {
+impl KnobChoice for Tear {
     const WORDS: &'static [(&'static str, Self)] = &[
         ("rest-old", Tear::RestOld),
         ("rest-erased", Tear::RestErased),
@@ -74,11 +74,11 @@ impl Choice for Tear {
     ];
 }
 
-impl Choice for First {
+impl KnobChoice for First {
     const WORDS: &'static [(&'static str, Self)] = &[("old", First::Old), ("nonsense", First::Nonsense)];
 }
 
-impl Choice for NackAs {
+impl KnobChoice for NackAs {
     const WORDS: &'static [(&'static str, Self)] = &[
         ("enxio", NackAs::Enxio),
         ("eio", NackAs::Eio),
@@ -247,7 +247,7 @@ impl Envelope {
         new
     }
 
-    pub(super) fn dial(&mut self, name: &str) -> Option<&mut dyn Dial> {
+    pub(super) fn knob_value(&mut self, name: &str) -> Option<&mut dyn KnobValue> {
         Some(match name {
             "block_ms" => &mut self.block,
             "early" => &mut self.early,

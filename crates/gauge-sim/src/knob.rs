@@ -166,18 +166,18 @@ pub(super) static KNOBS: &[Knob] = &[
 ];
 
 /// A value of a knob.
-pub(super) trait Dial {
+pub(super) trait KnobValue {
     fn show(&self) -> String;
     /// Takes a text. A bad text changes nothing.
     fn turn(&mut self, name: &str, text: &str) -> Result<()>;
 }
 
 /// A value with a word for each position.
-pub(super) trait Choice: Copy + PartialEq + 'static {
+pub(super) trait KnobChoice: Copy + PartialEq + 'static {
     const WORDS: &'static [(&'static str, Self)];
 }
 
-impl<C: Choice> Dial for C {
+impl<C: KnobChoice> KnobValue for C {
     fn show(&self) -> String {
         Self::WORDS.iter().find(|(_, value)| value == self).map_or("", |(word, _)| word).into()
     }
@@ -190,11 +190,11 @@ impl<C: Choice> Dial for C {
     }
 }
 
-impl Choice for bool {
+impl KnobChoice for bool {
     const WORDS: &'static [(&'static str, Self)] = &[("off", false), ("on", true)];
 }
 
-impl Dial for Duration {
+impl KnobValue for Duration {
     fn show(&self) -> String {
         self.as_millis().to_string()
     }
@@ -205,7 +205,7 @@ impl Dial for Duration {
     }
 }
 
-impl Dial for u32 {
+impl KnobValue for u32 {
     fn show(&self) -> String {
         self.to_string()
     }
@@ -217,7 +217,7 @@ impl Dial for u32 {
 }
 
 /// A word in place of the documented one.
-impl Dial for Option<u16> {
+impl KnobValue for Option<u16> {
     fn show(&self) -> String {
         self.map_or_else(|| "printed".into(), |word| format!("0x{word:04X}"))
     }

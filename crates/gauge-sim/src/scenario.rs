@@ -258,7 +258,7 @@ impl Scenario {
                         (Some(from), false) => *from,
                         (None, false) => {
                             return Err(bad(
-                                "over: an earlier step, or [start], must set what it begins with",
+                                "`over` needs a start value: set this knob in [start] or in an earlier step",
                             ));
                         }
                     };
@@ -560,9 +560,7 @@ mod tests {
         assert!(refused("[[step]]\nat = 1\ncommit = 1\n").contains("step 1: it has to say when"));
         assert!(refused("[[step]]\nat = 1\nafter = 1\n").contains("after: it is for a step with"));
         assert!(refused("[[step]]\ncommit = 1\njitter = 1\n").contains("for a step with `at`"));
-        assert!(
-            refused("[[step]]\nat = 1\nload_ma = 1\nover = 1\n").contains("must set what it begins with")
-        );
+        assert!(refused("[[step]]\nat = 1\nload_ma = 1\nover = 1\n").contains("needs a start value"));
         assert!(refused("[[step]]\nat = 1\npower = 'off'\njitter = 1\n").contains("they are for a number"));
         assert!(
             refused("[[step]]\nat = 1\nload_ma = 1\njitter = -1\n").contains("jitter: not a number from 0")

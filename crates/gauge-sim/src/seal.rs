@@ -4,7 +4,7 @@
 
 use std::time::Duration;
 
-use super::knob::Choice;
+use super::knob::KnobChoice;
 
 /// The halves of a key must follow each other within this time.
 const WINDOW: Duration = Duration::from_secs(4);
@@ -21,7 +21,7 @@ pub enum Level {
     FullAccess,
 }
 
-impl Choice for Level {
+impl KnobChoice for Level {
     const WORDS: &'static [(&'static str, Self)] =
         &[("sealed", Level::Sealed), ("unsealed", Level::Unsealed), ("full-access", Level::FullAccess)];
 }

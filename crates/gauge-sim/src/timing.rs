@@ -4,7 +4,7 @@
 
 use std::time::Duration;
 
-use super::knob::Choice;
+use super::knob::KnobChoice;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Busy {
@@ -16,7 +16,7 @@ pub(super) enum Busy {
     Old,
 }
 
-impl Choice for Busy {
+impl KnobChoice for Busy {
     const WORDS: &'static [(&'static str, Self)] =
         &[("nack", Busy::Nack), ("stretch", Busy::Stretch), ("old", Busy::Old)];
 }

@@ -29,7 +29,7 @@ enum Why {
     /// A file could not be opened, so the daemon has not heard of the request. The hint adds to the errno.
     Unopened { file: String, hint: &'static str, error: io::Error },
     /// The daemon refused, with its reason.
-    Told { text: String, facts: String, error: io::Error },
+    Explained { text: String, facts: String, error: io::Error },
     /// The file operation failed, and no explanation certainly belongs to it.
     Failed(io::Error),
     /// A failure of the host, with a remedy.
@@ -48,7 +48,7 @@ impl Error {
     }
 
     pub(crate) fn told(gauge: &Path, text: String, facts: String, error: io::Error) -> Self {
-        Self::new(gauge.display().to_string(), Why::Told { text, facts, error })
+        Self::new(gauge.display().to_string(), Why::Explained { text, facts, error })
     }
 
     pub(crate) fn failed(gauge: &Path, error: io::Error) -> Self {
@@ -91,7 +91,7 @@ impl Error {
     /// The text of `gauge/last_error` about this failure. Older texts are left out.
     pub fn last_error(&self) -> Option<&str> {
         match &self.0.why {
-            Why::Told { text, .. } => Some(text),
+            Why::Explained { text, .. } => Some(text),
             _ => None,
         }
     }
@@ -99,7 +99,7 @@ impl Error {
     /// The JSON object of `gauge/last_error_facts` about this failure. An empty object if nothing is known.
     pub fn facts(&self) -> Option<&str> {
         match &self.0.why {
-            Why::Told { facts, .. } => Some(facts),
+            Why::Explained { facts, .. } => Some(facts),
             _ => None,
         }
     }
@@ -125,7 +125,9 @@ impl Error {
     /// The error of the file operation.
     pub fn io_error(&self) -> Option<&io::Error> {
         match &self.0.why {
-            Why::Unopened { error, .. } | Why::Told { error, .. } | Why::Host { error, .. } => Some(error),
+            Why::Unopened { error, .. } | Why::Explained { error, .. } | Why::Host { error, .. } => {
+                Some(error)
+            }
             Why::Failed(error) => Some(error),
             Why::Refused(_) => None,
         }
@@ -139,7 +141,7 @@ impl Error {
         };
         match &self.0.why {
             Why::Unopened { hint, error, .. } => desc(error) + hint,
-            Why::Told { text, .. } | Why::Host { text, .. } => text.clone(),
+            Why::Explained { text, .. } | Why::Host { text, .. } => text.clone(),
             Why::Failed(error) => desc(error),
             Why::Refused(error) => error.reason().to_string(),
         }
@@ -149,7 +151,7 @@ impl Error {
     pub fn text(&self) -> String {
         let (what, reason) = (&*self.0.what, self.reason());
         let file = if let Why::Unopened { file, .. } = &self.0.why { &**file } else { "" };
-        let is_plain = matches!(self.0.why, Why::Told { .. } | Why::Host { .. } | Why::Refused(_));
+        let is_plain = matches!(self.0.why, Why::Explained { .. } | Why::Host { .. } | Why::Refused(_));
         let parts = if is_plain { [""; 2] } else { [what, file] };
         let head: String =
             parts.into_iter().filter(|part| !part.is_empty()).map(|part| format!("{part}: ")).collect();

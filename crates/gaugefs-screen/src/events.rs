@@ -73,7 +73,7 @@ impl Events {
         // Before another thread exists that could get the signal.
         await_end(sender.clone())?;
         let calling = supplies::to_channel(self.mountpoint.clone(), sender).map_err(Error::from)?;
-        let (mountpoint, told, trouble) = (self.mountpoint, Told::default(), String::new());
+        let (mountpoint, told, trouble) = (self.mountpoint, Announced::default(), String::new());
         Telling { mountpoint, calling, listeners, told, trouble }.run(&events)
     }
 }
@@ -151,7 +151,7 @@ struct Telling {
     mountpoint: PathBuf,
     calling: Calling,
     listeners: Listeners,
-    told: Told,
+    told: Announced,
     /// The reason for having no supplies that was printed last.
     trouble: String,
 }
@@ -230,11 +230,11 @@ impl Supply {
 }
 
 #[derive(Default)]
-struct Told {
+struct Announced {
     supplies: BTreeMap<String, Supply>,
 }
 
-impl Told {
+impl Announced {
     /// Takes a look at the mount.
     fn see(&mut self, supplies: &BTreeMap<String, Texts>) {
         for supply in self.supplies.values_mut() {
@@ -289,7 +289,7 @@ mod tests {
     /// Looks at a battery in these states, and shows the messages: `add`, `change` and `remove` as `+`, `~` and `-`,
     /// with their times in milliseconds.
     fn told(looks: &[(u64, Option<&str>)], end: u64) -> String {
-        let (start, mut told, mut lines) = (Instant::now(), Told::default(), Vec::new());
+        let (start, mut told, mut lines) = (Instant::now(), Announced::default(), Vec::new());
         for ms in 0..=end {
             let now = start + Duration::from_millis(ms);
             if let Some((_, status)) = looks.iter().find(|(at, _)| *at == ms) {
@@ -336,12 +336,12 @@ mod tests {
 
     #[test]
     fn voltage_is_no_news_and_a_name_that_is_no_plain_word_is_never_told() {
-        let (now, mut told) = (Instant::now(), Told::default());
+        let (now, mut told) = (Instant::now(), Announced::default());
         let one = |volts| {
             mount(&[("BAT0", &[("voltage_now", volts)]), ("..\n/x", &[]), ("AC", &[("online", "1")])])
         };
         told.see(&one("3"));
-        let names = |told: &mut Told, ms| told.due(now + Duration::from_millis(ms));
+        let names = |told: &mut Announced, ms| told.due(now + Duration::from_millis(ms));
         assert_eq!(names(&mut told, 0), [(Action::Add, "AC".into()), (Action::Add, "BAT0".into())]);
         told.see(&one("4"));
         assert_eq!(names(&mut told, 5000), []);
