@@ -53,7 +53,7 @@ Examples:
   gaugefs metrics --listen unix:/run/gaugefs-metrics.sock
   gaugefs metrics --format nut --interval 2 -o BAT0.seq /run/gauges/BAT0";
 
-/// The most threads that read one mount, for as many clients at once.
+/// Most threads that read one mount, for as many clients at once.
 const MOST: usize = 8;
 
 /// Print metrics of mounted gauges for Prometheus, or a gauge for NUT
@@ -113,7 +113,7 @@ impl Metrics {
             Format::Nut => reader.of_gauge(),
         };
         loop {
-            // A gauge that is gone is an error that the file shows as well.
+            // A missing gauge is an error that the file shows too.
             let (text, is_there) = page()?;
             match &self.output {
                 None => print_file(text.as_bytes())?,
@@ -129,26 +129,26 @@ impl Metrics {
 /// Reads mounts.
 #[derive(Debug)]
 struct Reader {
-    /// Mount points; none for every mounted gaugefs.
+    /// Mount points; empty for every mounted gaugefs.
     mountpoints: Vec<PathBuf>,
-    /// Those that ought to be there besides; none for what the configuration names.
+    /// Further mounts that ought to be there; empty for those of the configuration.
     expected: Vec<PathBuf>,
-    /// Whether the metrics are also those of node_exporter.
+    /// Whether node_exporter's own metrics are included.
     all: bool,
-    /// How many threads read each mount. One whose daemon hangs keeps them.
+    /// Threads that read each mount. A hanging daemon keeps them.
     threads: Mutex<HashMap<PathBuf, usize>>,
 }
 
 impl Reader {
     fn new(mountpoints: Vec<PathBuf>, expect: &[PathBuf], all: bool) -> Arc<Self> {
         let expected = expect.iter().map(|word| expected::named(word)).collect();
-        // Whoever gives the name of a gauge means its folder.
+        // A gauge's name means its folder.
         let named = |path: PathBuf| Gauge::named(&path).unwrap_or(path);
         let mountpoints = mountpoints.into_iter().map(named).collect();
         Arc::new(Self { mountpoints, expected, all, threads: Mutex::default() })
     }
 
-    /// The mounts of a page: what is read, and the mount point that it belongs to.
+    /// The mounts of a page: the path to read, and its mount point.
     fn places(&self) -> Vec<(PathBuf, PathBuf)> {
         let (mut all, mut expected) = (self.mountpoints.clone(), self.expected.clone());
         if all.is_empty() {
@@ -178,7 +178,7 @@ impl Reader {
         page::render(&mounts, begun.elapsed(), format, self.all)
     }
 
-    /// The file of the one gauge for NUT, and whether the gauge is there.
+    /// The file of the gauge for NUT, and whether the gauge is there.
     fn of_gauge(self: &Arc<Self>) -> Result<(String, Result<()>)> {
         let mut mounts = self.read(nut::files());
         let mut gauges = mounts.iter_mut().flat_map(|mount| mount.gauges.drain(..));
@@ -194,8 +194,8 @@ impl Reader {
         Ok((nut::render(gauge.as_ref()), is_there.then_some(()).ok_or_else(gone)))
     }
 
-    /// Reads these files of all gauges. A mount of which nothing is heard for some seconds is reported as down, and is not read again
-    /// while too many threads wait for it.
+    /// Reads these files of all gauges. A mount that is silent for some seconds is reported as down, and is not read
+    /// again while too many threads wait for it.
     fn read(self: &Arc<Self>, files: Vec<String>) -> Vec<Mount> {
         let files: Arc<[String]> = files.into();
         let all = self.places();
@@ -217,7 +217,7 @@ impl Reader {
                 let report = |seen| sender.send((number, seen)).is_ok();
                 let up = match read(&path, &files, |gauge| report(Seen::Gauge(gauge))) {
                     Ok(()) => Up::Yes,
-                    // The kernel keeps everybody else out of a private mount, so it may be as well as it likes.
+                    // The kernel keeps all others out of a private mount, so its state is unknown.
                     Err(error) if error.kind() == io::ErrorKind::PermissionDenied => Up::Unknown,
                     Err(_) => Up::No,
                 };
@@ -233,7 +233,7 @@ impl Reader {
         while let Ok((number, seen)) = found.recv_timeout(follow::PATIENCE) {
             let mount = &mut mounts[number];
             match seen {
-                // It may have been named twice, itself and by its mount.
+                // It may have been named twice, by itself and by its mount.
                 Seen::Gauge(gauge) if mount.gauges.iter().any(|known| known.name == gauge.name) => {}
                 Seen::Gauge(gauge) => mount.gauges.push(gauge),
                 Seen::End(Up::Yes) => mount.up = Up::Yes,
@@ -245,7 +245,7 @@ impl Reader {
     }
 }
 
-/// The mount point that a path belongs to, by which it is known however it was named; of one that is gone, the path itself.
+/// The mount point of a path, by which it is known under any name; for a missing one, the path itself.
 fn mountpoint(path: &Path) -> PathBuf {
     let own: PathBuf = std::path::absolute(path).unwrap_or_default().components().collect();
     if let Some(mount) = mounts::of(&own) {
@@ -258,21 +258,21 @@ fn mountpoint(path: &Path) -> PathBuf {
     target.map_or(own, |target| mounts::of(&target).unwrap_or(target))
 }
 
-/// What a thread reports of a mount.
+/// A thread's report about a mount.
 enum Seen {
     Gauge(page::Gauge),
-    /// There are no more.
+    /// The end of the gauges.
     End(Up),
 }
 
-/// Reads these files of the gauges of a mount, and reports each gauge.
+/// Reads these files of a mount's gauges, and reports each gauge.
 fn read(path: &Path, files: &[String], report: impl Fn(page::Gauge) -> bool) -> io::Result<()> {
-    // Where a mount is gone there may be something else, even supplies of the kernel's.
+    // In place of a missing mount there may be something else, even the kernel's supplies.
     if mounts::of(path).is_none() && mounts::of(&std::fs::canonicalize(path)?).is_none() {
         return Err(io::ErrorKind::NotFound.into());
     }
     for folder in gaugefs_client::gauges_at(path)? {
-        // One that goes away meanwhile is not there.
+        // A gauge that goes away meanwhile is left out.
         let Ok(texts) = follow::all(&folder, files) else { continue };
         if !report(page::Gauge { name: gaugefs_client::last_name(&folder), texts }) {
             break;

@@ -2,9 +2,12 @@
 
 //! SHA-1 authentication (SLUSBZ5D 7.3.15): a challenge goes to the gauge, the digest comes back.
 //!
-//! The gauge computes SHA1(K || SHA1(K || M)) from its key K, which never leaves it, and the challenge M.
-//! This is not the HMAC of RFC 2104. This module has the sequence on the bus, which needs no key, and the
-//! computation of the expected answer, which needs no gauge.
+//! The gauge computes SHA1(K
+//!
+//! SHA1(K
+//!
+//! M)) from its key K, which never leaves it, and the challenge M. This is not the HMAC of RFC 2104. This module has
+//! the sequence on the bus, which needs no key, and the computation of the expected answer, which needs no gauge.
 
 use std::time::Duration;
 
@@ -27,14 +30,14 @@ const BLOCK_DATA_CONTROL: u8 = 0x61;
 
 /// Bytes of a challenge, and of a digest.
 pub const LENGTH: usize = 20;
-/// A challenge or a digest, the most significant byte first, as SHA-1 takes and gives it.
+/// A challenge or a digest, most significant byte first, as in SHA-1.
 pub type Message = [u8; LENGTH];
 
-/// The least time from the selection until the challenge: a window that is loaded later would overwrite it.
+/// Shortest time from the selection to the challenge: a window that loads later would overwrite it.
 const SELECTED: Duration = Duration::from_millis(60);
-/// The least time before the buffer is read: gauges take up to 30 ms for what is in it.
+/// Shortest time before the buffer is read: gauges take up to 30 ms for its content.
 const SETTLED: Duration = Duration::from_millis(30);
-/// Reads of the digest before the gauge is given up.
+/// Reads of the digest before giving up.
 const DIGEST_READS: u32 = 4;
 /// write(2) returns within 30 s.
 const LIMIT: Duration = Duration::from_secs(12);
@@ -43,10 +46,10 @@ const LIMIT: Duration = Duration::from_secs(12);
 /// parts have the least significant byte first.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Order {
-    /// The least significant byte first.
+    /// Least significant byte first.
     #[default]
     LsbFirst,
-    /// The first byte first.
+    /// First byte first.
     AsSent,
 }
 
@@ -54,7 +57,7 @@ impl Order {
     /// Both orders.
     pub const ALL: [Order; 2] = [Order::LsbFirst, Order::AsSent];
 
-    /// The word for it.
+    /// The order's word.
     pub fn as_str(self) -> &'static str {
         match self {
             Order::LsbFirst => "lsb-first",
@@ -62,12 +65,12 @@ impl Order {
         }
     }
 
-    /// The order that a word names.
+    /// The order with that word.
     pub fn by_name(word: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|order| order.as_str() == word)
     }
 
-    /// From the order of SHA-1 to that of the bus, or back.
+    /// Converts between the orders of SHA-1 and of the bus.
     fn turn(self, mut message: Message) -> Message {
         if self == Order::LsbFirst {
             message.reverse();
@@ -76,20 +79,20 @@ impl Order {
     }
 }
 
-/// The answer of a gauge with this key to a challenge.
+/// A gauge's answer to a challenge, with this key.
 pub fn answer(key: &[u8; 16], challenge: &Message) -> Message {
     let inner = Sha1::new().chain_update(key).chain_update(challenge).finalize();
     Sha1::new().chain_update(key).chain_update(inner).finalize().into()
 }
 
-/// The byte order in which a gauge with this key gives this digest, if it was asked in the order `asked`;
-/// `None` if it does so in neither.
+/// The byte order in which a gauge with this key gives this digest after a challenge in the order `asked`; `None` if
+/// neither fits.
 pub fn fits(key: &[u8; 16], challenge: &Message, digest: &Message, asked: Order) -> Option<Order> {
     let (sent, got) = (asked.turn(*challenge), asked.turn(*digest));
     Order::ALL.into_iter().find(|order| answer(key, &order.turn(sent)) == order.turn(got))
 }
 
-/// Asks the gauge for its digest of a challenge. This needs no key and does not change the seal state.
+/// Asks the gauge for its digest of a challenge, without a key and without a change of the seal state.
 pub fn ask(gauge: &mut Gauge, challenge: &Message, order: Order, waited: Duration) -> Result<Message> {
     let Some(waits) = &gauge.chip.authentication else {
         let why = "this part has no authentication that gaugefs knows";
@@ -101,7 +104,7 @@ pub fn ask(gauge: &mut Gauge, challenge: &Message, order: Order, waited: Duratio
     outcome.map_err(|error| error.within("authenticate"))
 }
 
-/// Like [`ask`], within an operation that has its own time limit.
+/// Like [`ask`], within an operation with its own time limit.
 pub(crate) fn answered(gauge: &mut Gauge, challenge: &Message, order: Order) -> Result<Message> {
     let waits = gauge.chip.authentication.as_ref().expect("asked of parts that have it");
     exchange_twice(gauge, waits, challenge, order)
@@ -114,7 +117,7 @@ fn exchange_twice(
     order: Order,
 ) -> Result<Message> {
     let sent = order.turn(*challenge);
-    // The exchange stores nothing, so it can be repeated as a whole.
+    // The exchange stores nothing, so all of it can be repeated.
     let digest = attempt(gauge, waits, &sent).or_else(|_| {
         Statistics::count(&gauge.statistics.retries);
         attempt(gauge, waits, &sent)
@@ -139,15 +142,15 @@ fn exchange(gauge: &mut Gauge, waits: &Authentication, sent: &Message) -> Result
     gauge.wait(gauge.chip.access.select.max(SELECTED));
     gauge.write(AUTHENTICATE_DATA, sent)?;
     gauge.wait(waits.challenge.max(SETTLED));
-    // A corrupted challenge starts no computation and stays in the buffer. So neither the challenge nor the present
-    // content, whatever it is, must be taken for the digest.
+    // A corrupted challenge starts no computation and stays in the buffer. So neither the challenge nor the buffer's
+    // present content must be taken for the digest.
     let mut echo = [0; LENGTH];
     gauge.read(AUTHENTICATE_DATA, &mut echo)?;
     // Sent once: a second checksum would apply to the digest.
     let started = gauge.write_once(AUTHENTICATE_CHECKSUM, &[checksum(sent)]);
     started.map_err(|bus| Error::bus("AuthenticateChecksum()", bus))?;
-    // I2C has no error detection, and the time that the gauge needs is not documented, so two reads of the
-    // digest must agree.
+    // I2C has no error detection, and the gauge's computing time is not documented, so two readings of the digest must
+    // agree.
     let mut before = None;
     for _ in 0..DIGEST_READS {
         gauge.wait(waits.digest.max(SETTLED));
@@ -164,7 +167,7 @@ fn exchange(gauge: &mut Gauge, waits: &Authentication, sent: &Message) -> Result
     Err(Error::new("AuthenticateData()", Cause::Protocol, why))
 }
 
-/// A challenge or a digest as text, two digits a byte.
+/// A challenge or a digest as text, two digits per byte.
 pub fn to_hex(message: &Message) -> String {
     text::hex(message)
 }

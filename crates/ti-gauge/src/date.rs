@@ -2,12 +2,12 @@
 
 //! Dates as TI packs them into a word: `Day+Mo*32+(Yr-1980)*512`.
 
-/// The unit of a parameter that holds a date, as the manuals print it.
+/// The unit of a date in the manuals.
 pub const UNIT: &str = "Day+Mo*32+(Yr-1980)*512";
-/// The first year that can be stored.
+/// First year that can be stored.
 const FIRST_YEAR: i64 = 1980;
 
-/// Year, month and day of a stored word; `None` for one that is no date, such as 0.
+/// Year, month and day of a stored word; `None` for anything but a date, such as 0.
 pub fn of(stored: i64) -> Option<[i64; 3]> {
     let date @ [year, month, day] = [FIRST_YEAR + (stored >> 9), stored >> 5 & 15, stored & 31];
     (0..=0xffff).contains(&stored).then_some(())?;
@@ -19,7 +19,7 @@ pub fn text(stored: i64) -> Option<String> {
     of(stored).map(|[year, month, day]| format!("{year}-{month:02}-{day:02}"))
 }
 
-/// The word for `2026-11-22`, if there is such a day and its year can be stored.
+/// The word for `2026-11-22`, if the day exists and its year can be stored.
 pub fn parse(text: &str) -> Option<i64> {
     let fields: Vec<&str> = text.split('-').collect();
     let [year, month, day] = fields[..] else { return None };
@@ -32,7 +32,7 @@ pub fn parse(text: &str) -> Option<i64> {
     (of(stored)? == [year, month, day]).then_some(stored)
 }
 
-/// How many days a month has.
+/// Days of a month.
 fn days(year: i64, month: i64) -> Option<i64> {
     let is_leap = year % 4 == 0 && (year % 100 != 0 || year % 400 == 0);
     Some(match month {

@@ -31,19 +31,19 @@
 use std::fmt;
 use std::marker::PhantomData;
 
-/// One of the times that follow each other. `Of` says what lasts as long.
+/// One of successive epochs. `Of` says what lasts as long.
 pub struct Epoch<Of> {
     number: u64,
     of: PhantomData<fn() -> Of>,
 }
 
 impl<Of> Epoch<Of> {
-    /// The one of that number, among others that are not counted but drawn.
+    /// The epoch of that number, from numbers that are drawn instead of counted.
     pub fn numbered(number: u64) -> Self {
         Self { number, of: PhantomData }
     }
 
-    /// Begins the next one: what was learned before does not count any more.
+    /// Begins the next epoch: what was learned before no longer counts.
     pub fn next(&mut self) {
         self.number += 1;
     }
@@ -82,28 +82,28 @@ impl<Of> fmt::Debug for Epoch<Of> {
     }
 }
 
-/// What was learned in an epoch.
+/// A fact that was learned in an epoch.
 pub struct Fact<T, Of>(Option<(Epoch<Of>, T)>);
 
 impl<T, Of> Fact<T, Of> {
-    /// Keeps what was learned now.
+    /// Keeps a fact learned now.
     pub fn learn(&mut self, now: Epoch<Of>, value: T) {
         self.0 = Some((now, value));
     }
 
-    /// What is known, if it was learned in this epoch.
+    /// The fact, if it was learned in this epoch.
     pub fn get(&self, now: Epoch<Of>) -> Option<&T> {
         self.0.as_ref().filter(|(then, _)| *then == now).map(|(_, value)| value)
     }
 
-    /// Whether anything is known in this epoch.
+    /// Whether the fact is known in this epoch.
     pub fn is_known(&self, now: Epoch<Of>) -> bool {
         self.get(now).is_some()
     }
 }
 
 impl<T: Default, Of> Fact<T, Of> {
-    /// What is known, to be added to. In another epoch that is nothing.
+    /// The fact, to be extended. In another epoch it starts empty.
     pub fn in_epoch(&mut self, now: Epoch<Of>) -> &mut T {
         if !self.is_known(now) {
             self.learn(now, T::default());

@@ -29,11 +29,11 @@ pub enum Step {
     Control,
     /// Asking the gauge which part it is.
     Identify,
-    /// Checking a value or the gauge's state before anything is touched.
+    /// Checking a value or the gauge's state before touching anything.
     Check,
     /// Sending key words and confirming the state they lead to.
     Unseal,
-    /// Putting the gauge back into the state it was found in.
+    /// Restoring the gauge's earlier state.
     Seal,
     /// Selecting a data-flash block and reading it.
     ReadBlock,
@@ -70,11 +70,11 @@ impl Step {
 /// The kind of a failure.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Cause {
-    /// Not a value of that type, junk after it, or a subcommand that is not safe.
+    /// Not a value of that type, junk after it, or an unsafe subcommand.
     Invalid,
     /// Outside the range of the manual or the narrower safe limits.
     OutOfRange,
-    /// Sealed and no key works, or not changeable this way.
+    /// Sealed without a working key, or not changeable this way.
     NotPermitted,
     /// Something else holds the gauge: a transaction, a kernel driver, another process.
     Busy,
@@ -86,24 +86,24 @@ pub enum Cause {
     Protocol,
     /// The gauge did not finish in time.
     TimedOut,
-    /// Failed, and the old block was put back and verified.
+    /// Failed; the old block was put back and verified.
     RolledBack,
-    /// Failed, and data flash or seal are unknown or not as they were found.
+    /// Failed; data flash or seal are unknown or changed.
     StateUnknown,
     /// The gauge is gone, or another part answers in its place.
     Gone,
-    /// Nobody answers at the address.
+    /// No answer at the address.
     NoAnswer,
     /// The bus itself failed.
     Bus(BusError),
     /// The bus could not be opened.
     Adapter(ErrorKind),
-    /// The host failed: a file or a folder.
+    /// The host failed with a file or a folder.
     Io(io::ErrorKind),
 }
 
 impl Cause {
-    /// The names of all causes.
+    /// Names of all causes.
     pub const NAMES: [&'static str; 15] = [
         "invalid",
         "out-of-range",
@@ -143,18 +143,18 @@ impl Cause {
         (name, errno.raw_os_error())
     }
 
-    /// Its name for a program, such as `out-of-range`.
+    /// Name for programs, such as `out-of-range`.
     pub fn name(self) -> &'static str {
         self.row().0
     }
 
-    /// The errno that a file operation answers with.
+    /// The errno for a file operation.
     pub fn errno(self) -> i32 {
         self.row().1
     }
 }
 
-/// One fact about a failure.
+/// A fact about a failure.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Fact {
     /// A yes.
@@ -169,12 +169,12 @@ pub enum Fact {
     Failure(Error),
 }
 
-/// What the field of a reason is for a program.
+/// A reason's field, for programs.
 trait Told {
-    /// `None` if it is not known.
+    /// `None` if it is unknown.
     fn fact(&self) -> Option<Fact>;
 
-    /// The failure that led to this one, if the field is one.
+    /// The failure behind this one, if the field is one.
     fn failure(&self) -> Option<&Error> {
         None
     }
@@ -232,8 +232,8 @@ impl Told for Error {
     }
 }
 
-/// Makes [`Reason`] of one row for each failure: its facts, and words that only its text needs; its name for a program and
-/// its cause; and the text.
+/// Makes [`Reason`] from a row per failure: its facts, and words for the text only; its name for programs and its
+/// cause; and the text.
 macro_rules! reasons {
     ($($(#[doc = $doc:literal])+
         $variant:ident { $($fact:ident: $type:ty),* $(; $($word:ident: $kind:ty),+)? }
@@ -242,7 +242,7 @@ macro_rules! reasons {
         #[derive(Clone, Debug, PartialEq, Eq)]
         #[non_exhaustive]
         pub enum Reason {
-            /// What has no facts of its own.
+            /// A failure without facts of its own.
             Text(Cause, Cow<'static, str>),
             /// A transfer on the bus.
             Bus(BusError),
@@ -253,10 +253,10 @@ macro_rules! reasons {
         }
 
         impl Reason {
-            /// The names of those that have facts.
+            /// Names of the reasons with facts.
             pub const NAMES: &[&str] = &[$($name),+];
 
-            /// Its name for a program, its cause, the facts by their names, and the failure that led to this one.
+            /// Name for programs, cause, named facts, and the failure behind this one.
             fn row(&self) -> (Option<&'static str>, Cause, Vec<(&'static str, Fact)>, Option<&Error>) {
                 match self {
                     Self::Text(cause, _) => (None, *cause, Vec::new(), None),
@@ -276,7 +276,7 @@ macro_rules! reasons {
                     Self::Text(_, text) => f.write_str(text),
                     Self::Bus(bus) => bus.fmt(f),
                     $(Self::$variant { $($fact,)* $($($word),+)? } => {
-                        // A fact need not be in the text.
+                        // Some facts are not in the text.
                         $(_ = $fact;)*
                         write!(f, $($text),+)
                     })+
@@ -286,14 +286,14 @@ macro_rules! reasons {
     };
 }
 
-// Nothing that a user wrote is among the facts: it may be a key that was meant for another file.
+// Facts never contain a user's text: it may be a key that was meant for another file.
 reasons! {
-    /// A value is outside of what is allowed.
+    /// A value is outside of the allowed range.
     OutOfRange { least: String, greatest: String, unit: &'static str } "out-of-range", OutOfRange,
         "the value is outside {}", quantity::pair(least, " to ", greatest, unit);
     /// A value would do harm.
     Unsafe { number: i64, least: i64; why: &'static str } "unsafe", OutOfRange, "{number} is below {least}: {why}";
-    /// The supply of the gauge is outside of what the part works from, in mV.
+    /// The gauge's supply is outside of the part's range, in mV.
     Supply { value: u16, least: u16, greatest: u16 } "supply-voltage", NotNow,
         "{value} mV, and the part works from {least} to {greatest} mV: charge the cell, or check its connection";
     /// The gauge programs no flash at this voltage, in mV.
@@ -303,14 +303,14 @@ reasons! {
     DriverBound { driver: String, device: String; what: String } "driver-bound", Busy, "{what}";
     /// Another process has the gauge, its state or its journal.
     InUse { process: Option<i64>, mountpoint: Option<String>; what: String } "in-use", Busy, "{what}";
-    /// Something of an earlier access is left to do first.
+    /// Something of an earlier access must be done first.
     Owed { decision: bool; what: String } "owed", Busy, "{what}";
-    /// A mode is on in which nothing is written.
+    /// A mode prevents all writes.
     Mode { word: u16; what: &'static str, remedy: &'static str } "mode", Busy, "set in 0x{word:04x}: {what}; {remedy}";
-    /// The checksum of a block does not fit its bytes.
+    /// The checksum of a block does not match its bytes.
     Checksum { found: u16, expected: u16; of: &'static str } "checksum", BadChecksum,
         "{of} is 0x{found:02x}, the block adds up to 0x{expected:02x}";
-    /// What was written reads otherwise.
+    /// A readback differs from what was written.
     Mismatch { read: u16, wrote: u16; place: String } "mismatch", Protocol, "{place} reads 0x{read:02x}, wrote 0x{wrote:02x}";
     /// Too many blocks were programmed within the last hour.
     Wear { blocks: i64, greatest: i64, seconds: i64 } "wear", NotNow,
@@ -320,62 +320,62 @@ reasons! {
     NoEffect { command: Cow<'static, str>, times: i64 } "no-effect", TimedOut,
         "the gauge was sent {command}{} and shows no sign of it",
         if *times == 1 { String::new() } else { format!(" {times} times") };
-    /// A flag of a register has not become what it should.
+    /// A flag of a register has not changed in time.
     NotInTime { flag: &'static str, milliseconds: i64; set: bool, remedy: &'static str } "not-in-time", TimedOut,
         "{flag} was not {} within {} s; {remedy}", if *set { "set" } else { "cleared" }, *milliseconds as f64 / 1000.0;
     /// The gauge does not answer at all.
     Silent { seconds: i64 } "silent", TimedOut, "no answer within {seconds} s";
-    /// A register is too noisy for a calibration. The readings are numbers in `unit`.
+    /// A register is too noisy for a calibration. Readings are in `unit`.
     Noisy { least: String, greatest: String, spread: i64, unit: &'static str; shown: String } "noisy", NotNow,
         "{shown} is too noisy for a calibration, which needs a spread of {spread} {unit} at most: keep load and \
          temperature steady; nothing was changed";
-    /// Current flows while an offset is to be measured, in mA.
+    /// Current flows during an offset measurement, in mA.
     CurrentFlows { value: i64, greatest: i64; shown: String } "current-flows", NotNow,
         "{shown}, and an offset is measured while no current flows, at {greatest} mA at most: disconnect load and charger";
-    /// A register is further from what it should show than before the calibration. The errors are numbers in `unit`.
+    /// A register is further from its target than before the calibration. Errors are in `unit`.
     Worse { before: String, after: String, unit: &'static str; shown: String } "worse", Protocol,
         "{shown} after the calibration, {before} {unit} off before and {after} {unit} now";
-    /// A register is outside of what it should show. The readings are numbers in `unit`.
+    /// A register is outside of its plausible range. Readings are in `unit`.
     Implausible { value: String, least: i64, greatest: i64, unit: &'static str; shown: String } "implausible", Protocol,
         "{shown} with the new divider, and it should be {least} to {greatest} {unit}: is the divider right, and the number \
          of cells?";
-    /// A key is needed and not known.
+    /// A key is needed and unknown.
     NoKey { key: &'static str; before: &'static str, file: String } "no-key", NotPermitted,
         "{before}; put it into {file} and mount again";
     /// The gauge did not take a key.
     KeyRefused { key: &'static str; what: String } "key-refused", NotPermitted, "{what}";
-    /// Another part answers than the one of the table.
+    /// Another part answers than the table's.
     OtherPart { expected: u16, found: u16 } "other-part", Gone,
         "device type is 0x{found:04x}, not 0x{expected:04x}: another part answers; mount it anew";
-    /// Another pack answers than the one whose values were read: a word that tells packs apart is another one.
+    /// Another pack answers than the one whose values were read: a word that tells packs apart has changed.
     OtherPack { expected: u16, found: u16; what: String } "other-pack", Gone,
         "{what} is 0x{found:04x} and was 0x{expected:04x} when its values were read: another pack answers; check its \
          values before you write";
     /// No table describes the part, or it is not the named one.
     WrongPart { device_type: u16, firmware: u16, hardware: u16; what: String } "wrong-part", Gone,
         "device type 0x{device_type:04x}, firmware 0x{firmware:04x}, hardware 0x{hardware:04x}: {what}";
-    /// A write failed, and was undone.
+    /// A write failed and was undone.
     RolledBack { failed: Error; what: String } "rolled-back", RolledBack, "{failed}; {what}";
-    /// A write failed, and the way back did, too.
+    /// A write failed, and so did the way back.
     NotRestored { failed: Error, then: Error; what: String } "not-restored", StateUnknown, "{failed}; then {then}: {what}";
-    /// A change of keys failed, and which key the gauge takes is not certain.
+    /// A change of keys failed, and the gauge's key is uncertain.
     KeyUnknown { failed: Error; what: String } "key-unknown", StateUnknown, "{failed}; {what}";
     /// An interrupted write could not be settled.
     NotSettled { failed: Error } "not-settled", StateUnknown, "{failed}: data flash contents unknown";
     /// A write failed because the gauge lost its power, and its RAM with it.
     PowerLost { failed: Error } "power-lost", StateUnknown,
         "{failed}; the gauge has lost its power, and its data memory with it";
-    /// What was asked for was done, and the seal state that the gauge was found in was not restored.
+    /// The request was carried out, but the gauge's earlier seal state was not restored.
     NotClosed { seal: &'static str, failed: Error } "not-closed", StateUnknown,
         "done and verified, but restoring the {seal} state failed: {failed}";
-    /// Something failed, and the seal state that the gauge was found in was not restored.
+    /// Something failed, and the gauge's earlier seal state was not restored.
     FailedOpen { failed: Error, seal: &'static str, then: Error } "failed-open", StateUnknown,
         "{failed}; then restoring the {seal} state failed: {then}";
     /// Calibration mode could not be left.
     Calibrating { failed: Error } "calibrating", StateUnknown, "the gauge may still be in calibration mode: {failed}";
 }
 
-/// One failure: subject, step and reason.
+/// A failure: subject, step and reason.
 #[derive(Clone, PartialEq, Eq)]
 pub struct Error(Box<Inner>);
 
@@ -384,20 +384,19 @@ struct Inner {
     subject: String,
     step: Option<Step>,
     reason: Reason,
-    /// The register, as the manual names it.
+    /// The register, named as in the manual.
     register: Option<String>,
     /// The place in data flash.
     place: Option<(u8, u16)>,
-    /// The access has left something to do, or was refused because of what an earlier one has left.
+    /// The access has left something to do, or was refused because an earlier one did.
     owed: bool,
     host: Option<Host>,
 }
 
-/// The host's own error.
 #[derive(Clone, Debug)]
 struct Host(Arc<io::Error>);
 
-/// It has no equality; its kind and its number have.
+/// It has no equality, but its kind and number have.
 impl PartialEq for Host {
     fn eq(&self, other: &Self) -> bool {
         (self.0.kind(), self.0.raw_os_error()) == (other.0.kind(), other.0.raw_os_error())
@@ -426,49 +425,48 @@ impl Error {
         }))
     }
 
-    /// A transfer that failed.
     pub(crate) fn bus(subject: impl Into<String>, bus: BusError) -> Self {
         Self::of(subject, Reason::Bus(bus))
     }
 
-    /// The host's error; `what` says what failed.
+    /// The host's error; `what` names what failed.
     pub fn io(subject: impl Into<String>, what: &str, error: &io::Error) -> Self {
-        // It cannot be copied. Its number can, and its text otherwise.
+        // It cannot be copied, but its number can, and otherwise its text.
         let own = error
             .raw_os_error()
             .map_or_else(|| io::Error::new(error.kind(), error.to_string()), io::Error::from_raw_os_error);
         Self::host(subject, own, format!("{what}: {}", reason(error)))
     }
 
-    /// The host's error, in words that say what to do.
+    /// The host's error, with a remedy.
     pub fn host(subject: impl Into<String>, error: io::Error, text: impl Into<String>) -> Self {
         let mut failed = Self::new(subject, Cause::Io(error.kind()), text.into());
         failed.0.host = Some(Host(Arc::new(error)));
         failed
     }
 
-    /// Notes that it is about the register which is its subject.
+    /// Notes that its subject is a register.
     #[must_use]
     pub(crate) fn of_register(mut self) -> Self {
         self.0.register = Some(self.0.subject.clone());
         self
     }
 
-    /// Notes where in data flash it is, unless that is known already.
+    /// Notes its place in data flash, unless that is known already.
     #[must_use]
     pub fn at_place(mut self, place: (u8, u16)) -> Self {
         self.0.place.get_or_insert(place);
         self
     }
 
-    /// Notes whether it is about what is owed, unless that is known already.
+    /// Notes whether it concerns what is owed, unless that is known already.
     #[must_use]
     pub fn owing(mut self, owed: bool) -> Self {
         self.0.owed |= owed;
         self
     }
 
-    /// Adds the step it happened in, unless one is known already.
+    /// Adds the step in which it happened, unless one is known already.
     #[must_use]
     pub fn at(mut self, step: Step) -> Self {
         self.0.step.get_or_insert(step);
@@ -498,27 +496,27 @@ impl Error {
         self.0.reason.row().1
     }
 
-    /// The errno that a file operation answers with: the host's own, or that of the cause.
+    /// The errno for a file operation: the host's own, or the cause's.
     pub fn errno(&self) -> i32 {
         self.0.host.as_ref().and_then(|host| host.0.raw_os_error()).unwrap_or_else(|| self.cause().errno())
     }
 
-    /// What happened. Its text is the line without subject and step.
+    /// The reason. Its text is the line without subject and step.
     pub fn reason(&self) -> &Reason {
         &self.0.reason
     }
 
-    /// The step that failed, where there is one.
+    /// The failed step, if there is one.
     pub fn step(&self) -> Option<Step> {
         self.0.step
     }
 
-    /// Whether the access has left something to do, or was refused because of what an earlier one has left.
+    /// Whether the access has left something to do, or was refused because an earlier one did.
     pub fn is_owed(&self) -> bool {
         self.0.owed
     }
 
-    /// What is known of it, by names for a program.
+    /// The facts by names for programs.
     pub fn facts(&self) -> Vec<(&'static str, Fact)> {
         let Inner { step, reason, register, place, owed, .. } = &*self.0;
         let (name, cause, own, _) = reason.row();
@@ -546,7 +544,7 @@ impl fmt::Display for Error {
     }
 }
 
-/// The same line: it is how `main` prints the error that it returns.
+/// The same line: `main` prints the error that it returns in this way.
 impl fmt::Debug for Error {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         fmt::Display::fmt(self, f)

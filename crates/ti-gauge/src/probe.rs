@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: MIT
 
-//! Finding out which gauge answers at an address, without disturbing other devices.
+//! Finds out which gauge answers at an address, without disturbing other devices.
 //!
-//! An EEPROM may have a gauge's address, and to it Control(DEVICE_TYPE) is a write. So the registers are read
-//! first, which sends only a register pointer. Control() goes only to a device whose registers read like a
-//! gauge's, and only at an address that the user has named.
+//! An EEPROM may have a gauge's address, and to it Control(DEVICE_TYPE) is a write. So the registers are read first,
+//! which sends only a register pointer. Control() goes only to a device whose registers read like a gauge's, and only
+//! at an address that the user has named.
 
 use std::ptr;
 use std::sync::Arc;
@@ -18,18 +18,18 @@ use crate::registers::{Registers, bursts};
 use gauge_bus::clock::Clock;
 use gauge_bus::{Bus, BusError};
 
-/// The address at which a gauge in ROM mode answers.
+/// The address of a gauge in ROM mode.
 pub const ROM_ADDRESS: u8 = 0x0b;
 
 const STRANGE: &str = "the device at this address does not read like a gauge, so nothing was written to it";
 
-/// A gauge's watchdog allows each standard command twice within this time.
+/// A gauge's watchdog allows each standard command twice in this time.
 const SECOND: Duration = Duration::from_secs(1);
 
 /// Control(DEVICE_TYPE).
 const DEVICE_TYPE: u16 = 0x0001;
 
-/// The polled registers of a chip, as the device at an address answers.
+/// The polled registers of a chip, read from the device at an address.
 #[derive(Clone, Debug)]
 pub struct Reading {
     /// The chip whose registers were read.
@@ -38,14 +38,14 @@ pub struct Reading {
 }
 
 impl Reading {
-    /// The value of the register that feeds a property, in the unit of the role.
+    /// The value of the register for a property, in the role's unit.
     pub fn value(&self, role: Role) -> Option<i64> {
         let register = self.chip.register(role)?;
         Some(register.in_unit(self.registers.value(register)?, 1))
     }
 
-    /// Whether these can be a gauge's values: a temperature between -50 and 125 degrees Celsius, and
-    /// percentages of at most 100.
+    /// Whether these can be a gauge's values: a temperature between -50 and 125 degrees Celsius, and percentages of at
+    /// most 100.
     pub fn is_plausible(&self) -> bool {
         let within = |role, min, max| self.value(role).is_none_or(|value| min <= value && value <= max);
         self.value(Role::Temp).is_some()
@@ -59,20 +59,20 @@ impl Reading {
 /// Opens a bus to the address.
 pub type Open<'a> = dyn Fn() -> Result<Box<dyn Bus>> + 'a;
 
-/// An address, and how the device there is reached.
+/// An address, and the way to its device.
 pub struct Target<'a> {
     /// Opens a bus to it.
     pub open: &'a Open<'a>,
     /// Clock for waiting.
     pub clock: &'a Arc<dyn Clock>,
-    /// Write one byte a transfer, whatever the clock of the bus is.
+    /// Write one byte per transfer, at any bus clock.
     pub byte_writes: bool,
-    /// The clock of the bus, where it is known.
+    /// Clock of the bus, if known.
     pub clock_hz: Option<u32>,
 }
 
 impl Target<'_> {
-    /// The device, taken for a chip.
+    /// The device as a given chip.
     fn gauge(&self, chip: &'static Chip) -> Result<Gauge> {
         let byte_writes = self.byte_writes || chip.is_slower_than(self.clock_hz);
         Ok(Gauge::new(chip, (self.open)()?, self.clock.clone(), Keys::default(), byte_writes))
@@ -89,7 +89,7 @@ fn reading(gauge: &mut Gauge) -> Result<Reading> {
     Ok(Reading { chip: gauge.chip, registers })
 }
 
-/// The polled registers of all chips, as address and length of reads that have no register in common.
+/// The polled registers of all chips, as address and length of disjoint reads.
 fn spans() -> Vec<(u8, u8)> {
     let mut is_read = [false; 0x80];
     for (start, length) in CHIPS.iter().flat_map(|chip| bursts(chip.registers, is_polled)) {
@@ -113,9 +113,10 @@ pub fn check(gauge: &mut Gauge) -> Result<()> {
     Err(Error::new("", Cause::Gone, STRANGE).at(Step::Identify))
 }
 
-/// The chips whose registers read plausibly at the address. Fails if no chip's registers could be read at all.
+/// The chips whose registers read plausibly at the address. Fails if no chip's registers were readable.
 ///
-/// No register is read more than twice within a second, which a gauge's watchdog may take for a failure of the host.
+/// No register is read more than twice within a second, because a gauge's watchdog may take that for a failure of the
+/// host.
 pub fn candidates(target: &Target<'_>) -> Result<Vec<Reading>> {
     let refused = |error: &Error| matches!(error.cause(), Cause::Bus(bus) if bus.may_be_no_ack());
     let mut gauge = target.gauge(CHIPS[0])?;
@@ -135,7 +136,7 @@ pub fn candidates(target: &Target<'_>) -> Result<Vec<Reading>> {
     for chip in CHIPS {
         let mut reading = Reading { chip, registers: all.clone() };
         let polled = || chip.registers.iter().filter(|register| is_polled(register.tier));
-        // A part may refuse the registers of another, and with them the whole read.
+        // A part may refuse another part's registers, and with them the whole read.
         if polled().any(|register| all.value(register).is_none()) {
             target.clock.sleep(SECOND);
             match reading.registers.read(&mut target.gauge(chip)?, is_polled) {
@@ -149,8 +150,8 @@ pub fn candidates(target: &Target<'_>) -> Result<Vec<Reading>> {
     Ok(plausible)
 }
 
-/// Whether a device answers at the address of gauges in ROM mode. One byte is read and nothing is written: a
-/// smart battery has the same address.
+/// Whether a device answers at ROM mode's address. One byte is read and nothing is written: a smart battery has the
+/// same address.
 pub fn answers_in_rom(bus: &mut dyn Bus) -> Result<bool> {
     match bus.transfer(&[], &mut [0]) {
         Ok(()) => Ok(true),
@@ -159,20 +160,20 @@ pub fn answers_in_rom(bus: &mut dyn Bus) -> Result<bool> {
     }
 }
 
-/// What the answers to Control() say about a device.
+/// The identity of a device by its answers to Control().
 #[derive(Clone, Debug, Default)]
 pub struct Who {
-    /// Its answers to the questions for the first of `chips`.
+    /// Its answers to the first chip's questions.
     pub answers: Answers,
-    /// The chips that give these answers: one, none, or several that only the user can tell apart.
+    /// The chips with these answers. Only the user can tell several apart.
     pub chips: Vec<&'static Chip>,
     /// A part without a table that gives these answers.
     pub sibling: Option<&'static Sibling>,
-    /// The chips of this device type, none of whose tables was proven for these versions.
+    /// Chips of this device type whose tables are not for these versions.
     pub unproven: Vec<&'static Chip>,
 }
 
-/// Identifies a device that reads like a gauge, by the questions for each of the plausible chips.
+/// Identifies a device that reads like a gauge, by the questions for each plausible chip.
 ///
 /// All chips have DEVICE_TYPE at the same code; the other questions follow only if the type fits. Chips with the same
 /// questions share the answers.
@@ -237,7 +238,7 @@ pub fn identify(plausible: &[Reading], target: &Target<'_>) -> Result<Who> {
     Ok(who)
 }
 
-/// Where a chip's answers are read, and the codes of its subcommands that identify it.
+/// The register of a chip's answers, and its identifying subcommands.
 type Questions = (u8, [Option<u16>; 3]);
 
 fn questions(chip: &Chip) -> Questions {
@@ -258,7 +259,7 @@ impl Answers {
         }
     }
 
-    /// What is wrong with a part that answers so.
+    /// The reason for refusing a part with these answers.
     pub fn wrong_part(&self, what: String) -> Reason {
         let Self { device_type, firmware_version: firmware, hardware_version: hardware, .. } = *self;
         Reason::WrongPart { device_type, firmware, hardware, what }

@@ -1,19 +1,19 @@
 // SPDX-License-Identifier: MIT
 
-//! Numbers with their units, as a person reads them. A table counts in steps such as `0.1°C` or `20mV`.
+//! Numbers with units for people. A table counts in steps such as `0.1°C` or `20mV`.
 
 /// Units with prefixes: a thousand of one are shown as one of the next.
 const PREFIXED: [&str; 6] = ["V", "A", "Ah", "W", "Wh", "Ω"];
 const PREFIXES: [(char, &str); 3] = [('n', "u"), ('u', "m"), ('m', "")];
 
-/// A number at the beginning of a text, and the rest.
+/// A number at the start of a text, and the rest.
 pub(crate) fn split(text: &str) -> (&str, &str) {
     let is_of_number = |letter: char| letter.is_ascii_digit() || ".+-".contains(letter);
     let end = text.find(|letter| !is_of_number(letter)).unwrap_or(text.len());
     (&text[..end], text[end..].trim_start())
 }
 
-/// A number of steps as a person reads it: 550 of `0.1°C` are `55.0 °C`. `None` for a unit that is no step.
+/// A number of steps for people: 550 of `0.1°C` are `55.0 °C`. `None` for a unit without steps.
 fn readable(number: i64, unit: &str) -> Option<String> {
     let (step, name) = split(unit);
     if step.is_empty() || name.is_empty() || name.contains(|letter: char| letter.is_ascii_digit()) {
@@ -45,8 +45,7 @@ fn larger(name: &str) -> Option<String> {
     PREFIXED.contains(&letters.as_str()).then(|| format!("{next}{}", letters.as_str()))
 }
 
-/// The text of a value with its unit: `3100 mV`. Of one in steps, the value comes first, and then what is stored:
-/// `55.0 °C (550)`.
+/// A value with its unit: `3100 mV`. With steps, the value comes before the stored number: `55.0 °C (550)`.
 pub fn with_unit(text: &str, unit: &str) -> String {
     match text.parse().ok().and_then(|number| readable(number, unit)) {
         Some(value) => format!("{value} ({text})"),
@@ -55,7 +54,7 @@ pub fn with_unit(text: &str, unit: &str) -> String {
     }
 }
 
-/// A value that was changed, with its unit: `3000 -> 3100 mV`.
+/// A changed value with its unit: `3000 -> 3100 mV`.
 pub fn change(old: &str, new: &str, unit: &str) -> String {
     pair(old, " -> ", new, unit)
 }

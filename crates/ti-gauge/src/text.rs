@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT
 
-//! Text: numbers and bytes as they are written, and what is safe to show. Pure: no bus, no file.
+//! Text: notations of numbers and bytes, and safe display. Pure: no bus, no file.
 
-/// A number without a sign, as in the name of a file: in decimal, or in hexadecimal after `0x`.
+/// A number without a sign, as in file names: decimal, or hexadecimal after `0x`.
 pub fn unsigned<T: TryFrom<u64>>(text: &str) -> Option<T> {
     let (radix, digits) = match text.strip_prefix("0x").or_else(|| text.strip_prefix("0X")) {
         Some(digits) => (16, digits),
@@ -16,7 +16,7 @@ pub fn unsigned<T: TryFrom<u64>>(text: &str) -> Option<T> {
 /// Longest text of a message, in characters.
 const LONGEST: usize = 2000;
 
-/// Whether a character neither begins a line, nor controls a terminal, nor reorders what is shown.
+/// Whether a character neither begins a line, nor controls a terminal, nor reorders text.
 pub fn is_plain(letter: char) -> bool {
     let reorders = matches!(
         letter,
@@ -34,9 +34,9 @@ fn push(shown: &mut String, letter: char) {
     if is_plain(letter) { shown.push(letter) } else { shown.extend(letter.escape_default()) }
 }
 
-/// A text of unknown origin, such as the name of a file or a process, as it may be shown on a terminal or in a line of
-/// a log: a character that would begin a line, control a terminal or reorder what is shown becomes an escape such as
-/// `\n` or `\u{1b}`. Other characters remain. A text that is too long ends with `...`. Applying it twice changes nothing.
+/// A text of unknown origin, such as the name of a file or a process, made safe for a terminal or a log: a character
+/// that would begin a line, control a terminal or reorder text becomes an escape such as `\n` or `\u{1b}`. Other
+/// characters remain. A text that is too long ends with `...`. Applying it twice changes nothing.
 pub fn printable(text: &str) -> String {
     let mut shown = String::with_capacity(text.len());
     text.chars().take(LONGEST + 4).for_each(|letter| push(&mut shown, letter));
@@ -47,8 +47,8 @@ pub fn printable(text: &str) -> String {
     shown
 }
 
-/// Lines of text as they may be shown on a terminal. Line ends and tabs remain; what [`printable`] replaces besides
-/// becomes an escape.
+/// Lines of text made safe for a terminal. Line ends and tabs remain; other characters that [`printable`] replaces
+/// become escapes.
 pub fn lines(text: &str) -> String {
     let mut shown = String::with_capacity(text.len());
     for letter in text.chars() {
@@ -57,7 +57,7 @@ pub fn lines(text: &str) -> String {
     shown
 }
 
-/// Two hexadecimal digits a byte.
+/// Two hexadecimal digits per byte.
 pub fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
@@ -75,7 +75,7 @@ pub fn nearest<'a>(word: &str, names: impl Iterator<Item = &'a str>) -> Option<&
     let parts = with_parts(word, names.iter().map(|&name| (name, name)));
     parts.into_iter().next().or_else(|| {
         let tolerated = 1 + word.len() / 4;
-        // At least as many letters are wrong as are too many, and there may be very many.
+        // Too many letters are also wrong letters, and there may be very many.
         let names = names.into_iter().filter(|name| word.chars().count().abs_diff(name.len()) <= tolerated);
         let (wrong, name) = names.map(|name| (strsim::damerau_levenshtein(word, name), name)).min()?;
         (wrong <= tolerated).then_some(name)

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! The mounts that ought to be there: those of `--expect`, or else those that the files in `/etc/gaugefs` name.
+//! Expected mounts: those of `--expect`, or those in the files of `/etc/gaugefs`.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use gauge_bus::regular;
 use gaugefs_host::folders;
 
-/// The mount point that `--expect` means: a path, or the name of a file in `/etc/gaugefs`.
+/// The mount point for `--expect`: a path, or a file's name in `/etc/gaugefs`.
 pub(super) fn named(word: &Path) -> PathBuf {
     in_folder(word, Path::new(folders::CONFIGURATION))
 }
@@ -20,7 +20,7 @@ fn in_folder(word: &Path, folder: &Path) -> PathBuf {
     }
 }
 
-/// What the files of this machine name, as they are now.
+/// Mount points in this machine's files at present.
 pub(super) fn configured() -> Vec<PathBuf> {
     of_folder(Path::new(folders::CONFIGURATION))
 }
@@ -34,8 +34,8 @@ fn of_folder(folder: &Path) -> Vec<PathBuf> {
     all
 }
 
-/// Where a file of the folder mounts its gauges: at the place it names, or as `gaugefs@i2c-N.service` has it. A file that
-/// cannot be read or understood names none; whoever mounts it is told.
+/// The mount point of a file in the folder: its own one, or that of `gaugefs@i2c-N.service`. A file that is unreadable
+/// or not understood has none; mounting it reports that.
 fn mountpoint(folder: &Path, name: &str) -> Option<PathBuf> {
     let file = regular::read_text(&folder.join(format!("{name}.toml")), regular::SYSTEM).ok()?;
     let file: toml::Table = file.parse().ok()?;

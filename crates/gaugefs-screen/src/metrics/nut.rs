@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: MIT
 
-//! A gauge as NUT's driver `dummy-ups` reads it from a file (dummy-ups(8)): one line for each variable, with the names and
-//! units of NUT's list (docs/nut-names.txt, RFC 9271).
+//! A gauge as a file for NUT's driver `dummy-ups` (dummy-ups(8)): a line per variable, with the names and units of
+//! NUT's list (docs/nut-names.txt, RFC 9271).
 //!
-//! The driver keeps a variable that the file lacks, so each is there each time, and is empty while it is not known. An
-//! empty `ups.status` is what upsmon takes for a UPS that is gone.
+//! The driver keeps a variable that the file lacks, so every variable is in every file, empty while unknown. upsmon
+//! takes an empty `ups.status` for a lost UPS.
 
 use std::fmt::Write;
 
@@ -12,17 +12,17 @@ use ti_gauge::text;
 
 use super::page::{Gauge, ordered};
 
-/// A variable: its name, and what its text is made of.
+/// A variable: its name, and the source of its text.
 type Variable = (&'static str, Origin);
 
-/// What a text is made of, if the gauge has it. A file is read because a row names it here.
+/// The source of a text. A file is read because a row names it here.
 enum Origin {
     Fixed(&'static str),
     /// The text of a file.
     Text(&'static str),
-    /// The number of a file, in the unit that so many of the file's are.
+    /// The number of a file, divided by this factor.
     Number(&'static str, f64),
-    /// What a function makes of the texts of these files, in their order.
+    /// Text made by a function from the texts of these files, in their order.
     Made(&'static [&'static str], fn(&[Option<&str>]) -> Option<String>),
 }
 
@@ -33,7 +33,7 @@ static VARIABLES: &[Variable] = &[
     ("device.mfr", Text("manufacturer")),
     ("device.model", Text("model_name")),
     ("device.serial", Text("serial_number")),
-    // The driver has others of its own for these, which NUT's clients show beside them.
+    // The driver has its own ones, which NUT's clients show too.
     ("ups.mfr", Text("manufacturer")),
     ("ups.model", Text("model_name")),
     ("ups.serial", Text("serial_number")),
@@ -80,13 +80,13 @@ static VARIABLES: &[Variable] = &[
     ("ups.status", Made(&["status", "capacity_level"], status)),
 ];
 
-/// A word, unless it says that there is none.
+/// A word, unless it means that the value is missing.
 fn known(texts: &[Option<&str>]) -> Option<String> {
     texts[0].filter(|word| !["", "Unknown"].contains(word)).map(String::from)
 }
 
-/// The words of `ups.status`: on line or on battery, and low when the gauge says that it is critical. A gauge that cannot
-/// say whether its pack discharges has none.
+/// The words of `ups.status`: on line or on battery, and low when the gauge says critical. Without knowing whether the
+/// pack discharges, it is empty.
 fn status(texts: &[Option<&str>]) -> Option<String> {
     let words = match texts[0]? {
         "Discharging" => "OB DISCHRG",
@@ -120,24 +120,24 @@ impl Origin {
 /// The file that says whether there is anything to show.
 const PRESENT: &str = "present";
 
-/// The files that the variables come from.
+/// The files behind the variables.
 pub(super) fn files() -> Vec<String> {
     ordered(VARIABLES.iter().flat_map(|(_, origin)| origin.files()).chain([PRESENT]))
 }
 
-/// The file for a gauge, or for one that is gone.
+/// The file for a gauge, or for a missing one.
 pub(super) fn render(gauge: Option<&Gauge>) -> String {
     let mut file = String::new();
     let present = gauge.filter(|gauge| gauge.flag(PRESENT) == Some(1.0));
     for (name, origin) in VARIABLES {
         let text = present.and_then(|gauge| origin.text(gauge)).unwrap_or_default();
-        // Writing to a String does not fail. Without a word of its own, a line gets that of the line before it.
+        // Writing to a String does not fail. An empty line would get the previous line's word.
         let _ = writeln!(file, "{name}: {}", quoted(&text));
     }
     file
 }
 
-/// A value of NUT's files: its words as they are, or else in quotes.
+/// A value of NUT's files: plain words, or quoted.
 fn quoted(value: &str) -> String {
     let is_plain = |letter: char| letter.is_ascii_alphanumeric() || ".,:+-/_ ".contains(letter);
     if !value.is_empty() && value.chars().all(is_plain) {

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: MIT
 
-//! The metrics of gauges as text. One row of [`METRICS`] is one metric.
+//! Metrics of gauges as text. A row of [`METRICS`] is a metric.
 //!
-//! Names and units follow Prometheus's rules: base units, `_total` for counters, `_info` for labels. A gauge that does
-//! not have a value has no series of it. What a file says is a number, or is escaped in a label: a line end in it
-//! begins no series.
+//! Names and units follow Prometheus's rules: base units, `_total` for counters, `_info` for labels. A value that a
+//! gauge lacks has no series. A file's text becomes a number, or is escaped in a label, so a line end in it begins no
+//! series.
 
 use std::fmt::Write;
 use std::path::PathBuf;
@@ -29,11 +29,10 @@ pub(super) struct Mount {
 pub(super) enum Up {
     Yes,
     No,
-    /// It is private to another user.
+    /// Private to another user.
     Unknown,
 }
 
-/// A gauge's folder.
 pub(super) struct Gauge {
     pub(super) name: String,
     pub(super) texts: Texts,
@@ -46,26 +45,26 @@ enum Kind {
     Info,
 }
 
-/// One metric of a gauge.
+/// A metric of a gauge.
 struct Metric {
     /// With its unit, without `_total` and `_info`.
     name: &'static str,
     kind: Kind,
-    /// The end of the name, if it is one of OpenMetrics' units.
+    /// End of the name, if it is a unit of OpenMetrics.
     unit: &'static str,
     help: &'static str,
     origin: Origin,
 }
 
-/// What the series of a metric are made of. A file is read because a row names it here.
+/// The source of a metric's series. A file is read because a row names it here.
 enum Origin {
     /// One series: the number of a file, in the metric's unit.
     Number(&'static str, fn(f64) -> f64),
-    /// One series, if the file holds 0 or 1.
+    /// One series, if the file contains 0 or 1.
     Flag(&'static str),
     /// One series of 1: labels, and the file of each.
     Labels(&'static [(&'static str, &'static str)]),
-    /// What a function makes of the texts of these files, in their order.
+    /// Series made by a function from the texts of these files, in their order.
     Made(&'static [&'static str], fn(&[Option<&str>]) -> Vec<Series>),
 }
 
@@ -181,7 +180,7 @@ static ATTRIBUTES: &[Metric] = &[
     info(
         "gaugefs_technology",
         "The chemistry.",
-        // It may become known only when data flash is read: no other series has it as a label.
+        // It may only become known when data flash is read: no other series has it as a label.
         Made(&["technology"], |texts| {
             let name = texts[0].filter(|name| *name != "Unknown");
             name.map(|name| (vec![("technology", name.to_string())], 1.0)).into_iter().collect()
@@ -221,7 +220,7 @@ fn of_millionths(number: f64) -> f64 {
     number / 1e6
 }
 
-/// Bits of CONTROL_STATUS that concern learning.
+/// Bits of CONTROL_STATUS about learning.
 const LEARNING: [&str; 5] = ["QEN", "VOK", "RUP_DIS", "QMAX_UP", "RES_UP"];
 
 /// The rows of a page; with `all`, also what node_exporter reads.
@@ -229,12 +228,12 @@ fn metrics(all: bool) -> impl Iterator<Item = &'static Metric> {
     METRICS.iter().chain(if all { ATTRIBUTES } else { &[] })
 }
 
-/// The files that a page comes from.
+/// The files behind a page.
 pub(super) fn files(all: bool) -> Vec<String> {
     ordered(metrics(all).flat_map(|metric| metric.origin.files()))
 }
 
-/// Each of these files once, those of one folder one after the other, as [`gaugefs_client::follow::all`] reads them best.
+/// These files without repetition, grouped by folder, which is best for [`gaugefs_client::follow::all`].
 pub(super) fn ordered(files: impl Iterator<Item = &'static str>) -> Vec<String> {
     let mut files: Vec<_> = files.map(|file| file.rsplit_once('/').unwrap_or(("", file))).collect();
     files.sort_unstable();
@@ -245,7 +244,6 @@ pub(super) fn ordered(files: impl Iterator<Item = &'static str>) -> Vec<String> 
     files.into_iter().map(path).collect()
 }
 
-/// The one series of a gauge.
 fn one(value: Option<f64>) -> Vec<Series> {
     value.map(|value| (Labels::new(), value)).into_iter().collect()
 }
@@ -286,14 +284,14 @@ impl Gauge {
         self.text(name)?.parse().ok().filter(|number: &f64| number.is_finite())
     }
 
-    /// A file that holds 0 or 1.
+    /// A file that contains 0 or 1.
     pub(super) fn flag(&self, name: &str) -> Option<f64> {
         self.number(name).filter(|flag| [0.0, 1.0].contains(flag))
     }
 }
 
-/// Whether a bit of CONTROL_STATUS is set, from the texts of `model_name` and `gauge/control_status`; `None` if the part
-/// does not have it.
+/// Whether a bit of CONTROL_STATUS is set, by the texts of `model_name` and `gauge/control_status`; `None` if the part
+/// lacks it.
 fn bit([model, set]: [Option<&str>; 2], name: &str) -> Option<bool> {
     Chip::by_model(model?)?.control_status.iter().find(|bit| bit.name == name)?;
     Some(set?.split_whitespace().any(|set| set == name))
@@ -307,7 +305,7 @@ fn control_status(texts: &[Option<&str>]) -> Vec<Series> {
     rows.collect()
 }
 
-/// From `gauge/seal`, which not everybody may read, or else from CONTROL_STATUS of the parts that show it there.
+/// From `gauge/seal`, which not everybody may read, or otherwise from CONTROL_STATUS, if the part shows it there.
 fn seal(texts: &[Option<&str>]) -> Vec<Series> {
     let is_set = |name| bit([texts[1], texts[2]], name);
     let by_bits = || match (is_set("SS")?, is_set("FAS")?) {
@@ -367,8 +365,7 @@ struct Page {
 }
 
 impl Page {
-    /// In the older format, the metric has the name of its samples, there are no units, and what OpenMetrics calls an
-    /// info is a gauge.
+    /// In the older format, the metric has its samples' name, units are missing, and OpenMetrics's info is a gauge.
     fn head(&mut self, name: &str, kind: Kind, unit: &str, help: &str) {
         let is_open = self.format == Prometheus::OpenMetrics;
         let end = if is_open { "" } else { end(kind) };
@@ -398,7 +395,7 @@ fn escaped(text: &str) -> String {
     text.replace('\\', "\\\\").replace('"', "\\\"").replace('\n', "\\n")
 }
 
-/// What the names of samples end in.
+/// End of the names of samples.
 fn end(kind: Kind) -> &'static str {
     match kind {
         Kind::Gauge => "",

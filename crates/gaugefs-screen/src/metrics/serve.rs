@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT
 
-//! One page over HTTP, at `/metrics`, and one at `/` that leads there.
+//! A page over HTTP at `/metrics`, and one at `/` that leads there.
 //!
-//! It answers GET and HEAD and closes the connection: what Prometheus asks for is no more than that. What a client sends is
-//! limited in time and in size, and so is the number of clients.
+//! It answers GET and HEAD and closes the connection: Prometheus needs no more. A client's requests are limited in time
+//! and size, and so is the number of clients.
 
 use std::fs;
 use std::io::{self, ErrorKind, Read, Write};
@@ -24,14 +24,13 @@ use gaugefs_host::error::{Error, Result};
 use gaugefs_host::output::say;
 use gaugefs_host::signals;
 
-/// A client has this long to send a request, and to take the answer.
+/// A client's time limit for a request, and for taking the answer.
 const PATIENCE: Duration = Duration::from_secs(5);
-/// The longest request, with its headers.
+/// Longest request with its headers.
 const LONGEST: usize = 8192;
-/// Time after a connection that failed.
+/// Pause after a failed connection.
 const PAUSE: Duration = Duration::from_millis(100);
 
-/// Where clients connect.
 #[derive(Clone, Debug)]
 pub(super) enum Address {
     Tcp(String),
@@ -73,7 +72,7 @@ impl Connection for UnixStream {
     }
 }
 
-/// What clients of the page at `/` see.
+/// The page at `/`.
 const LANDING: &str =
     "<!DOCTYPE html>\n<title>gaugefs</title>\n<h1>gaugefs</h1>\n<p><a href=\"/metrics\">Metrics</a>\n";
 
@@ -93,7 +92,7 @@ pub(super) fn run(address: &Address, reader: &Arc<Reader>) -> Result<ExitCode> {
         }
         Address::Unix(path) => {
             let name = path.display().to_string();
-            // Before there is another thread, which would get the signal.
+            // Before another thread exists that could get the signal.
             let ends = signals::block()?;
             let listener = bind(path).map_err(|error| refused(&name, error))?;
             let own = fs::symlink_metadata(path).map_err(|error| refused(&name, error))?;
@@ -103,7 +102,7 @@ pub(super) fn run(address: &Address, reader: &Arc<Reader>) -> Result<ExitCode> {
     }
 }
 
-/// Without a host, on all interfaces: for IPv6, which includes IPv4, unless this machine has none.
+/// Without a host, on all interfaces: over IPv6, which includes IPv4, unless this machine lacks it.
 fn listen(address: &str) -> io::Result<TcpListener> {
     match address.strip_prefix(':') {
         None => TcpListener::bind(address),
@@ -117,7 +116,7 @@ fn listen(address: &str) -> io::Result<TcpListener> {
     }
 }
 
-/// Ends the process with a signal, and removes its socket.
+/// Ends the process after a signal, and removes its socket.
 fn remove_at_end(ends: SigSet, path: PathBuf, own: fs::Metadata) -> Result<()> {
     let end = move || {
         // It cannot fail: the set is valid.
@@ -133,7 +132,7 @@ fn remove_at_end(ends: SigSet, path: PathBuf, own: fs::Metadata) -> Result<()> {
     thread.map(drop).map_err(|error| Error::io("", "cannot start a thread", &error))
 }
 
-/// Takes the place of a socket that nobody listens at any more.
+/// Replaces a socket without a listener.
 fn bind(path: &Path) -> io::Result<UnixListener> {
     let bound = UnixListener::bind(path);
     let is_in_use = bound.as_ref().is_err_and(|error| error.kind() == ErrorKind::AddrInUse);
@@ -152,7 +151,7 @@ fn accept<C: Connection + Send + 'static>(
     next: impl Fn() -> io::Result<C>,
     reader: &Arc<Reader>,
 ) -> Result<ExitCode> {
-    // Each client has one, and so has this loop.
+    // Each client has a copy, and so has this loop.
     let clients = Arc::new(());
     loop {
         let mut client = match next() {
@@ -212,7 +211,7 @@ fn request(client: &mut impl Connection) -> io::Result<Option<String>> {
     Ok(Some(String::from_utf8_lossy(&head).into_owned()))
 }
 
-/// Answers with the head for a whole body, and what is sent of that.
+/// Answers with the head for the whole body, and the part of it that is sent.
 fn respond(
     client: &mut impl Connection,
     status: &str,
