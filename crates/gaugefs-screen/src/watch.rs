@@ -2,8 +2,8 @@
 
 //! `gaugefs watch`: runs programs when conditions come true.
 //!
-//! It is a program of its own, apart from the daemon, which starts no programs and has no privilege. All it has of a
-//! gauge are the files of the mount.
+//! It is a program apart from the daemon, which starts no programs and has no privilege. It uses only files of the
+//! mount.
 
 use std::collections::HashMap;
 use std::ffi::OsString;
@@ -23,32 +23,31 @@ use gaugefs_host::error::{Error, Result, shown};
 use gaugefs_host::output::{self, print, say};
 use gaugefs_host::program;
 
-/// When an alert is raised and cleared, and what is run for it.
+/// Raises and clears an alert, and runs programs for it.
 #[derive(Clone, Debug)]
 pub struct Rule {
-    /// When it is raised.
+    /// Raises the alert.
     pub when: Condition,
-    /// When it is cleared, and can be raised again; `None` for when the first condition is false.
+    /// Clears the alert, so that it can be raised again; `None` for the end of the first condition.
     pub clear: Option<Condition>,
-    /// For how long the condition must be true in every poll.
+    /// How long the condition must be true in every poll.
     pub hold: Duration,
-    /// Program to run when it is raised, with its arguments; none if that is empty.
+    /// Program for raising it, with arguments; empty for none.
     pub exec: Vec<String>,
-    /// Program to run when it is cleared.
+    /// Program for clearing it.
     pub exec_clear: Vec<String>,
-    /// Its name in messages; `None` for its condition.
+    /// Name in messages; `None` for the condition.
     pub name: Option<String>,
-    /// Name of the folder of the only gauge that it is for.
+    /// Folder name of its only gauge.
     pub gauge: Option<String>,
 }
 
 impl Rule {
-    /// What it is called.
     fn shown(&self) -> String {
         self.name.clone().unwrap_or_else(|| self.when.to_string())
     }
 
-    /// Whether its programs can be started, which is seen too late when they have to be.
+    /// Checks that its programs can be started: later it would be too late.
     pub fn check(&self) -> Result<()> {
         let mut programs = [&self.exec, &self.exec_clear].into_iter();
         programs
@@ -56,26 +55,23 @@ impl Rule {
             .map_err(|error| error.within(&format!("alert {}", self.shown())))
     }
 
-    /// The files that it compares.
     fn names(&self) -> impl Iterator<Item = &str> {
         self.when.names().chain(self.clear.iter().flat_map(Condition::names))
     }
 }
 
-/// Watches the gauges at a mount point, or one by its folder, until nobody reads the output any more.
+/// Watches the gauges at a mount point, or one by its folder, until nobody reads the output.
 pub fn run(place: &Path, rules: &[Rule]) -> Result<ExitCode> {
     Watching::start(place, rules)?.run()
 }
 
-/// Runs the programs of each alert once, for the first gauge that it is for, whatever that shows.
+/// Runs each alert's programs once, for its first gauge, whatever that shows.
 pub fn test(place: &Path, rules: &[Rule]) -> Result<ExitCode> {
     Watching::start(place, rules)?.test()
 }
 
-/// What the main thread waits for.
 enum Event {
     Seen(Seen),
-    /// The program of an alert has ended.
     Ended(usize, io::Result<ExitStatus>),
 }
 
@@ -85,29 +81,27 @@ impl From<Seen> for Event {
     }
 }
 
-/// A gauge that is watched.
 struct Gauge {
     folder: PathBuf,
     texts: Option<Texts>,
-    /// Why there are no texts, as it was printed last.
+    /// The reason for having no texts that was printed last.
     trouble: String,
     calling: Calling,
 }
 
-/// One alert of one gauge.
+/// An alert of a gauge.
 struct Alert {
     gauge: usize,
     rule: Rule,
-    /// Its place among the rules.
+    /// Index of its rule.
     of: usize,
     state: State,
-    /// The event for which a program was run last, or none was needed.
+    /// A program has run for the last event, or was not needed.
     told: bool,
     running: bool,
 }
 
 impl Alert {
-    /// The program for its present state.
     fn command(&self, gauge: &Gauge) -> Option<Command> {
         let words = if self.state.raised { &self.rule.exec } else { &self.rule.exec_clear };
         let (program, arguments) = words.split_first()?;
@@ -117,16 +111,14 @@ impl Alert {
     }
 }
 
-/// Whether an alert is raised.
 #[derive(Debug, Default)]
 struct State {
     raised: bool,
-    /// Since when its condition has been true in every poll.
+    /// Start of the time in which its condition was true in every poll.
     since: Option<Instant>,
 }
 
 impl State {
-    /// Takes a poll in.
     fn update(&mut self, rule: &Rule, texts: Option<&Texts>, now: Instant) {
         let holds = rule.when.holds(texts);
         if self.raised {
@@ -137,7 +129,7 @@ impl State {
             self.raised = !is_over;
             self.since = None;
         }
-        // What clears an alert does not raise it again at once.
+        // The poll that clears an alert does not raise it again.
         else if holds == Some(true) {
             let since = *self.since.get_or_insert(now);
             self.raised = now.duration_since(since) >= rule.hold;
@@ -147,7 +139,6 @@ impl State {
     }
 }
 
-/// All that is watched.
 struct Watching {
     gauges: Vec<Gauge>,
     alerts: Vec<Alert>,
@@ -219,7 +210,7 @@ impl Watching {
             }
         }
         let mut code = ExitCode::SUCCESS;
-        // The alerts of a rule follow each other.
+        // Alerts of a rule are neighbours.
         let first = self.alerts.chunk_by_mut(|one, next| one.of == next.of);
         for alert in first.filter_map(<[Alert]>::first_mut) {
             for raised in [true, false] {
@@ -237,7 +228,7 @@ impl Watching {
         Ok(code)
     }
 
-    /// What has happened, or is to be said of gauges that do not answer.
+    /// Waits for events, including gauges that do not answer.
     fn next(&self) -> Vec<Event> {
         match self.events.recv_timeout(INTERVAL) {
             Ok(event) => vec![event],
@@ -250,12 +241,10 @@ impl Watching {
         }
     }
 
-    /// Whether an alert runs a program.
     fn has_programs(&self) -> bool {
         self.alerts.iter().any(|alert| !(alert.rule.exec.is_empty() && alert.rule.exec_clear.is_empty()))
     }
 
-    /// Keeps what was seen of a gauge.
     fn take(&mut self, seen: Seen) {
         let gauge = &mut self.gauges[seen.gauge];
         match seen.texts {
@@ -273,7 +262,6 @@ impl Watching {
         }
     }
 
-    /// Takes a look at a gauge in.
     fn seen(&mut self, seen: Seen) -> Result<()> {
         let (now, gauge) = (Instant::now(), seen.gauge);
         self.take(seen);
@@ -287,7 +275,7 @@ impl Watching {
             alert.state.update(&alert.rule, texts, now);
             if alert.state.raised != before {
                 let printed = print_event(&self.gauges[gauge], alert);
-                // Whoever has programs run needs no lines.
+                // Programs make lines unnecessary.
                 match printed {
                     Err(error) if self.has_programs() => say(error),
                     printed => printed?,
@@ -298,7 +286,7 @@ impl Watching {
         Ok(())
     }
 
-    /// Runs the program for the present state of an alert, unless the last one still runs or has run for it.
+    /// Runs the program for an alert's state, unless one still runs or has run for it.
     fn act(&mut self, number: usize) {
         let alert = &mut self.alerts[number];
         let raised = alert.state.raised;
@@ -312,7 +300,7 @@ impl Watching {
             let sender = self.sender.clone();
             let wait = move || {
                 let outcome = child.wait();
-                // Nobody listens at the end of the program.
+                // The end of watching is the end of listening.
                 let _ = sender.send(Event::Ended(number, outcome));
             };
             std::thread::Builder::new().stack_size(256 * 1024).spawn(wait)
@@ -336,7 +324,6 @@ impl Watching {
     }
 }
 
-/// Why a program has failed, if it has.
 fn failure(outcome: io::Result<ExitStatus>) -> Option<String> {
     match outcome {
         Ok(status) if status.success() => None,
@@ -349,7 +336,6 @@ fn event(alert: &Alert) -> &'static str {
     if alert.state.raised { "raised" } else { "cleared" }
 }
 
-/// A line for each change.
 fn print_event(gauge: &Gauge, alert: &Alert) -> Result<()> {
     let (name, values) =
         (gaugefs_client::last_name(&gauge.folder), alert.rule.when.values(gauge.texts.as_ref()));
@@ -357,7 +343,6 @@ fn print_event(gauge: &Gauge, alert: &Alert) -> Result<()> {
     print(&(ti_gauge::text::printable(&line) + "\n"))
 }
 
-/// The environment of an alert's program.
 fn facts(gauge: &Gauge, alert: &Alert) -> HashMap<String, OsString> {
     let mut facts = HashMap::new();
     let texts = gauge.texts.iter().flatten().filter(|(name, _)| !name.contains('/'));
@@ -391,7 +376,7 @@ mod tests {
         }
     }
 
-    /// The states after polls with these capacities, one a second.
+    /// States after polls with these capacities, one per second.
     fn states(rule: &Rule, capacities: &[Option<u32>]) -> Vec<bool> {
         let (start, mut state) = (Instant::now(), State::default());
         let seconds = (0..).zip(capacities);
