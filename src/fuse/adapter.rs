@@ -6,6 +6,7 @@
 //! that a notification needs. A request that needs the gauge keeps its reply object, which is answered from
 //! the thread of the gauge's owner.
 
+use std::borrow::Cow;
 use std::collections::HashSet;
 use std::ffi::OsStr;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -179,27 +180,20 @@ impl Adapter {
 
     /// Passes a write on when the open file before it is closed. The kernel tells of that in its own time, and perhaps
     /// after what a shell has written to the next one.
-    fn write_in_turn(
-        &self,
-        number: u64,
-        node: Node,
-        caller: Caller,
-        offset: u64,
-        data: &[u8],
-        reply: ReplyWrite,
-    ) {
+    fn write_in_turn(&self, write: Write<'_>) {
         // One at a time: whoever has several open files in use at once waits for none of them.
-        let place = node.place();
+        let (node, caller, place) = (write.node, write.caller, write.node.place());
         if !self.fs.awaits_close(node, caller) || !lock(&self.waits).insert(place) {
-            return self.begin_write(number, node, caller, offset, data, reply);
+            return self.begin_write(write);
         }
-        let (adapter, data, until) = (self.clone(), data.to_vec(), Instant::now() + CLOSES);
+        let write = Write { data: write.data.into_owned().into(), ..write };
+        let (adapter, until) = (self.clone(), Instant::now() + CLOSES);
         let later = move || {
             while adapter.fs.awaits_close(node, caller) && Instant::now() < until {
                 thread::sleep(Duration::from_millis(1));
             }
             lock(&adapter.waits).remove(&place);
-            adapter.begin_write(number, node, caller, offset, &data, reply);
+            adapter.begin_write(write);
         };
         // If there can be no thread, the reply is dropped, which answers EIO.
         let started = thread::Builder::new().name("write".into()).stack_size(128 * 1024).spawn(later);
@@ -208,30 +202,14 @@ impl Adapter {
         }
     }
 
-    fn begin_write(
-        &self,
-        number: u64,
-        node: Node,
-        caller: Caller,
-        offset: u64,
-        data: &[u8],
-        reply: ReplyWrite,
-    ) {
+    fn begin_write(&self, write: Write<'_>) {
         self.announcer.pass_on(|refused| match refused {
-            Some(error) => reply.error(errno(&error)),
-            None => self.pass_on_write(number, node, caller, offset, data, reply),
+            Some(error) => write.reply.error(errno(&error)),
+            None => self.pass_on_write(write),
         });
     }
 
-    fn pass_on_write(
-        &self,
-        number: u64,
-        node: Node,
-        caller: Caller,
-        offset: u64,
-        data: &[u8],
-        reply: ReplyWrite,
-    ) {
+    fn pass_on_write(&self, Write { number, node, caller, offset, data, reply }: Write<'_>) {
         self.using(number).write_begins(number, Now::read());
         let mut writing = Writing {
             fs: self.fs.clone(),
@@ -242,7 +220,7 @@ impl Adapter {
             length: u32::try_from(data.len()).unwrap_or(u32::MAX),
             reply: Some(reply),
         };
-        self.fs.write(node, caller, offset, data, Box::new(move |outcome| writing.answer(outcome)));
+        self.fs.write(node, caller, offset, &data, Box::new(move |outcome| writing.answer(outcome)));
     }
 
     /// Gives the kernel bytes of a nodeid's value.
@@ -320,6 +298,17 @@ impl Drop for Arrival {
             self.answer(&Err(Error::host("", nix::errno::Errno::ENODEV, "the gauge has been given up")));
         }
     }
+}
+
+/// A write(2) that has arrived.
+struct Write<'a> {
+    number: u64,
+    node: Node,
+    caller: Caller,
+    /// Where the data begins in the file.
+    offset: u64,
+    data: Cow<'a, [u8]>,
+    reply: ReplyWrite,
 }
 
 /// A write that was passed on. It gets an answer, even if the gauge's owner ends without giving one.
@@ -579,7 +568,7 @@ impl Filesystem for Adapter {
             // Only of a stream does it matter who writes.
             let process = self.fs.is_stream(node).then(|| Process::of_thread(request.pid()));
             let caller = Caller { file: number, process: process.flatten() };
-            self.write_in_turn(number, node, caller, offset, data, reply);
+            self.write_in_turn(Write { number, node, caller, offset, data: data.into(), reply });
         });
     }
 
