@@ -20,13 +20,13 @@ use std::thread;
 use i2c_server::{Adapter, Errno, Target};
 use nix::sys::signal::{SigSet, Signal, kill};
 use nix::sys::wait::{WaitPidFlag, WaitStatus, waitpid};
-use nix::unistd::{Pid, geteuid};
+use nix::unistd::{Pid, getegid, geteuid};
 
 use crate::daemon::knobs::SimKnobs;
 use crate::daemon::{mountpoint, service};
 use crate::error::{Cause, Error, Result};
-use crate::fs::Knobs;
-use crate::fuse::{knobs, single};
+use crate::fs::{self as tree, Fs, Knobs};
+use crate::fuse::{self, single};
 use crate::output::{print, say};
 use gauge_bus::clock::{Clock, RealClock};
 use gauge_bus::{Bus, BusError, GAUGE_ADDRESS, regular};
@@ -222,8 +222,10 @@ impl Panel {
             let knobs = Box::new(SimKnobs(sim.clone()?)) as Box<dyn Knobs>;
             Some((format!("{name}@0x{address:02x}"), knobs))
         });
+        let access = tree::Access { uid: geteuid().as_raw(), gid: getegid().as_raw(), group: false };
+        let tree = Arc::new(Fs::of_knobs(knobs.collect(), access));
         let place = Place::prepare(path, true)?;
-        place.mount(|path| knobs::mount(path, SOURCE, knobs.collect()))?;
+        place.mount(|path| fuse::mount_knobs(tree, path, SOURCE))?;
         Ok(Self(place))
     }
 }

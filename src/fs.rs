@@ -24,7 +24,7 @@ use std::sync::Arc;
 use nix::errno::Errno;
 
 use crate::error::{Error, Result};
-use gauge_owner::{Attempt, Done, GaugeOptions};
+use gauge_owner::{Attempt, Done, GaugeOptions, Handle};
 
 mod attribute;
 mod caller;
@@ -50,6 +50,7 @@ pub use gauge_dir::GaugeItem;
 pub use mains::MainsItem;
 use root::Root;
 pub use root::free_names;
+use sim_dir::SimDir;
 pub use sim_dir::SimItem;
 pub(crate) use smart_battery::{
     ADDRESS as BATTERY_ADDRESS, BatteryEvent, SmartBattery, obstacle as battery_obstacle,
@@ -293,6 +294,8 @@ fn not_writable() -> Error {
 /// The tree.
 pub struct Fs {
     supplies: Vec<Arc<Supply>>,
+    /// In place of supplies: simulated gauges of which only the knobs are shown, by the names of their folders.
+    knobs: Vec<(String, Box<dyn Knobs>)>,
     access: Access,
     /// Folder name of the Mains supply.
     mains: Option<String>,
@@ -303,7 +306,12 @@ impl Fs {
     /// A tree of these gauges.
     pub fn new(gauges: Vec<Supply>, access: Access) -> Self {
         let supplies = (0..).zip(gauges).map(|(index, gauge)| Arc::new(gauge.at(index)));
-        Self { supplies: supplies.collect(), access, mains: None, covered: None }
+        Self { supplies: supplies.collect(), knobs: Vec::new(), access, mains: None, covered: None }
+    }
+
+    /// A tree of nothing but knobs: a folder for each gauge, or the knobs of the only one.
+    pub fn of_knobs(knobs: Vec<(String, Box<dyn Knobs>)>, access: Access) -> Self {
+        Self { knobs, ..Self::new(Vec::new(), access) }
     }
 
     /// Adds a Mains supply of that name.
@@ -330,15 +338,32 @@ impl Fs {
             Node::Mains(item) => item.of(self),
             Node::Covered(number) => Box::new(CoveredLink { covered: self.covered.as_ref(), number }),
             Node::Of(gauge, item) => {
-                let supply = &self.supplies[usize::from(gauge)];
+                let supply = || &self.supplies[usize::from(gauge)];
                 match item {
-                    Item::Supply(item) => item.of(supply),
-                    Item::Df(item) => item.of(supply),
-                    Item::Gauge(item) => item.of(supply),
-                    Item::Sim(item) => item.of(supply),
+                    Item::Supply(item) => item.of(supply()),
+                    Item::Df(item) => item.of(supply()),
+                    Item::Gauge(item) => item.of(supply()),
+                    Item::Sim(item) => item.of(self.sim_dir(gauge)),
                 }
             }
         }
+    }
+
+    /// Where the knobs of a gauge are.
+    fn sim_dir(&self, gauge: u16) -> SimDir<'_> {
+        let handle = self.handle(gauge);
+        match self.supplies.get(usize::from(gauge)) {
+            Some(supply) => SimDir { gauge, knobs: supply.knobs.as_deref(), parent: supply.folder(), handle },
+            None => {
+                let knobs = self.knobs.get(usize::from(gauge)).map(|(_, knobs)| &**knobs);
+                SimDir { gauge, knobs, parent: Node::Root, handle }
+            }
+        }
+    }
+
+    /// A gauge of which more is shown than its knobs.
+    fn handle(&self, gauge: u16) -> Option<&Handle> {
+        self.supplies.get(usize::from(gauge)).map(|supply| &supply.handle)
     }
 
     /// The folder of a node; the root's is itself.
@@ -446,11 +471,10 @@ impl Fs {
         }
         let why = "longer than any value, so it may not be whole; write the value alone, without padding";
         let error = Error::host(self.path(node), Errno::EFBIG, why);
-        match node {
-            Node::Of(gauge, _) => {
-                self.supplies[usize::from(gauge)].handle.refuse(Attempt::Other, error, done)
-            }
-            _ => done(Err(error)),
+        let gauge = if let Node::Of(gauge, _) = node { self.handle(gauge) } else { None };
+        match gauge {
+            Some(handle) => handle.refuse(Attempt::Other, error, done),
+            None => done(Err(error)),
         }
     }
 
@@ -478,7 +502,9 @@ impl Fs {
     /// gauge.
     pub fn raise(&self, node: Node) {
         let gauge = if let Node::Of(gauge, _) = node { gauge } else { 0 };
-        self.supplies[usize::from(gauge)].handle.raise();
+        if let Some(handle) = self.handle(gauge) {
+            handle.raise();
+        }
     }
 
     /// Whether names come and go in a folder.

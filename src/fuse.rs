@@ -33,7 +33,6 @@ use gauge_owner::Signal;
 mod adapter;
 mod entry;
 mod inodes;
-pub mod knobs;
 pub mod needs;
 mod notify;
 #[cfg(test)]
@@ -105,6 +104,17 @@ pub fn mount(fs: Arc<Fs>, mountpoint: &Path, options: Options, signal: Arc<Signa
     }
     let source = ("gaugefs", "gaugefs");
     start(fs, options, signal, |adapter| needs::session(adapter, mountpoint, source, config))
+}
+
+/// Mounts a tree of nothing but knobs, for this user alone, and serves it until it is unmounted. Its name in the mount table
+/// begins with `source`.
+pub fn mount_knobs(fs: Arc<Fs>, path: &Path, source: &str) -> Result<()> {
+    let mounted = start(fs, Options::default(), Arc::default(), |adapter| {
+        needs::session(adapter, path, (source, "knobs"), Config::default())
+    })?;
+    // Dropping it would unmount the path, and so whatever has been mounted there since.
+    std::mem::forget(mounted);
+    Ok(())
 }
 
 /// Serves the tree through a mounted `/dev/fuse`.

@@ -4,7 +4,7 @@
 
 use std::collections::{BTreeSet, HashSet};
 
-use super::{Fs, Item, MainsItem, Node, Operations, Shape, SupplyItem, find};
+use super::{Fs, Item, MainsItem, Node, Operations, Shape, SimItem, SupplyItem, find};
 
 /// The mount point.
 pub(super) struct Root<'a>(pub(super) &'a Fs);
@@ -14,7 +14,16 @@ impl Root<'_> {
         let folder = |index| Node::Of(index, Item::Supply(SupplyItem::Folder));
         let gauges = self.0.supplies.iter().map(|supply| (supply.name.clone(), folder(supply.index)));
         let mains = self.0.mains.clone().map(|name| (name, Node::Mains(MainsItem::Folder)));
-        gauges.chain(mains).collect()
+        gauges.chain(self.knobs()).chain(mains).collect()
+    }
+
+    /// The knobs of the only gauge, or a folder for each.
+    fn knobs(&self) -> Vec<(String, Node)> {
+        if let [_] = self.0.knobs[..] {
+            return self.0.sim_dir(0).list();
+        }
+        let folder = |index| Node::Of(index, Item::Sim(SimItem::Folder));
+        (0..).zip(&self.0.knobs).map(|(index, (name, _))| (name.clone(), folder(index))).collect()
     }
 }
 
