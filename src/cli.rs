@@ -1,19 +1,18 @@
 // SPDX-License-Identifier: MIT
 
-//! The command line: the parser, the dispatch and the exit codes. Each command has a file of its own.
+//! The command line of `gaugefs`: the parser and the dispatch. Each command has a file of its own.
 
 use std::ffi::OsString;
-use std::fmt::Write as _;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
-use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
+use clap::{CommandFactory, Parser, Subcommand};
 
+use crate::command::{self, align};
 use crate::daemon::{look, service};
-use crate::error::{Error, Result};
-use crate::output::{print, print_error, say_error};
+use crate::error::Result;
+use crate::output::say_error;
 use gauge_owner::key_file;
-use ti_gauge::text;
 
 mod assignment;
 mod auth;
@@ -25,6 +24,7 @@ mod chips;
 mod completions;
 mod diff;
 mod doctor;
+mod elsewhere;
 mod export;
 mod get;
 mod import;
@@ -37,9 +37,8 @@ mod mount;
 mod mounted;
 mod names;
 mod probe;
-mod program;
-mod records;
 mod report;
+#[cfg(feature = "rescue")]
 mod rescue;
 mod set;
 mod settle;
@@ -76,8 +75,7 @@ enum Command {
     List(list::List),
     Sim(sim::Sim),
     Probe(probe::Probe),
-    Program(program::Program),
-    Records(records::Show),
+    #[cfg(feature = "rescue")]
     Rescue(rescue::Rescue),
     Chips(chips::Chips),
     Report(report::Report),
@@ -121,6 +119,16 @@ enum Command {
         gauges: bool,
     },
     Names(names::Names),
+    /// A command of gaugefs-station
+    #[command(hide = true, disable_help_flag = true)]
+    Program(elsewhere::Elsewhere),
+    /// A command of gaugefs-station
+    #[command(hide = true, disable_help_flag = true)]
+    Records(elsewhere::Elsewhere),
+    /// A command of other builds
+    #[cfg(not(feature = "rescue"))]
+    #[command(hide = true, disable_help_flag = true)]
+    Rescue(elsewhere::Elsewhere),
 }
 
 impl Command {
@@ -132,8 +140,7 @@ impl Command {
             Self::Sim(command) => command.run(),
             Self::SimInside(command) => command.run(),
             Self::Probe(command) => command.run(),
-            Self::Program(command) => command.run(),
-            Self::Records(command) => command.run(),
+            #[cfg(feature = "rescue")]
             Self::Rescue(command) => command.run(),
             Self::Chips(command) => command.run(),
             Self::Report(command) => command.run(),
@@ -161,6 +168,10 @@ impl Command {
             Self::CheckKeys { file } => key_file::check(&file).map(|()| ExitCode::SUCCESS),
             Self::Look { path, gauges } => look::answer(&path, gauges).map(|()| ExitCode::SUCCESS),
             Self::Names(command) => command.run(),
+            Self::Program(command) => Ok(command.of_station("program")),
+            Self::Records(command) => Ok(command.of_station("records")),
+            #[cfg(not(feature = "rescue"))]
+            Self::Rescue(command) => Ok(command.of_feature("rescue")),
         }
     }
 }
@@ -176,150 +187,18 @@ const GROUPS: [(&str, &[&str]); 5] = [
         ],
     ),
     ("Write", &["set", "import", "settle", "learned", "calibrate", "bringup", "keys", "rescue"]),
-    ("Factory", &["program", "records", "auth"]),
+    ("Factory", &["auth"]),
     ("Service", &["watch", "metrics", "events", "detach", "completions", "man"]),
 ];
 
 /// The definition of the command line, whose prose has the terminal's width.
 pub fn definition() -> clap::Command {
-    let command = flowing(Cli::command());
-    let commands = grouped(&command);
-    command.help_template(format!(
-        "{{about-with-newline}}\n{{usage-heading}} {{usage}}\n\n{commands}Options:\n{{options}}{{after-help}}"
-    ))
-}
-
-/// The list of commands, with a heading per group.
-fn grouped(command: &clap::Command) -> String {
-    let shown = |command: &&clap::Command| !command.is_hide_set();
-    let is_in = |name: &str| GROUPS.iter().any(|(_, names)| names.contains(&name));
-    let others =
-        command.get_subcommands().filter(shown).map(clap::Command::get_name).filter(|name| !is_in(name));
-    let others: Vec<&str> = others.collect();
-    let groups = GROUPS.iter().copied().chain([("Other", &*others)]);
-    let mut text = String::new();
-    for (heading, names) in groups {
-        // This build may lack some.
-        let named = names.iter().filter_map(|name| command.find_subcommand(name)).filter(shown);
-        let lines: String = named.map(listed).collect();
-        if !lines.is_empty() {
-            text += &format!("{heading}:\n{lines}\n");
-        }
-    }
-    text
-}
-
-/// A line of the list, or several if it is too long for 80 columns.
-fn listed(command: &clap::Command) -> String {
-    const NAME: usize = 11;
-    const WIDTH: usize = 80 - NAME - 4;
-    let about = command.get_about().map(ToString::to_string).unwrap_or_default();
-    let aliases: Vec<&str> = command.get_visible_aliases().collect();
-    let about = if aliases.is_empty() { about } else { format!("{about} [alias: {}]", aliases.join(", ")) };
-    let mut lines = vec![String::new()];
-    for word in about.split(' ') {
-        match lines.last_mut() {
-            Some(line) if line.is_empty() => line.push_str(word),
-            Some(line) if line.chars().count() + 1 + word.chars().count() <= WIDTH => {
-                *line += &format!(" {word}")
-            }
-            _ => lines.push(word.into()),
-        }
-    }
-    let names = std::iter::once(command.get_name()).chain(std::iter::repeat(""));
-    names.zip(lines).map(|(name, line)| format!("  {name:NAME$}  {line}\n")).collect()
-}
-
-fn flowing(command: clap::Command) -> clap::Command {
-    let prose = command.get_after_help().map(|help| flow(&help.to_string()));
-    let command = match prose {
-        Some(prose) => command.after_help(prose),
-        None => command,
-    };
-    let names: Vec<String> = command.get_subcommands().map(|command| command.get_name().into()).collect();
-    names.into_iter().fold(command, |command, name| command.mut_subcommand(name, flowing))
-}
-
-/// Joins the lines of each paragraph, whose breaks are for readers of the source. Indented lines are examples and stay,
-/// and so does the line above them.
-fn flow(text: &str) -> String {
-    let mut flowing = String::new();
-    let mut lines = text.lines().peekable();
-    while let Some(line) = lines.next() {
-        flowing += line;
-        let stays = |line: &str| line.is_empty() || line.starts_with(' ');
-        let Some(next) = lines.peek() else { break };
-        flowing.push(if stays(line) || stays(next) { '\n' } else { ' ' });
-    }
-    flowing
+    command::definition(Cli::command(), &GROUPS)
 }
 
 /// Runs the command in the arguments. The exit code is 0 for done, 1 for failed, 2 for misuse.
 pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
-    let arguments: Vec<OsString> = arguments.into_iter().collect();
-    let mut definition = definition();
-    let parsed = definition
-        .try_get_matches_from_mut(&arguments)
-        .and_then(|matches| Cli::from_arg_matches(&matches).map_err(|error| error.format(&mut definition)));
-    let cli = match parsed {
-        Ok(cli) => cli,
-        Err(error) if error.use_stderr() => {
-            let bus = bare_bus(&arguments);
-            let tip = bus.map_or_else(String::new, |bus| {
-                format!("  tip: a bus is given with an option: --bus {bus}\n\n")
-            });
-            let text = reworded(&error.to_string()).replacen("Usage: ", &format!("{tip}Usage: "), 1);
-            print_error(&text::lines(&text));
-            return ExitCode::from(2);
-        }
-        Err(help) => {
-            let printed = print(&help.to_string()).map(|()| ExitCode::SUCCESS);
-            return printed.unwrap_or_else(|error| failed(&error));
-        }
-    };
-    cli.command.run().unwrap_or_else(|error| failed(&error))
-}
-
-fn failed(error: &Error) -> ExitCode {
-    say_error(error);
-    ExitCode::FAILURE
-}
-
-/// Rewords clap's message about a misuse in gaugefs's style. It drops the advice to put `--` before an unknown option,
-/// because no argument here takes one as a value, and replaces the long list of chips by a hint.
-fn reworded(text: &str) -> String {
-    const LONGEST: usize = 200;
-    let text =
-        text.strip_prefix("error: ").map_or_else(|| text.to_string(), |text| format!("gaugefs: {text}"));
-    let kept = text.split("\n\n").filter(|part| !part.starts_with("  tip: to pass '"));
-    let lines = kept.collect::<Vec<_>>().join("\n\n");
-    let is_long = |line: &str| line.starts_with("  [possible values: bq") && line.len() > LONGEST;
-    let lines = lines.split_inclusive('\n').map(|line| match is_long(line) {
-        true => "  `gaugefs chips` lists the chips\n",
-        false => line,
-    });
-    lines.collect()
-}
-
-/// A bus among the arguments that is no option's value.
-fn bare_bus(arguments: &[OsString]) -> Option<&str> {
-    let pairs = arguments.windows(2).filter_map(|pair| Some((pair[0].to_str()?, pair[1].to_str()?)));
-    let mut bare = pairs.filter(|(before, _)| !before.starts_with("--")).map(|(_, bus)| bus);
-    bare.find(|bus| bus.starts_with("/dev/i2c-"))
-}
-
-/// Pads every column to its widest cell, with two spaces between columns.
-fn align<const N: usize>(rows: &[[String; N]]) -> String {
-    let width = |column: usize| rows.iter().map(|row| row[column].chars().count()).max().unwrap_or(0);
-    let widths: [usize; N] = std::array::from_fn(width);
-    let mut table = String::new();
-    for row in rows {
-        let cells = row.iter().zip(widths).map(|(cell, width)| format!("{cell:width$}"));
-        let line = cells.collect::<Vec<_>>().join("  ");
-        // Writing to a String does not fail.
-        let _ = writeln!(table, "{}", line.trim_end());
-    }
-    table
+    command::run(definition(), arguments, |cli: Cli| cli.command.run())
 }
 
 /// `1 parameter` or `N parameters`.
@@ -354,12 +233,6 @@ mod tests {
     }
 
     #[test]
-    fn prose_takes_the_width_of_the_terminal_and_examples_stay() {
-        let text = "One\ntwo.\n\nThree\nfour:\n  a\n  b\nFive\nsix";
-        assert_eq!(flow(text), "One two.\n\nThree four:\n  a\n  b\nFive six");
-    }
-
-    #[test]
     fn every_command_is_in_one_group_of_the_help() {
         let command = definition();
         let names: Vec<&str> = GROUPS.iter().flat_map(|(_, names)| *names).copied().collect();
@@ -372,19 +245,6 @@ mod tests {
         let found: Vec<&str> = help.lines().filter(|line| headings.contains(line)).collect();
         assert_eq!(found, headings, "{help}");
         assert!(help.lines().all(|line| line.chars().count() <= 80), "{help}");
-    }
-
-    /// A terminal of 80 columns would break an example in the middle and separate it from its heading.
-    #[test]
-    fn regression_examples_were_broken_at_80_columns() {
-        fn check(command: &clap::Command) {
-            let text = command.get_after_help().map(ToString::to_string).unwrap_or_default();
-            for line in text.lines().filter(|line| line.starts_with(' ')) {
-                assert!(line.chars().count() <= 80, "{}: {line}", command.get_name());
-            }
-            command.get_subcommands().for_each(check);
-        }
-        check(&definition());
     }
 
     /// Where the options of a table must be found, by the command that has them.

@@ -10,18 +10,16 @@ use crate::error::{Cause, Error, Result};
 use gauge_owner::{GaugeOptions, Source};
 
 mod choice;
-mod file;
+pub(crate) mod file;
 mod node;
-mod option;
-mod options;
-mod station;
-mod values;
+pub(crate) mod option;
+pub(crate) mod options;
+pub(crate) mod values;
 
 pub(crate) use choice::ChoiceOptions;
 use node::Node;
 pub(crate) use option::{At, Given, Opt, Options, names, written};
 pub(crate) use options::{AlertOptions, MountOptions};
-pub(crate) use station::station;
 pub(crate) use values::{address, celsius, chip_names, chips, divider, meter_current, pack_voltage, seal};
 
 /// Whether a gauge is simulated in this process.
@@ -137,7 +135,7 @@ pub(crate) fn standard_input(path: PathBuf) -> PathBuf {
 }
 
 /// Makes relative paths of options absolute, below `folder`, or below the current folder if `folder` is empty.
-fn make_absolute<T: Options>(options: &mut T, folder: &Path) -> Result<()> {
+pub(crate) fn make_absolute<T: Options>(options: &mut T, folder: &Path) -> Result<()> {
     let mut done = Ok(());
     option::paths(options, |path| {
         if done.is_ok() {
@@ -147,7 +145,7 @@ fn make_absolute<T: Options>(options: &mut T, folder: &Path) -> Result<()> {
     done
 }
 
-fn absolute(path: &mut PathBuf, folder: &Path) -> Result<()> {
+pub(crate) fn absolute(path: &mut PathBuf, folder: &Path) -> Result<()> {
     *path = std::path::absolute(folder.join(&*path))
         .map_err(|error| Error::io(path.display().to_string(), "cannot find it", &error))?;
     Ok(())

@@ -18,23 +18,32 @@ export RUSTFLAGS="${RUSTFLAGS:+$RUSTFLAGS }$folders"
 here=$(rustc -vV | sed -n 's/^host: //p')
 made=$(cargo metadata --no-deps --format-version 1 | sed 's/.*"target_directory":"\([^"]*\)".*/\1/')
 
-# dist TARGET: builds the program for a target of Rust.
+# The programs of the package.
+programs=(gaugefs gaugefs-station)
+
+# dist TARGET: builds the programs for a target of Rust.
 # On x86-64 the tables that unwind a panic are a third smaller with frame pointers, and the program by 3 %.
 dist() {
     local pointers=
     [[ $1 != x86_64-* ]] || pointers=' -Cforce-frame-pointers=yes'
-    RUSTFLAGS="$RUSTFLAGS$pointers" cargo build --profile dist --quiet --locked --bin gaugefs --target "$1"
-    nameless "$made/$1/dist/gaugefs" || { echo "$1: the program names folders of this machine" >&2; return 1; }
+    RUSTFLAGS="$RUSTFLAGS$pointers" cargo build --profile dist --quiet --locked "${programs[@]/#/--bin=}" --target "$1"
+    local program
+    for program in "${programs[@]}"; do
+        nameless "$made/$1/dist/$program" || { echo "$1: $program names folders of this machine" >&2; return 1; }
+    done
 }
 
 # nameless PROGRAM: no path of this machine is in it.
 nameless() { ! grep -aoF -e "$PWD/" -e "${CARGO_HOME:-$HOME/.cargo}/" -e "$sysroot/" "$1" | sort | uniq -c >&2; }
 
-# documents PROGRAM FOLDER: writes the manual pages and the completions that a program of this machine prints.
+# documents FOLDER TO: writes the manual pages and the completions that the programs of this machine print, which are in FOLDER.
 documents() {
-    "$1" man >"$2/gaugefs.1"
-    "$1" man gaugefs.toml >"$2/gaugefs.toml.5"
-    "$1" completions bash >"$2/gaugefs.bash"
-    "$1" completions zsh >"$2/_gaugefs"
-    "$1" completions fish >"$2/gaugefs.fish"
+    local program
+    for program in "${programs[@]}"; do
+        "$1/$program" man >"$2/$program.1"
+        "$1/$program" completions bash >"$2/$program.bash"
+        "$1/$program" completions zsh >"$2/_$program"
+        "$1/$program" completions fish >"$2/$program.fish"
+    done
+    "$1/gaugefs" man gaugefs.toml >"$2/gaugefs.toml.5"
 }

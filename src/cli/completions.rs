@@ -4,10 +4,11 @@
 
 use std::process::ExitCode;
 
-use clap::{ArgGroup, Args, CommandFactory, Id};
+use clap::{Args, CommandFactory};
 use clap_complete::Shell;
 
 use super::Cli;
+use crate::command::completions;
 use crate::error::Result;
 use crate::output::print_file;
 
@@ -42,28 +43,7 @@ impl Completions {
 }
 
 pub(super) fn script(shell: Shell) -> String {
-    let mut script = Vec::new();
-    let mut typed = typed(&Cli::command()).version(env!("CARGO_PKG_VERSION"));
-    clap_complete::generate(shell, &mut typed, "gaugefs", &mut script);
-    with_names(shell, &String::from_utf8_lossy(&script))
-}
-
-/// A command without subcommands that only programs call.
-fn typed(command: &clap::Command) -> clap::Command {
-    let arguments: Vec<_> = command.get_arguments().filter(|argument| !argument.is_hide_set()).collect();
-    let groups = command.get_groups().map(|group| {
-        let is_there = |id: &&Id| arguments.iter().any(|argument| argument.get_id() == *id);
-        let members: Vec<&Id> = group.get_args().filter(is_there).collect();
-        ArgGroup::new(group.get_id().clone()).multiple(true).args(members)
-    });
-    let commands = command.get_subcommands().filter(|command| !command.is_hide_set());
-    // clap keeps the program's names; this one ends after the script is printed.
-    let name: &str = command.get_name().to_string().leak();
-    clap::Command::new(name)
-        .about(command.get_about().cloned().unwrap_or_default())
-        .groups(groups)
-        .args(arguments.iter().copied())
-        .subcommands(commands.map(typed))
+    with_names(shell, &completions::script(shell, &Cli::command()))
 }
 
 /// The script, with calls of `gaugefs names`, which answers within seconds whatever the mounts do.

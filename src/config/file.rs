@@ -22,7 +22,7 @@ use gauge_owner::{GaugeOptions, Source};
 use ti_gauge::text::nearest;
 
 /// The subject of a file besides gauges: its first table.
-pub(super) trait Head: Options {
+pub(crate) trait Head: Options {
     /// Name of that table and of the subject.
     const NAME: &'static str;
     /// Tables that may occur any number of times.
@@ -52,13 +52,13 @@ pub(super) fn read(
     Ok((read.head, file.complete(read.gauges, path, bus)?, read.alerts))
 }
 
-pub(super) fn text(path: &Path) -> Result<String> {
+pub(crate) fn text(path: &Path) -> Result<String> {
     let failed = |error| Error::io(path.display().to_string(), "cannot read it", &error);
     regular::read_text(path, LONGEST).map_err(failed)
 }
 
 /// The base folder of a file's relative paths.
-pub(super) fn folder(path: &Path) -> &Path {
+pub(crate) fn folder(path: &Path) -> &Path {
     // Standard input has no folder.
     let is_input = path == Path::new(super::STANDARD_INPUT);
     if is_input { Path::new("") } else { path.parent().unwrap_or(Path::new("/")) }
@@ -77,8 +77,8 @@ pub(super) fn alerts(path: &Path) -> Result<(Option<PathBuf>, Vec<AlertOptions>)
     Ok((read.head.mountpoint, read.alerts))
 }
 
-pub(super) struct File<'a, H> {
-    pub(super) name: String,
+pub(crate) struct File<'a, H> {
+    pub(crate) name: String,
     text: &'a str,
     head: Keys<'a>,
     defaults: Keys<'a>,
@@ -87,9 +87,9 @@ pub(super) struct File<'a, H> {
     about: PhantomData<H>,
 }
 
-pub(super) struct Read<H> {
-    pub(super) head: H,
-    pub(super) gauges: Vec<GaugeOptions>,
+pub(crate) struct Read<H> {
+    pub(crate) head: H,
+    pub(crate) gauges: Vec<GaugeOptions>,
     #[cfg_attr(not(feature = "screen"), allow(dead_code, reason = "the commands of that feature use them"))]
     alerts: Vec<AlertOptions>,
 }
@@ -145,7 +145,7 @@ enum Table {
 }
 
 impl<'a, H: Head> File<'a, H> {
-    pub(super) fn parse(path: &Path, text: &'a str) -> Result<Self> {
+    pub(crate) fn parse(path: &Path, text: &'a str) -> Result<Self> {
         let mut file = Self {
             name: path.display().to_string(),
             text,
@@ -191,7 +191,7 @@ impl<'a, H: Head> File<'a, H> {
         Ok(file)
     }
 
-    pub(super) fn refuse(&self, at: usize, key: &str, why: &str) -> Error {
+    pub(crate) fn refuse(&self, at: usize, key: &str, why: &str) -> Error {
         // One line: TOML's own errors, and keys in quotes, may have several.
         let why = why.lines().collect::<Vec<_>>().join(", ");
         let key = if key.is_empty() { "\"\"".into() } else { key.escape_debug().to_string() };
@@ -203,12 +203,12 @@ impl<'a, H: Head> File<'a, H> {
         1 + self.text.bytes().take(at).filter(|&byte| byte == b'\n').count()
     }
 
-    pub(super) fn place(&self, name: &str) -> Option<usize> {
+    pub(crate) fn place(&self, name: &str) -> Option<usize> {
         place(&self.head, name)
     }
 
     /// Reads every table. Each gauge's table includes the defaults.
-    pub(super) fn read(&self) -> Result<Read<H>> {
+    pub(crate) fn read(&self) -> Result<Read<H>> {
         let head = self.options(Table::Head, &self.head)?;
         // Bad defaults are refused even without a gauge.
         self.options::<GaugeOptions>(Table::Defaults, &self.defaults)?;
@@ -265,7 +265,7 @@ impl<'a, H: Head> File<'a, H> {
     }
 
     /// The gauges, with absolute paths. Each has a source, and no two share what only one can have.
-    pub(super) fn complete(
+    pub(crate) fn complete(
         &self,
         mut gauges: Vec<GaugeOptions>,
         path: &Path,

@@ -27,30 +27,30 @@ pub(crate) trait Options: Clone + Default + 'static {
 pub(crate) struct Opt<T: 'static> {
     /// As on the command line after `--`, and as in a file.
     pub(crate) name: &'static str,
-    pub(super) effect: Effect<T>,
+    pub(crate) effect: Effect<T>,
     /// A sentence without its full stop.
-    pub(super) doc: &'static str,
+    pub(crate) doc: &'static str,
     /// Added to the help; not valid in a file.
-    pub(super) on_line: &'static str,
+    pub(crate) on_line: &'static str,
     /// The default, unless it is obvious.
-    pub(super) default: &'static str,
+    pub(crate) default: &'static str,
     /// Further sentences of gaugefs.toml(5).
-    pub(super) more: &'static str,
+    pub(crate) more: &'static str,
     /// Heading in the help of the command.
-    pub(super) heading: &'static str,
-    pub(super) at: &'static [At],
+    pub(crate) heading: &'static str,
+    pub(crate) at: &'static [At],
     /// Options that it contradicts, listed on one side only. A gauge's own option replaces a default.
-    pub(super) not_with: &'static [&'static str],
+    pub(crate) not_with: &'static [&'static str],
     /// For an older name, the option's present name; otherwise empty.
     #[cfg_attr(not(test), allow(dead_code, reason = "what it does follows from its effect"))]
-    pub(super) of: &'static str,
+    pub(crate) of: &'static str,
     /// What `-` is, for an option that names a file.
-    pub(super) dash: Dash,
+    pub(crate) dash: Dash,
     /// An option that it needs.
-    pub(super) needs: Option<&'static str>,
+    pub(crate) needs: Option<&'static str>,
     /// A value as TOML, for the tests.
     #[cfg_attr(not(test), allow(dead_code, reason = "every option is tested with it"))]
-    pub(super) sample: &'static str,
+    pub(crate) sample: &'static str,
 }
 
 /// Where an option may stand.
@@ -70,7 +70,7 @@ pub(crate) enum At {
 
 /// What `-` is on a command line, in place of a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Dash {
+pub(crate) enum Dash {
     /// The name of a file.
     Name,
     /// Standard input, which is read as a whole before the command returns.
@@ -82,7 +82,7 @@ pub(super) enum Dash {
 }
 
 /// Only in a file.
-pub(super) const IN_FILE: &[At] = &[At::Table];
+pub(crate) const IN_FILE: &[At] = &[At::Table];
 
 /// The option's value: its name in the help, how it is checked, and where it is stored.
 pub(crate) enum Effect<T> {
@@ -106,7 +106,7 @@ pub(crate) enum Effect<T> {
 
 /// What is wrong with a value, and the key within a table.
 #[derive(Debug)]
-pub(super) struct Wrong {
+pub(crate) struct Wrong {
     pub(super) why: String,
     pub(super) within: Option<(String, usize)>,
 }
@@ -118,14 +118,14 @@ impl<Text: Into<String>> From<Text> for Wrong {
 }
 
 /// Stores an accepted value.
-pub(super) fn put<V>(to: &mut Option<V>, value: Result<V, String>) -> Result<(), String> {
+pub(crate) fn put<V>(to: &mut Option<V>, value: Result<V, String>) -> Result<(), String> {
     *to = Some(value?);
     Ok(())
 }
 
 impl<T: Options> Opt<T> {
     /// Lets a row list only what is unusual.
-    pub(super) const NEW: Self = Self {
+    pub(crate) const NEW: Self = Self {
         name: "",
         effect: Effect::Switch(|_, _| ()),
         doc: "",

@@ -49,17 +49,17 @@ pub(super) fn condition(text: &str) -> Result<Condition, String> {
     text.parse().map_err(|error: <Condition as FromStr>::Err| error.to_string())
 }
 
-pub(super) fn count<N: TryFrom<u64>>(text: &str) -> Result<N, String> {
+pub(crate) fn count<N: TryFrom<u64>>(text: &str) -> Result<N, String> {
     text::unsigned(text).ok_or_else(|| format!("{text} is not a whole number of the range"))
 }
 
-pub(super) fn integer(text: &str) -> Result<i64, String> {
+pub(crate) fn integer(text: &str) -> Result<i64, String> {
     let number = text.parse().ok().or_else(|| text::unsigned(text));
     number.ok_or_else(|| "expected a whole number".into())
 }
 
 /// The value that a word stands for.
-pub(super) fn one_of<T: Copy>(text: &str, words: &[(&str, T)]) -> Result<T, String> {
+pub(crate) fn one_of<T: Copy>(text: &str, words: &[(&str, T)]) -> Result<T, String> {
     let known = || words.iter().map(|(word, _)| *word).collect::<Vec<_>>().join(", ");
     let found = words.iter().find(|(word, _)| *word == text);
     found.map(|(_, value)| *value).ok_or_else(|| format!("expected one of: {}", known()))
@@ -125,13 +125,8 @@ pub(crate) fn meter_current(text: &str) -> Result<f64, String> {
     shown(text, "mA", |milliamperes| (100.0..=1_000_000.0).contains(&milliamperes.abs()))
 }
 
-/// A pack of a rehearsal.
-pub(super) fn rehearsed(word: &str) -> Result<String, String> {
-    gauge_station::Rehearsed::parse(word).map(|_| word.to_string())
-}
-
 /// Tolerance of a measured value, in its unit.
-pub(super) fn tolerance(text: &str) -> Result<f64, String> {
+pub(crate) fn tolerance(text: &str) -> Result<f64, String> {
     let number = text.trim().parse().ok().filter(|number: &f64| number.is_finite() && *number >= 0.0);
     number.ok_or_else(|| "expected a number from 0 on".into())
 }

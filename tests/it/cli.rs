@@ -17,8 +17,8 @@ use nix::unistd::Pid;
 use ti_gauge::chip::{Chip, FLAT, Kind, Parameter, Range, kebab_case};
 
 use crate::room::{
-    CHIP, Folder, Foreground, Ran, as_nobody, can_mount, command, gaugefs, read, run, same_as_golden, shown,
-    stop, users_can_mount, within,
+    CHIP, Folder, Foreground, Ran, as_nobody, can_mount, command, gaugefs, gaugefs_station, read, run,
+    same_as_golden, shown, stop, users_can_mount, within,
 };
 
 #[cfg(feature = "screen")]
@@ -48,7 +48,6 @@ fn help_texts() {
             "umount --help",
             "list --help",
             "probe --help",
-            "program --help",
             "rescue --help",
             "chips --help",
             "report --help",
@@ -75,6 +74,18 @@ fn help_texts() {
             "events --help",
         ],
     );
+}
+
+#[test]
+fn help_texts_of_the_station() {
+    let mut now = String::new();
+    for line in ["--help", "program --help", "records --help", "completions --help", "man --help", "program"]
+    {
+        let Ran { code, out, err, .. } = gaugefs_station(&line.split_ascii_whitespace().collect::<Vec<_>>());
+        writeln!(now, "$ gaugefs-station {line}\n{out}{err}=> {}\n", code.expect("it exits"))
+            .expect("a string");
+    }
+    same_as_golden("station", &now);
 }
 
 #[test]
@@ -1440,6 +1451,16 @@ fn without_space_for_the_journal_nothing_is_written() {
     ended.done();
 }
 
+#[cfg(not(feature = "rescue"))]
+#[test]
+fn a_build_without_rescue_says_which_has_it() {
+    for more in [&[][..], &["--help"], &["x.bq.fs", "--bus", "/dev/i2c-1"]] {
+        let line = [&["rescue"], more].concat();
+        gaugefs(&line).troubled(&["gaugefs: rescue: this build is without it; the Debian package has it"]);
+    }
+}
+
+#[cfg(feature = "rescue")]
 #[test]
 fn rescue_checks_its_file_before_anything_else() {
     let file = crate::room::folder().join(format!("rescue-{}.df.fs", std::process::id()));

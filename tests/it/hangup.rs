@@ -15,7 +15,7 @@ use nix::unistd::Pid;
 
 #[cfg(feature = "screen")]
 use crate::room::Foreground;
-use crate::room::{CHIP, Folder, LONG, can_mount};
+use crate::room::{CHIP, Folder, LONG, STATION, can_mount};
 
 /// A program that runs until it is ended.
 struct Program {
@@ -31,7 +31,8 @@ impl Program {
         let file = File::create(&said).expect("a file");
         let mut command = Command::new("sh");
         let line = if nohup { "trap '' HUP; exec \"$@\"" } else { "exec \"$@\"" };
-        command.args(["-c", line, "sh", env!("CARGO_BIN_EXE_gaugefs")]).args(arguments);
+        let program = if arguments[0] == "program" { STATION } else { env!("CARGO_BIN_EXE_gaugefs") };
+        command.args(["-c", line, "sh", program]).args(arguments);
         command.stdin(Stdio::null()).stdout(file.try_clone().expect("a file")).stderr(file);
         let mut program = Self { child: command.spawn().expect("a shell"), said };
         let start = Instant::now();
@@ -194,7 +195,7 @@ fn a_station_whose_screen_is_closed_ends_after_its_pack() {
     let terminal = openpty(&size, None).expect("a terminal");
     let end = || Stdio::from(terminal.slave.try_clone().expect("a terminal"));
     let mut command = Command::new("setsid");
-    command.args(["--ctty", env!("CARGO_BIN_EXE_gaugefs"), "program", "--screen", "--image", &image]);
+    command.args(["--ctty", STATION, "program", "--screen", "--image", &image]);
     command.args(["--station", &station]).env("TERM", "xterm").stdin(end()).stdout(end()).stderr(end());
     let mut child = command.spawn().expect("setsid runs");
     drop(command);

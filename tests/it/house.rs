@@ -18,7 +18,7 @@ fn modules(folder: &Path) -> BTreeMap<Module, String> {
     sources(folder).into_iter().map(|(module, text)| (module, plain(&text))).collect()
 }
 
-/// The modules of a crate and their text.
+/// The modules of a crate and their text, with the program that is named as the package.
 fn sources(folder: &Path) -> BTreeMap<Module, String> {
     let mut found = BTreeMap::new();
     let mut folders = vec![(folder.to_path_buf(), Module::new())];
@@ -33,6 +33,10 @@ fn sources(folder: &Path) -> BTreeMap<Module, String> {
                 _ => [&parent[..], &[stem]].concat(),
             };
             if path.is_dir() {
+                // Programs of their own, which `programs_only_call_the_library` looks at.
+                if parent.is_empty() && module == ["bin"] {
+                    continue;
+                }
                 folders.push((path, module));
             } else if path.extension().is_some_and(|extension| extension == "rs") {
                 let text = fs::read_to_string(path).expect("a file of the checkout");
@@ -203,6 +207,32 @@ fn no_crate_depends_on_what_lies_above_it() {
         let uses = table["dependencies"].as_table().expect("dependencies");
         let found: Vec<_> = above.iter().filter(|above| uses.contains_key(**above)).collect();
         assert!(found.is_empty(), "{name} depends on {found:?}");
+    }
+}
+
+/// The station is a program of its own: what it is made of is used by no other module, so that it is in no other program.
+#[test]
+fn only_the_station_is_made_of_the_station() {
+    let top = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let modules = modules(&top.join("src"));
+    let of_station = |module: &Module| module.first().is_some_and(|first| first == "station");
+    let users: Vec<_> =
+        modules.iter().filter(|(_, text)| text.contains("gauge_station")).map(|(module, _)| module).collect();
+    assert!(users.len() > 2 && users.iter().all(|module| of_station(module)), "{users:?}");
+    let uses = uses(&modules);
+    let users: Vec<_> = uses[&Module::new()].iter().filter(|(_, used)| used.contains("station")).collect();
+    assert!(users.is_empty(), "{users:?}");
+}
+
+#[test]
+fn programs_only_call_the_library() {
+    let top = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let others =
+        fs::read_dir(top.join("src/bin")).expect("other programs").map(|entry| entry.expect("one").path());
+    for path in others.chain([top.join("src/main.rs")]) {
+        let text = fs::read_to_string(&path).expect("a program");
+        let calls: Vec<_> = text.matches("gaugefs::").collect();
+        assert!(calls.len() == 1 && text.lines().count() < 12, "{}", path.display());
     }
 }
 

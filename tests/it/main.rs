@@ -41,6 +41,7 @@ mod readme;
 mod reads;
 mod refused;
 mod report;
+#[cfg(feature = "rescue")]
 mod rescue;
 #[allow(dead_code, reason = "the tests of the engine use the rest")]
 #[path = "../../crates/ti-gauge/tests/it/rig.rs"]

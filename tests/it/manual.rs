@@ -7,7 +7,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
-use super::room::{Folder, command, gaugefs};
+use super::room::{Folder, STATION, command, command_of, gaugefs, gaugefs_station};
 
 fn docs() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("docs")
@@ -19,7 +19,11 @@ fn page() -> String {
 }
 
 fn printed(page: &str) -> String {
-    let mut command = command(&["man", page]);
+    dated(command(&["man", page]))
+}
+
+/// What a command prints that dates its page.
+fn dated(mut command: Command) -> String {
     let output = command.env("SOURCE_DATE_EPOCH", "1700000000").output().expect("gaugefs runs");
     assert!(output.status.success());
     String::from_utf8(output.stdout).expect("a page in UTF-8")
@@ -71,7 +75,13 @@ impl Drop for Scratch {
 
 #[test]
 fn the_pages_render_without_a_warning() {
-    for (name, text) in [("gaugefs.1", page()), ("gaugefs.toml.5", printed("gaugefs.toml"))] {
+    let station = dated(command_of(STATION, &["man"]));
+    for place in ["@DATE@", "@VERSION@", "@SYNOPSIS@", "@COMMANDS@", "@WORDS@"] {
+        assert!(!station.contains(place), "{place}");
+    }
+    let pages =
+        [("gaugefs.1", page()), ("gaugefs-station.1", station), ("gaugefs.toml.5", printed("gaugefs.toml"))];
+    for (name, text) in pages {
         let file = Scratch::new(name, &text);
         if let Some(lint) = said("mandoc", &["-T", "lint", "-W", "warning"], file.path()) {
             assert_eq!(lint, "", "{name}");
@@ -190,9 +200,11 @@ fn bash_completes_commands_options_and_chips() {
         assert_eq!(complete(&["gaugefs", "mount", "--sim", "bq351"]).as_deref(), Some("bq35100\n"));
     }
     for shell in ["zsh", "fish"] {
-        let script = Scratch::new(shell, &gaugefs(&["completions", shell]).done());
-        if let Some(complaints) = said(shell, &["-n"], script.path()) {
-            assert_eq!(complaints, "", "{shell}");
+        for text in [gaugefs(&["completions", shell]), gaugefs_station(&["completions", shell])] {
+            let script = Scratch::new(shell, &text.done());
+            if let Some(complaints) = said(shell, &["-n"], script.path()) {
+                assert_eq!(complaints, "", "{shell}");
+            }
         }
     }
 }

@@ -12,7 +12,7 @@ use nix::mount::{MntFlags, MsFlags, mount, umount2};
 use nix::sys::stat::Mode;
 use nix::unistd::mkfifo;
 
-use crate::room::{CHIP, Folder, can_mount, command, gaugefs, run};
+use crate::room::{CHIP, Folder, STATION, can_mount, command, command_of, gaugefs, run};
 
 /// Each command, with arguments that make it print something, or `None` where it prints nothing, or only with hardware.
 fn printing<'a>(
@@ -54,6 +54,22 @@ fn printing<'a>(
         "watch" => vec![gauge, "capacity<101"],
         _ => panic!("`gaugefs {name}` is new: add how it is made to print"),
     })
+}
+
+/// Both programs, and the definitions of their command lines.
+fn programs() -> [(&'static str, clap::Command); 2] {
+    [(env!("CARGO_BIN_EXE_gaugefs"), gaugefs::cli::definition()), (STATION, gaugefs::station::definition())]
+}
+
+/// Whether a program only says which other one, or which other build, has that command.
+fn is_elsewhere(program: &str, name: &str) -> bool {
+    let is_rescue = name == "rescue" && cfg!(not(feature = "rescue"));
+    program != STATION && ["program", "records"].contains(&name) || is_rescue
+}
+
+/// The program that has a command.
+fn program_with(name: &str) -> &'static str {
+    if ["program", "records"].contains(&name) { STATION } else { env!("CARGO_BIN_EXE_gaugefs") }
 }
 
 /// The names of all commands that can be run, such as `keys change`.
@@ -98,21 +114,31 @@ fn regression_what_cannot_be_printed_is_a_failure_of_every_command() {
     let report = folder.file("report.txt");
 
     let full = |arguments: &[&str]| {
-        let mut command = command(arguments);
+        let mut command = command_of(arguments[0], &arguments[1..]);
         command.stdout(File::options().write(true).open("/dev/full").expect("/dev/full"));
         run(command)
     };
     let closed = |arguments: &[&str]| {
         let (reader, writer) = std::io::pipe().expect("a pipe");
         drop(reader);
-        let mut command = command(arguments);
+        let mut command = command_of(arguments[0], &arguments[1..]);
         command.stdout(Stdio::from(writer));
         run(command)
     };
-    let definition = gaugefs::cli::definition();
-    let mut lines: Vec<Vec<String>> = vec![vec!["--help".into()], vec!["--version".into()]];
-    for name in commands(&definition, &[]) {
-        let words = || name.split(' ').map(str::to_string);
+    let mut lines: Vec<Vec<String>> = Vec::new();
+    let all = programs().into_iter().flat_map(|(program, definition)| {
+        let names = [vec!["--help".to_string(), "--version".into()], commands(&definition, &[])].concat();
+        names.into_iter().map(move |name| (program, name))
+    });
+    for (program, name) in all {
+        let words = || [program].into_iter().chain(name.split(' ')).map(str::to_string);
+        if name.starts_with("--") {
+            lines.push(words().collect());
+            continue;
+        }
+        if is_elsewhere(program, &name) {
+            continue;
+        }
         if name != "help" {
             lines.push(words().chain(["--help".into()]).collect());
         }
@@ -120,7 +146,7 @@ fn regression_what_cannot_be_printed_is_a_failure_of_every_command() {
         let Some(arguments) = printing(&name, files) else { continue };
         let mut line: Vec<String> = words().collect();
         if name == "calibrate leave" {
-            line.insert(1, gauge.clone());
+            line.insert(2, gauge.clone());
         }
         line.extend(arguments.into_iter().map(|word| match (&*name, word == config, word == log) {
             ("diff", true, _) => other.clone(),
@@ -132,13 +158,13 @@ fn regression_what_cannot_be_printed_is_a_failure_of_every_command() {
     for line in &lines {
         let line: Vec<&str> = line.iter().map(String::as_str).collect();
         let ran = full(&line);
-        let is_comparison = ["auth", "diff"].contains(&line[0]) || line.contains(&"--dry-run");
+        let is_comparison = ["auth", "diff"].contains(&line[1]) || line.contains(&"--dry-run");
         let expected = if is_comparison && !line.contains(&"--help") { 2 } else { 1 };
         assert_eq!(ran.code, Some(expected), "{line:?}: {}", ran.err);
         let says = "cannot write standard output: No space left on device\n";
         assert!(ran.err.ends_with(says), "{line:?}: {}", ran.err);
         // A reader that has seen enough is no failure.
-        if ["chips", "lint", "log", "man", "top"].contains(&line[0]) {
+        if ["chips", "lint", "log", "man", "top"].contains(&line[1]) {
             let ran = closed(&line);
             assert!(!ran.err.contains("standard output"), "{line:?}: {}", ran.err);
             assert!(!ran.err.contains("panicked"), "{line:?}: {}", ran.err);
@@ -271,7 +297,7 @@ fn regression_inputs_have_a_limit_and_are_regular_files() {
             &["mount", "--sim", CHIP, "--key-file", path, &at],
             &station,
         ] {
-            let ran = gaugefs(words);
+            let ran = run(command_of(program_with(words[0]), words));
             assert!([Some(1), Some(2)].contains(&ran.code), "{words:?}: {}", ran.err);
             let is_key = words.contains(&"--key-file");
             assert!(ran.err.contains(why) || is_key, "{words:?}: {}", ran.err);
@@ -623,9 +649,13 @@ const DASHES: [(&str, &str, Dash); 33] = [
 #[test]
 fn a_dash_is_standard_input_or_standard_output_of_every_command() {
     // No option is forgotten.
-    let definition = gaugefs::cli::definition();
-    for name in commands(&definition, &[]) {
-        let mut command = &definition;
+    let all = programs();
+    let all = all.iter().flat_map(|(program, definition)| {
+        let names = commands(definition, &[]).into_iter().filter(|name| !is_elsewhere(program, name));
+        names.map(move |name| (definition, name))
+    });
+    for (definition, name) in all {
+        let mut command = definition;
         for word in name.split(' ').filter(|word| *word != "help") {
             command = command.find_subcommand(word).expect("a command");
         }
@@ -665,7 +695,7 @@ fn a_dash_is_standard_input_or_standard_output_of_every_command() {
     let piped = |arguments: &[&str], file: &str| {
         let mut shell = std::process::Command::new("bash");
         let script = "cat \"$1\" | \"$0\" \"${@:2}\"";
-        shell.args(["-c", script, env!("CARGO_BIN_EXE_gaugefs"), file]).args(arguments);
+        shell.args(["-c", script, program_with(arguments[0]), file]).args(arguments);
         shell.current_dir(folder.file(""));
         run(shell)
     };

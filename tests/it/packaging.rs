@@ -130,10 +130,13 @@ fn the_files_are_installed() {
     succeeds(&shell.output().expect("a shell"));
     for file in [
         "usr/bin/gaugefs",
+        "usr/bin/gaugefs-station",
         "usr/share/doc/gaugefs/examples/gaugefs.toml",
         "usr/share/man/man1/gaugefs.1",
+        "usr/share/man/man1/gaugefs-station.1",
         "usr/share/man/man5/gaugefs.toml.5",
         "usr/share/bash-completion/completions/gaugefs",
+        "usr/share/bash-completion/completions/gaugefs-station",
     ] {
         assert!(fs::metadata(folder.0.join(file)).is_ok_and(|status| status.len() > 1000), "{file}");
     }
@@ -156,12 +159,14 @@ fn the_cross_builds_are_those_of_tests_cross() {
         assert!(page.contains(&row), "{row}");
     }
     let commands = block("Building", "sh");
-    for words in
-        ["rustup target add aarch64", "gcc-aarch64-linux-gnu libc6-dev-arm64-cross", "--locked --bin gaugefs"]
-    {
+    for words in [
+        "rustup target add aarch64",
+        "gcc-aarch64-linux-gnu libc6-dev-arm64-cross",
+        "--locked --bin gaugefs --bin gaugefs-station",
+    ] {
         assert!(commands.contains(words), "{words}");
     }
-    assert!(tried.contains("--locked --bin gaugefs"));
+    assert!(tried.contains("--locked --bin gaugefs --bin gaugefs-station"));
 }
 
 /// A recipe of Buildroot, and one of Yocto, with their words for the package that has `nsenter`.

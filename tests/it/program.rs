@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! `gaugefs program`: a station with simulated packs that are kept in files. The tests of its rules and faults are in
+//! `gaugefs-station`: a station with simulated packs that are kept in files. The tests of its rules and faults are in
 //! `crates/gauge-station/src/station/tests.rs`.
 
 use std::fs;
@@ -11,7 +11,7 @@ use std::process::Stdio;
 use ti_gauge::chip::Chip;
 use ti_gauge::image::Image;
 
-use crate::room::{CHIP, Folder, command, gaugefs, within};
+use crate::room::{CHIP, Folder, STATION, command_of, gaugefs, gaugefs_station, within};
 
 /// An image of two values, and a station of two benches.
 fn station(folder: &Folder, lines: &str) -> [String; 2] {
@@ -45,7 +45,7 @@ fn a_station_is_checked_without_touching_anything() {
     let folder = Folder::new();
     let files = station(&folder, "");
     let arguments = run(&files, &["--check"]);
-    let shown = gaugefs(&arguments.iter().map(String::as_str).collect::<Vec<_>>()).done();
+    let shown = gaugefs_station(&arguments.iter().map(String::as_str).collect::<Vec<_>>()).done();
     assert!(shown.starts_with("image golden.toml for a bq34z100-G1, values: 2, SHA-256 "), "{shown}");
     assert!(shown.contains("\nLEFT: simulated gauge kept in ") && shown.contains("\nRIGHT: "), "{shown}");
     assert!(
@@ -53,7 +53,7 @@ fn a_station_is_checked_without_touching_anything() {
     );
     let files = station(&folder, "sael = true");
     let arguments = run(&files, &["--check"]);
-    gaugefs(&arguments.iter().map(String::as_str).collect::<Vec<_>>())
+    gaugefs_station(&arguments.iter().map(String::as_str).collect::<Vec<_>>())
         .failed(&["line1.toml: line 4: sael: unknown key; did you mean `seal`?"]);
 }
 
@@ -65,7 +65,7 @@ fn regression_a_check_of_a_station_did_not_look_for_its_buses() {
     let text = text.replace(&format!("sim = '{CHIP}'\nsim-state = 'RIGHT-%.flash'"), "bus = '/dev/i2c-4077'");
     fs::write(&files[1], text).expect("a file");
     let arguments = run(&files, &["--check"]);
-    let ran = gaugefs(&arguments.iter().map(String::as_str).collect::<Vec<_>>());
+    let ran = gaugefs_station(&arguments.iter().map(String::as_str).collect::<Vec<_>>());
     assert!(ran.code == Some(1) && ran.out.contains("\nRIGHT: /dev/i2c-4077 address 0x55\n"), "{}", ran.out);
     assert!(ran.err.contains("RIGHT: /dev/i2c-4077: no such bus"), "{}", ran.err);
     assert_eq!(ran.err.lines().count(), 1, "LEFT has its pack: {}", ran.err);
@@ -77,7 +77,7 @@ fn packs_on_two_buses_are_programmed_and_recognised() {
     let files = station(&folder, "");
     let run = |code| {
         let arguments = run(&files, &["--count", "2", "--fast"]);
-        let ran = gaugefs(&arguments.iter().map(String::as_str).collect::<Vec<_>>());
+        let ran = gaugefs_station(&arguments.iter().map(String::as_str).collect::<Vec<_>>());
         assert_eq!(ran.code, Some(code), "{}{}", ran.out, ran.err);
         ran.out
     };
@@ -95,13 +95,13 @@ fn packs_on_two_buses_are_programmed_and_recognised() {
         assert_eq!(serial.text(), line["serial"].as_str().expect("a number"));
     }
     let record = folder.file("line1.jsonl");
-    let shown = gaugefs(&["records", &record]).done();
+    let shown = gaugefs_station(&["records", &record]).done();
     assert!(shown.starts_with("day ") && shown.lines().any(|line| line.starts_with("all ")), "{shown}");
-    let table = gaugefs(&["records", "--csv", &record]).done();
+    let table = gaugefs_station(&["records", "--csv", &record]).done();
     assert!(table.starts_with("number,time,station,slot,") && table.lines().count() == 3, "{table}");
     // The same files are the same packs.
     let said = run(1);
-    let reasons = gaugefs(&["records", "--by", "reason", &record]).done();
+    let reasons = gaugefs_station(&["records", "--by", "reason", &record]).done();
     assert!(reasons.lines().any(|line| line.starts_with("2 ") && line.contains("  reading  ")), "{reasons}");
     assert_eq!(said.matches("it was programmed before as serial number ").count(), 2, "{said}");
 }
@@ -112,16 +112,16 @@ fn a_station_that_was_killed_records_the_failure_when_it_starts_again() {
     let folder = Folder::new();
     let files = station(&folder, "");
     let arguments = run(&files, &["--count", "2"]);
-    let mut child = command(&arguments.iter().map(String::as_str).collect::<Vec<_>>())
+    let mut child = command_of(STATION, &arguments.iter().map(String::as_str).collect::<Vec<_>>())
         .stdout(Stdio::null())
         .stderr(Stdio::null())
         .spawn()
-        .expect("gaugefs runs");
+        .expect("it runs");
     let begun = || lines(&folder).iter().filter(|line| line["event"] == "begun").count() == 2;
     within("both packs are begun", begun);
     child.kill().and_then(|()| child.wait()).expect("it is killed");
     let ended = lines(&folder).iter().filter(|line| line["event"] != "begun").count();
-    let ran = gaugefs(&arguments.iter().map(String::as_str).collect::<Vec<_>>());
+    let ran = gaugefs_station(&arguments.iter().map(String::as_str).collect::<Vec<_>>());
     let found = lines(&folder);
     for begun in found.iter().filter(|line| line["event"] == "begun") {
         let ends = found.iter().filter(|line| line["number"] == begun["number"] && line["event"] != "begun");
@@ -140,12 +140,12 @@ fn serial_numbers_are_read_from_standard_input() {
     let text = fs::read_to_string(&files[1]).expect("the station").replace("'counter'", "'input'");
     fs::write(&files[1], text).expect("a file");
     let arguments = run(&files, &["--once", "--fast"]);
-    let mut child = command(&arguments.iter().map(String::as_str).collect::<Vec<_>>())
+    let mut child = command_of(STATION, &arguments.iter().map(String::as_str).collect::<Vec<_>>())
         .stdin(Stdio::piped())
         .stdout(Stdio::piped())
         .stderr(Stdio::piped())
         .spawn()
-        .expect("gaugefs runs");
+        .expect("it runs");
     child.stdin.take().expect("a pipe").write_all(b"\n0x4711\n").expect("it reads");
     let output = child.wait_with_output().expect("it ends");
     let (out, err) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
@@ -169,12 +169,12 @@ fn regression_a_station_took_a_line_that_was_scanned_too_early() {
     fs::write(&files[1], text.replace("[station]", "[station]\npacks = 2")).expect("a file");
     let terminal = nix::pty::openpty(None, None).expect("a terminal");
     let arguments = run(&files, &["--fast"]);
-    let mut child = command(&arguments.iter().map(String::as_str).collect::<Vec<_>>())
+    let mut child = command_of(STATION, &arguments.iter().map(String::as_str).collect::<Vec<_>>())
         .stdin(terminal.slave)
         .stdout(Stdio::piped())
         .stderr(Stdio::piped())
         .spawn()
-        .expect("gaugefs runs");
+        .expect("it runs");
     let mut keys = fs::File::from(terminal.master);
     let mut asked = BufReader::new(child.stderr.take().expect("a pipe")).lines().map_while(Result::ok);
     let mut until = |what: &str| {
@@ -200,4 +200,28 @@ fn regression_a_station_took_a_line_that_was_scanned_too_early() {
         out.contains("PASS LEFT serial 1 (0x0001)") && out.contains("PASS LEFT serial 2 (0x0002)"),
         "{out}"
     );
+}
+
+/// Whoever types what earlier versions had is told which program has it, whatever follows.
+#[test]
+fn gaugefs_says_which_program_is_the_station() {
+    for command in ["program", "records"] {
+        for more in
+            [&[][..], &["--help"], &["--image", "golden.toml", "--station", "line1.toml"], &["-", "x"]]
+        {
+            let line = [&[command], more].concat();
+            let says = format!("gaugefs: {command}: this is `gaugefs-station {command}` now, ");
+            gaugefs(&line).troubled(&[&says]);
+        }
+        let help = gaugefs_station(&[command, "--help"]).done();
+        assert!(help.contains(&format!("Usage: gaugefs-station {command} ")), "{help}");
+    }
+    let help = gaugefs(&["--help"]).done();
+    assert!(!help.contains("program  ") && !help.contains("records  "), "{help}");
+    let version = gaugefs_station(&["--version"]).done();
+    assert_eq!(version, gaugefs(&["--version"]).done().replace("gaugefs", "gaugefs-station"));
+    // A misuse is told in the name of this program.
+    let misspelt = gaugefs_station(&["progam"]);
+    assert!(misspelt.code == Some(2) && misspelt.err.starts_with("gaugefs-station: "), "{}", misspelt.err);
+    assert!(misspelt.err.contains("a similar subcommand exists: 'program'"), "{}", misspelt.err);
 }

@@ -17,7 +17,7 @@ use std::fs;
 
 use ti_gauge::chip::{CHIPS, Chip, kernel};
 
-use super::room::{gaugefs, page, readme, root, rows, section};
+use super::room::{gaugefs, gaugefs_station, page, readme, root, rows, section};
 
 fn first_number(text: &str) -> Option<usize> {
     let digits = text.trim_start_matches(|letter: char| !letter.is_ascii_digit());
@@ -193,5 +193,14 @@ fn every_command_is_in_the_default_build() {
         assert_eq!(gaugefs(&[verb, "--help"]).code == Some(0), !missing, "{verb}");
     }
     let manifest = fs::read_to_string(root().join("Cargo.toml")).expect("the manifest");
-    assert!(manifest.contains("\n[features]\ndefault = [\"screen\"]\n") && !manifest.contains("[[bin]]"));
+    assert!(manifest.contains("\n[features]\ndefault = [\"screen\", \"rescue\"]\n"), "{manifest}");
+    assert!(
+        manifest.contains("\ndefault-run = \"gaugefs\"\n") && !manifest.contains("[[bin]]"),
+        "{manifest}"
+    );
+    let text = page("PRODUCTION.md");
+    let of_station = text.match_indices("gaugefs-station ").map(|(at, found)| &text[at + found.len()..]);
+    let of_station: BTreeSet<&str> = of_station.filter_map(|rest| rest.split([' ', '`']).next()).collect();
+    assert_eq!(of_station, BTreeSet::from(["program", "records"]));
+    assert!(of_station.iter().all(|verb| gaugefs_station(&[verb, "--help"]).code == Some(0)));
 }

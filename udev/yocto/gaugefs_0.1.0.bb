@@ -12,11 +12,14 @@ include ${BPN}-crates.inc
 inherit cargo cargo-update-recipe-crates systemd update-rc.d useradd
 
 # The commands that draw and watch are a third of the program.
-PACKAGECONFIG ??= "screen"
-PACKAGECONFIG[screen] = ",--no-default-features"
+PACKAGECONFIG ??= "screen rescue"
+PACKAGECONFIG[screen] = "--features screen"
+PACKAGECONFIG[rescue] = "--features rescue"
+# The program of a production line.
+PACKAGECONFIG[station] = "--bin gaugefs-station"
 # What is installed for good; `release` compiles quickly.
 CARGO_PROFILE = "dist"
-CARGO_BUILD_FLAGS += "--bin gaugefs"
+CARGO_BUILD_FLAGS += "--no-default-features --bin gaugefs"
 
 do_install:append() {
     install -d ${D}${sysconfdir}/gaugefs

@@ -15,8 +15,8 @@ use std::fmt::Display;
 use std::io::{self, IsTerminal};
 use std::os::fd::{AsFd, BorrowedFd};
 use std::path::Path;
-use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Mutex, OnceLock};
 
 use nix::errno::Errno;
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
@@ -31,6 +31,14 @@ use gauge_bus::regular::{self, Replace};
 static CLOSED: AtomicBool = AtomicBool::new(false);
 /// One text at a time: a long one takes several writes.
 static TURN: Mutex<()> = Mutex::new(());
+
+/// What the program is called in its messages, if not `gaugefs`.
+static NAME: OnceLock<&'static str> = OnceLock::new();
+
+/// Has messages begin with the name of this program, in place of `gaugefs`. Only the first name counts.
+pub fn speak_as(program: &'static str) {
+    let _ = NAME.set(program);
+}
 
 /// Prints lines for a person. Characters that control a terminal become escapes such as `\u{1b}`.
 pub fn print(text: &str) -> Result<()> {
@@ -113,7 +121,8 @@ pub fn is_unread() -> bool {
 
 /// Prints a line to standard error, such as `gaugefs: warning: ...`.
 pub fn say(line: impl Display) {
-    print_error(&format!("gaugefs: {}\n", text::printable(&line.to_string())));
+    let program = NAME.get().unwrap_or(&"gaugefs");
+    print_error(&format!("{program}: {}\n", text::printable(&line.to_string())));
 }
 
 /// Prints an error to standard error, with all mistakes of a file.

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: MIT
 
-//! The screen of a production line, `gaugefs program --screen`: a large field per slot, a question, and counters. It is
-//! readable from two metres on a terminal of 80 columns and 24 lines, and on a serial console without colours.
+//! The screen of a production line, `gaugefs-station program --screen`: a large field per slot, a question, and
+//! counters. It is readable from two metres on a terminal of 80 columns and 24 lines, and on a serial console without
+//! colours.
 
 use std::collections::VecDeque;
 use std::io::{self, IsTerminal};

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT
 
 //! What only commands read: configurations, recorded histories and the values of options. The commands are those of
-//! `gaugefs::cli`, and none of them mounts or opens a bus.
+//! `gaugefs::cli` and `gaugefs::station`, and none of them mounts or opens a bus.
 
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
@@ -38,7 +38,10 @@ const NOWHERE: &str = "/nonexistent/gaugefs";
 /// The exit code of a command.
 fn run(arguments: &[OsString]) -> u8 {
     let all = std::iter::once("gaugefs".into()).chain(arguments.iter().cloned());
-    let code = gaugefs::cli::run(all);
+    let code = match arguments.first().and_then(|command| command.to_str()) {
+        Some("program") => gaugefs::station::run(all),
+        _ => gaugefs::cli::run(all),
+    };
     let known = (0..=2).find(|known| code == ExitCode::from(*known));
     known.unwrap_or_else(|| panic!("{arguments:?} ended with {code:?}"))
 }
@@ -65,7 +68,7 @@ pub(crate) fn configuration(input: &[u8]) {
     }
 }
 
-/// A station's file: `gaugefs program --check`.
+/// A station's file: `gaugefs-station program --check`.
 pub(crate) fn station(input: &[u8]) {
     const IMAGE: &str = "chip = \"bq34z100-g1\"\n[it-cfg]\ncell-terminate-voltage = 3100\n";
     let accepts = |content: &[u8]| {

@@ -24,8 +24,15 @@ pub(crate) struct Ran {
     pub(crate) gauges: Vec<String>,
 }
 
+/// The program `gaugefs-station`.
+pub(crate) const STATION: &str = env!("CARGO_BIN_EXE_gaugefs-station");
+
 pub(crate) fn command(arguments: &[&str]) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_gaugefs"));
+    command_of(env!("CARGO_BIN_EXE_gaugefs"), arguments)
+}
+
+pub(crate) fn command_of(program: &str, arguments: &[&str]) -> Command {
+    let mut command = Command::new(program);
     command
         .args(arguments)
         .current_dir(env!("CARGO_MANIFEST_DIR"))
@@ -37,6 +44,10 @@ pub(crate) fn command(arguments: &[&str]) -> Command {
 
 pub(crate) fn gaugefs(arguments: &[&str]) -> Ran {
     run(command(arguments))
+}
+
+pub(crate) fn gaugefs_station(arguments: &[&str]) -> Ran {
+    run(command_of(STATION, arguments))
 }
 
 /// gaugefs as the user nobody runs it, which takes root: a copy, because the checkout may be in a home that only its owner
@@ -101,7 +112,12 @@ impl Ran {
         assert_eq!(self.code, Some(code), "{}{}", self.out, self.err);
         assert_eq!(self.out, "");
         assert_eq!(self.err.lines().count(), 1, "{}", self.err);
-        assert!(self.err.starts_with("gaugefs: "), "{}", self.err);
+        let program = self.err.split_once(": ").map(|(program, _)| program);
+        assert!(
+            program.is_some_and(|program| ["gaugefs", "gaugefs-station"].contains(&program)),
+            "{}",
+            self.err
+        );
         for word in words {
             assert!(self.err.contains(word), "`{word}` is not in: {}", self.err);
         }

@@ -8,14 +8,21 @@ GAUGEFS_VERSION = 0.1.0
 GAUGEFS_SITE = $(call github,gaugefs,gaugefs,v$(GAUGEFS_VERSION))
 GAUGEFS_LICENSE = MIT
 GAUGEFS_LICENSE_FILES = LICENSES/MIT.txt
-GAUGEFS_CARGO_BUILD_OPTS = --bin gaugefs
+GAUGEFS_CARGO_OPTS = --no-default-features --bin gaugefs
 # Size counts; Buildroot sets the optimisation of release builds itself.
 GAUGEFS_CARGO_ENV = CARGO_PROFILE_RELEASE_LTO=true CARGO_PROFILE_RELEASE_CODEGEN_UNITS=1
 
-ifeq ($(BR2_PACKAGE_GAUGEFS_SCREEN),)
-GAUGEFS_CARGO_BUILD_OPTS += --no-default-features
-GAUGEFS_CARGO_INSTALL_OPTS += --no-default-features
+ifeq ($(BR2_PACKAGE_GAUGEFS_SCREEN),y)
+GAUGEFS_CARGO_OPTS += --features screen
 endif
+ifeq ($(BR2_PACKAGE_GAUGEFS_RESCUE),y)
+GAUGEFS_CARGO_OPTS += --features rescue
+endif
+ifeq ($(BR2_PACKAGE_GAUGEFS_STATION),y)
+GAUGEFS_CARGO_OPTS += --bin gaugefs-station
+endif
+GAUGEFS_CARGO_BUILD_OPTS = $(GAUGEFS_CARGO_OPTS)
+GAUGEFS_CARGO_INSTALL_OPTS = $(GAUGEFS_CARGO_OPTS)
 
 define GAUGEFS_INSTALL_DIRS
 	$(INSTALL) -d -m 0755 $(TARGET_DIR)/etc/gaugefs

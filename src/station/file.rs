@@ -4,9 +4,8 @@
 
 use std::path::Path;
 
-use super::file::{self, File, Head};
-use super::option::At;
-use super::{absolute, make_absolute};
+use crate::config::file::{self, File, Head};
+use crate::config::{At, absolute, make_absolute};
 use crate::error::{Cause, Error, Result};
 use gauge_owner::GaugeOptions;
 use gauge_station::{Options, Setup};
@@ -18,7 +17,7 @@ impl Head for Options {
 }
 
 /// Reads the file of a station; `named` gives its gauges their names.
-pub(crate) fn station(path: &Path, named: impl FnOnce(&[GaugeOptions]) -> Vec<String>) -> Result<Setup> {
+pub(super) fn read(path: &Path, named: impl FnOnce(&[GaugeOptions]) -> Vec<String>) -> Result<Setup> {
     let mut path = path.to_path_buf();
     absolute(&mut path, Path::new(""))?;
     let text = file::text(&path)?;
@@ -39,14 +38,14 @@ mod tests {
     use std::collections::BTreeSet;
     use std::{env, fs, process};
 
-    use super::super::option::names;
     use super::*;
+    use crate::config::names;
 
     /// The station of a file with that text.
-    fn read(name: &str, text: &str) -> Result<Setup> {
+    fn station(name: &str, text: &str) -> Result<Setup> {
         let file = env::temp_dir().join(format!("gaugefs-station-{name}-{}.toml", process::id()));
         fs::write(&file, text).expect("a file");
-        let setup = station(&file, |gauges| gauges.iter().map(|_| "BAT0".to_string()).collect());
+        let setup = read(&file, |gauges| gauges.iter().map(|_| "BAT0".to_string()).collect());
         fs::remove_file(&file).expect("it is there");
         setup
     }
@@ -57,7 +56,7 @@ mod tests {
             let text = format!(
                 "[station]\nno-backup = true\nstate-dir = 'journals'\n{lines}\n[[gauge]]\nsim = 'bq34z100-g1'\n"
             );
-            read("refused", &text).err().map_or(String::new(), |error| error.to_string())
+            station("refused", &text).err().map_or(String::new(), |error| error.to_string())
         };
         for (lines, says) in [
             (
@@ -100,11 +99,11 @@ mod tests {
         // The example is accepted.
         let example =
             manual.split("```toml\n").nth(1).and_then(|rest| rest.split("```").next()).expect("an example");
-        let setup = read("manual", example).expect("a station");
+        let setup = station("manual", example).expect("a station");
         assert_eq!((setup.gauges.len(), setup.options.first_serial), (2, Some(1000)));
         assert!(!setup.options.serial_is_hex);
         let example = example.replace("first-serial = 1000", "first-serial = 0x03e8");
-        let options = read("manual", &example).expect("a station").options;
+        let options = station("manual", &example).expect("a station").options;
         assert_eq!((options.first_serial, options.serial_is_hex), (Some(1000), true));
     }
 }

@@ -1,13 +1,13 @@
 // SPDX-License-Identifier: MIT
 
-//! `gaugefs records`: what the record of a station says.
+//! `gaugefs-station records`: what the record of a station says.
 
 use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::{Args, ValueEnum};
 
-use super::align;
+use crate::command::align;
 use crate::error::Result;
 use crate::output::{print, print_file, say};
 use gauge_station::{By, Records, Totals};
@@ -21,9 +21,9 @@ be, its limits, and what was measured before and after: the columns of a process
 A cell that a spreadsheet would take for a formula begins with an apostrophe.
 
 Examples:
-  gaugefs records line1.jsonl
-  gaugefs records --by slot line1.jsonl
-  gaugefs records --csv line1.jsonl > line1.csv";
+  gaugefs-station records line1.jsonl
+  gaugefs-station records --by slot line1.jsonl
+  gaugefs-station records --csv line1.jsonl > line1.csv";
 
 /// Show what the record of a station says
 #[derive(Args, Debug)]

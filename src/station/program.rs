@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! `gaugefs program`: a station at which one pack after the other is connected.
+//! `gaugefs-station program`: a station at which one pack after the other is connected.
 
 use std::io::{self, ErrorKind, IsTerminal};
 use std::path::PathBuf;
@@ -17,6 +17,7 @@ use clap::Args;
 use nix::sys::signal::Signal;
 use nix::sys::termios::{FlushArg, tcflush};
 
+use super::file;
 use crate::config;
 use crate::daemon;
 use crate::error::{Cause, Error, Result};
@@ -40,17 +41,17 @@ asked for.
 The record has a line of JSON for each pack that is begun and one for its outcome, and each pack's
 complete image before and after is beside it. If something stops the station in the middle of a
 pack, its next start records that this pack has failed. A record that is removed, replaced or
-changed while the station runs ends it: no serial number is given without the record. `gaugefs
-records` shows what is in it.
+changed while the station runs ends it: no serial number is given without the record.
+`gaugefs-station records` shows what is in it.
 
 Ctrl-C ends the station after the pack that is being programmed; a second one ends it at once.
 Exit code 0: all packs have passed, 1: one has not passed, an earlier run has left one unfinished,
 or the station could not start or go on.
 
 Examples:
-  gaugefs program --image golden.gm.fs --station line1.toml --check
-  gaugefs program --image golden.gm.fs --station rehearsal.toml --fast
-  gaugefs program --image golden.gm.fs --station line1.toml";
+  gaugefs-station program --image golden.gm.fs --station line1.toml --check
+  gaugefs-station program --image golden.gm.fs --station rehearsal.toml --fast
+  gaugefs-station program --image golden.gm.fs --station line1.toml";
 
 /// Interval at which a wait for a line checks whether the station ends.
 const LOOK: Duration = Duration::from_millis(200);
@@ -90,7 +91,7 @@ impl Program {
             let why = "it has the serial numbers that are scanned; name files for --image and --station";
             return Err(Error::new("standard input", Cause::Invalid, why));
         }
-        let setup = config::station(&self.station, |gauges| daemon::names(gauges, &[]))?;
+        let setup = file::read(&self.station, |gauges| daemon::names(gauges, &[]))?;
         if self.fast
             && let Some((name, gauge)) = setup.gauges.iter().find(|(_, gauge)| !config::is_simulated(gauge))
         {
