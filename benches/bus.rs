@@ -257,7 +257,7 @@ fn rig(chip: &'static Chip, found: Seal) -> Result<(Arc<SimClock>, Gauge, DataFl
         let mut word = [0; 2];
         let Some(code) = register.source.command() else { continue };
         gauge.read(code, &mut word)?;
-        words.insert(register.source, u16::from_le_bytes(word));
+        words.insert(register.source, u16::from_le_bytes(word).into());
     }
     dataflash.polled(chip, |source| words.get(&source).copied());
     Ok((clock, gauge, dataflash))

@@ -376,13 +376,13 @@ impl Reading<'_> {
     }
 
     /// Whether some of the flags are set, if that is known.
-    fn has_flag(&self, mask: u16) -> Option<bool> {
+    fn has_flag(&self, mask: u32) -> Option<bool> {
         if self.value(Role::Flags)? & i64::from(mask) != 0 {
             return Some(true);
         }
         // A flag that the configuration blocks is never set.
         let Some(primary) = self.primary() else { return Some(false) };
-        let shown = u16::from(self.handle.kept_byte(primary.alerts)?);
+        let shown = u32::from(self.handle.kept_byte(primary.alerts)?);
         (mask & !shown == 0).then_some(false)
     }
 
@@ -432,7 +432,7 @@ impl Reading<'_> {
 
     /// The word of the first set flag, or another word without one; `Unknown` if some flags are unknown. `None` where
     /// no document has the flags.
-    fn first_set(&self, flags: &[(u16, &'static str)], otherwise: &'static str) -> Option<&'static str> {
+    fn first_set(&self, flags: &[(u32, &'static str)], otherwise: &'static str) -> Option<&'static str> {
         if !self.is_present() {
             return None;
         }
@@ -448,7 +448,7 @@ impl Reading<'_> {
 }
 
 /// The flags that decide `health`, in order of precedence.
-fn health(condition: &Condition) -> [(u16, &'static str); 6] {
+fn health(condition: &Condition) -> [(u32, &'static str); 6] {
     [
         (condition.overheat, "Overheat"),
         (condition.cold, "Cold"),
@@ -460,7 +460,7 @@ fn health(condition: &Condition) -> [(u16, &'static str); 6] {
 }
 
 /// The flags that decide `capacity_level`, in order of precedence.
-fn level(condition: &Condition) -> [(u16, &'static str); 3] {
+fn level(condition: &Condition) -> [(u32, &'static str); 3] {
     [(condition.full, "Full"), (condition.critical, "Critical"), (condition.low, "Low")]
 }
 
@@ -473,7 +473,7 @@ fn pack_voltage(reading: i64, cell: i64, cells: i64) -> i64 {
 /// A register's value with the sign from the flags; `None` for a meaningless reading, such as a 0 that the flags
 /// contradict.
 fn valid(register: &Register, reading: i64, flags: i64) -> Option<i64> {
-    let is_set = |mask: u16| mask == 0 || flags & i64::from(mask) != 0;
+    let is_set = |mask: u32| mask == 0 || flags & i64::from(mask) != 0;
     let is_value = register.values.hold(reading) && (reading != 0 || is_set(register.empty));
     is_value.then_some(if is_set(register.positive) { reading } else { -reading })
 }

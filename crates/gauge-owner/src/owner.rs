@@ -190,7 +190,7 @@ struct Owner {
     statics: Fact<(), Content>,
     /// What attributes need of data flash has been read since then, or was tried.
     looked: Fact<(), Content>,
-    control_status: u16,
+    control_status: u32,
     /// When the gauge was last asked what it is.
     identified: Duration,
     /// Polls in a row that found a gauge which has not measured since its power-up or reset.

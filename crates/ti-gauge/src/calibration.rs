@@ -12,7 +12,7 @@ use std::time::Duration;
 use crate::chip::{Calibration, Chip, Offset, Parameter, Role, Subclass};
 use crate::codec;
 use crate::dataflash::{
-    BEGINS, Change, DataFlash, Outcome, Place, Row, WriteOptions, assure_same, read_word,
+    BEGINS, Change, DataFlash, Outcome, Place, Row, WriteOptions, assure_same, read_bits, read_word,
 };
 use crate::error::{Cause, Error, Reason, Result, Step};
 use crate::gauge::{Gauge, Moment, agreed};
@@ -141,7 +141,7 @@ pub fn run(
 }
 
 /// Whether CONTROL_STATUS shows calibration mode.
-pub fn is_on(chip: &Chip, control_status: u16) -> bool {
+pub fn is_on(chip: &Chip, control_status: u32) -> bool {
     chip.calibration.is_some_and(|calibration| control_status & calibration.mode != 0)
 }
 
@@ -356,7 +356,7 @@ impl Task<'_> {
                 .refuse(naming(self.gauge.chip, Role::Temp).0, "give degrees Celsius, -40 to 125".into());
         }
         let before = self.steady(target, READINGS)?;
-        let place = match agreed("the selection of the temperature sensor", || read_word(self.gauge, source))?
+        let place = match agreed("the selection of the temperature sensor", || read_bits(self.gauge, source))?
             & mask
         {
             0 => internal,
@@ -703,7 +703,7 @@ fn naming(chip: &'static Chip, role: Role) -> (&'static str, &'static str) {
 }
 
 /// Whether the gauge measures an offset. A bit error is neither its start nor its end.
-fn is_running(gauge: &mut Gauge, bits: u16) -> Result<bool> {
+fn is_running(gauge: &mut Gauge, bits: u32) -> Result<bool> {
     agreed("CONTROL_STATUS", || Ok(gauge.control_status()?.1 & bits != 0))
 }
 

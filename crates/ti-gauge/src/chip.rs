@@ -105,7 +105,7 @@ pub struct Chip {
     pub signature: &'static [Signature],
     /// `[ITPOR]`, the flag that is set after data memory in RAM has reverted to its defaults; 0 where no flag
     /// shows that, and `None` where it is flash.
-    pub volatile: Option<u16>,
+    pub volatile: Option<u32>,
     /// Known defects of some parts as shipped, and their remedies.
     pub quirks: &'static [Quirk],
     /// Where images for ROM mode hold its data flash; `None` where no source has the layout.
@@ -302,9 +302,9 @@ pub struct Register {
     /// Whether it measures discharges only, without a sign, and is 0 while another current flows.
     pub discharge: bool,
     /// The bit of the flags that is clear while the value is negative, where the register itself has no sign; else 0.
-    pub positive: u16,
+    pub positive: u32,
     /// The bit of the flags that is set while a reading of 0 is a value; 0 where it needs none.
-    pub empty: u16,
+    pub empty: u32,
     /// The readings that are values of its property.
     pub values: Values,
     /// The register of one byte that is 0 while the reading is not valid.
@@ -317,7 +317,7 @@ pub struct Register {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Bit {
     /// The bit's mask.
-    pub mask: u16,
+    pub mask: u32,
     /// TI's name.
     pub name: &'static str,
 }
@@ -352,28 +352,28 @@ pub enum Effect {
 #[derive(Debug)]
 pub struct Condition {
     /// Fully charged.
-    pub full: u16,
+    pub full: u32,
     /// Below the first, higher threshold of remaining capacity.
-    pub low: u16,
+    pub low: u32,
     /// Below the final threshold.
-    pub critical: u16,
+    pub critical: u32,
     /// Over temperature.
-    pub overheat: u16,
+    pub overheat: u32,
     /// Under temperature.
-    pub cold: u16,
+    pub cold: u32,
     /// The voltage is above the limit that the pack's maker has set; 0 where no flag shows that.
-    pub over_voltage: u16,
+    pub over_voltage: u32,
     /// The voltage is below the limit that the pack's maker has set; 0 where no flag shows that.
-    pub under_voltage: u16,
+    pub under_voltage: u32,
     /// Set while a battery is present; 0 where the gauge does not detect it.
-    pub present: u16,
+    pub present: u32,
     /// What all flags read while no battery is behind them; 0 where no value says that.
-    pub absent: u16,
+    pub absent: u32,
     /// Set while the gauge asks for an update of its capacity; 0 where no flag does.
-    pub uncertain: u16,
+    pub uncertain: u32,
     /// The bit that is set once values are valid after power-up or a reset: of CONTROL_STATUS, or of a register that is
     /// polled; `None` where none is documented.
-    pub complete: Option<(Source, u16)>,
+    pub complete: Option<(Source, u32)>,
     /// A gauge for primary cells.
     pub primary: Option<Primary>,
 }
@@ -393,7 +393,7 @@ impl Condition {
 #[derive(Debug)]
 pub struct Primary {
     /// The bit of CONTROL_STATUS that is set between GAUGE_START and GAUGE_STOP. Current() is measured only then.
-    pub active: u16,
+    pub active: u32,
     /// The byte of data flash (subclass and offset) whose bits let the flags of [`Condition`] through.
     pub alerts: (u8, u16),
     /// The byte of data flash that holds the mode.
@@ -521,9 +521,9 @@ pub enum SealStatus {
     /// In CONTROL_STATUS: a bit that is set while SEALED, a bit that is set while not in FULL ACCESS.
     Bits {
         /// `[SS]`.
-        sealed: u16,
+        sealed: u32,
         /// `[FAS]`; 0 where there is no FULL ACCESS.
-        not_full_access: u16,
+        not_full_access: u32,
     },
     /// A two-bit field of a word: 11 SEALED, 10 UNSEALED, 01 FULL ACCESS.
     Field {
@@ -643,7 +643,7 @@ pub struct Gate {
     /// Parameter of one byte that holds the number of cells in series, where the limit is a cell's by its name.
     pub cells: Option<(u8, u16)>,
     /// Register of two bytes and its bit that is set while calibration is enabled. The gate is open then.
-    pub calibration: Option<(Source, u16)>,
+    pub calibration: Option<(Source, u32)>,
 }
 
 /// A bit of data flash that selects the divider by which the pack's voltage reaches the converter.
@@ -721,14 +721,14 @@ impl Register {
 
     /// The bit of the flags without which it is negative.
     #[must_use]
-    pub const fn positive(mut self, bit: u16) -> Self {
+    pub const fn positive(mut self, bit: u32) -> Self {
         self.positive = bit;
         self
     }
 
     /// The bit of the flags without which a reading of 0 is no value.
     #[must_use]
-    pub const fn empty(mut self, bit: u16) -> Self {
+    pub const fn empty(mut self, bit: u32) -> Self {
         self.empty = bit;
         self
     }
@@ -751,7 +751,7 @@ impl Register {
 
 impl Bit {
     /// A row of a manual's bit table.
-    pub const fn new(mask: u16, name: &'static str) -> Self {
+    pub const fn new(mask: u32, name: &'static str) -> Self {
         Self { mask, name }
     }
 }

@@ -74,7 +74,7 @@ pub use settle::{Decision, Owed};
 use settle::{Pending, Searched, Shown};
 use state::Copied;
 pub use state::has_lost_memory;
-pub(crate) use state::read_word;
+pub(crate) use state::{read_bits, read_word};
 use wear::Wear;
 use window::learned;
 use window::{Planned, Window};

@@ -186,6 +186,12 @@ impl Told for u16 {
     }
 }
 
+impl Told for u32 {
+    fn fact(&self) -> Option<Fact> {
+        Some(Fact::Number((*self).into()))
+    }
+}
+
 impl Told for i64 {
     fn fact(&self) -> Option<Fact> {
         Some(Fact::Number(*self))
@@ -306,7 +312,7 @@ reasons! {
     /// Something of an earlier access must be done first.
     Owed { decision: bool; what: String } "owed", Busy, "{what}";
     /// A mode prevents all writes.
-    Mode { word: u16; what: &'static str, remedy: &'static str } "mode", Busy, "set in 0x{word:04x}: {what}; {remedy}";
+    Mode { word: u32; what: &'static str, remedy: &'static str } "mode", Busy, "set in 0x{word:04x}: {what}; {remedy}";
     /// The checksum of a block does not match its bytes.
     Checksum { found: u16, expected: u16; of: &'static str } "checksum", BadChecksum,
         "{of} is 0x{found:02x}, the block adds up to 0x{expected:02x}";

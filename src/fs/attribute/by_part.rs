@@ -155,9 +155,9 @@ fn divisor(a: i64, b: i64) -> i64 {
 }
 
 /// Words decided by flags, each with the names of its bits.
-fn words(chip: &Chip, words: &[(u16, &str)]) -> Option<(String, String)> {
+fn words(chip: &Chip, words: &[(u32, &str)]) -> Option<(String, String)> {
     let flags = chip.register(Role::Flags)?;
-    let names = |mask: u16| {
+    let names = |mask: u32| {
         let set = flags.bits.iter().filter(move |bit| bit.mask & mask != 0);
         set.map(|bit| format!(" [{}]", bit.name)).collect::<String>()
     };

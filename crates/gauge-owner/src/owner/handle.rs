@@ -36,7 +36,7 @@ pub struct Snapshot {
     pub number: u64,
     pub(super) registers: Registers,
     /// CONTROL_STATUS when it was last read, by a slow poll or after a request.
-    pub control_status: u16,
+    pub control_status: u32,
     /// Whether the gauge has measured since its power-up or reset: before that its registers hold 0, or what they
     /// held before.
     pub is_valid: bool,

@@ -520,7 +520,7 @@ fn waits_for_insertion(chip: &Chip, profile: &[Change]) -> Option<u16> {
         chip.subcommands.iter().find(|subcommand| subcommand.name == "BAT_INSERT" && subcommand.sealed)?;
     let waits = |change: &Change| {
         let bit = change.row()?.1.bits.iter().find(|bit| bit.name == "BIE")?;
-        let word = change.bytes().iter().fold(0, |word: u16, &byte| word << 8 | u16::from(byte));
+        let word = change.bytes().iter().fold(0, |word: u32, &byte| word << 8 | u32::from(byte));
         Some(word & bit.mask == 0)
     };
     profile.iter().find_map(waits)?.then_some(insert.code)
@@ -1013,7 +1013,7 @@ mod tests {
         let is_lost = || {
             let mut flags = [0; 2];
             let read = sim.bus().transfer(&[0x06], &mut flags);
-            read.is_err() || u16::from_le_bytes(flags) & chip.volatile.unwrap_or(0) != 0
+            read.is_err() || u32::from(u16::from_le_bytes(flags)) & chip.volatile.unwrap_or(0) != 0
         };
         let within = |what: &str| {
             let begun = std::time::Instant::now();
@@ -1042,7 +1042,7 @@ mod tests {
         let mut flags = [0; 2];
         rig.sim.bus().transfer(&[0x06], &mut flags).expect("it answers");
         let lost = rig.handle.chip().volatile.expect("it has a flag");
-        assert_eq!(u16::from_le_bytes(flags) & lost, 0, "{}", rig.handle.published().last_error);
+        assert_eq!(u32::from(u16::from_le_bytes(flags)) & lost, 0, "{}", rig.handle.published().last_error);
     }
 
     /// A mount waits for the first polls, so that this is when its values are there.

@@ -324,9 +324,9 @@ pub(super) fn has_battery(chip: &Chip, registers: &Registers) -> bool {
     chip.condition.shows_battery(chip.register(Role::Flags).and_then(|flags| registers.value(flags)))
 }
 
-/// The register of a source, in two bytes.
-fn word(chip: &Chip, registers: &Registers, source: Source) -> Option<u16> {
-    registers.value(chip.register_at(source)?).map(|value| value as u16)
+/// The register of a source, as its bits.
+fn word(chip: &Chip, registers: &Registers, source: Source) -> Option<u32> {
+    registers.value(chip.register_at(source)?).map(|value| value as u32)
 }
 
 #[cfg(test)]

@@ -101,7 +101,7 @@ static MODES: &[Mode] = &[
 ];
 
 /// Flags `[ITPOR]`: data memory has its defaults from ROM (2.4.2).
-pub(super) const ITPOR: u16 = 0x0020;
+pub(super) const ITPOR: u32 = 0x0020;
 
 /// Bits of Flags(), Table 4-4.
 pub(super) const CONDITION: Condition = Condition {

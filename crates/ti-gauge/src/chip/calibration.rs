@@ -14,9 +14,9 @@ pub struct Calibration {
     /// Leaves calibration mode.
     pub exit: u16,
     /// The register, and its bit that is set while calibration is enabled.
-    pub enabled: (Source, u16),
+    pub enabled: (Source, u32),
     /// The bit of CONTROL_STATUS that is set in calibration mode.
-    pub mode: u16,
+    pub mode: u32,
     /// Measures the offset of the board and the converter, which the gauge stores.
     pub board_offset: Offset,
     /// Measures the offset of the converter.
@@ -36,7 +36,7 @@ pub struct Calibration {
     /// See `internal`.
     pub external: (u8, u16),
     /// The register, and its bit that is set while Temperature() is the thermistor's.
-    pub thermistor: (Source, u16),
+    pub thermistor: (Source, u32),
 }
 
 /// An offset that the gauge measures without a current.
@@ -45,7 +45,7 @@ pub struct Offset {
     /// The subcommand that starts it.
     pub start: u16,
     /// Bits of CONTROL_STATUS; one of them is set meanwhile.
-    pub running: u16,
+    pub running: u32,
     /// The parameter for the offset.
     pub row: (u8, u16),
 }

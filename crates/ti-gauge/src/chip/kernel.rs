@@ -178,9 +178,9 @@ impl Flavour {
     }
 }
 
-const CHGS: u16 = 0x80;
-const EDV1: u16 = 0x02;
-const EDVF: u16 = 0x01;
+const CHGS: u32 = 0x80;
+const EDV1: u32 = 0x02;
+const EDVF: u32 = 0x01;
 
 /// A gauge that is known by its standard commands only.
 const fn gauge(

@@ -228,11 +228,11 @@ impl Parameter {
     /// Names of the bits. Bits without a name are reserved, and writes must not change them.
     #[must_use]
     pub const fn bits(mut self, bits: &'static [Bit]) -> Self {
-        assert!(self.kind.size() <= 2, "a flag word has one byte or two");
-        let mut reserved: u32 = (1 << (8 * self.kind.size())) - 1;
+        assert!(self.kind.size() <= 4, "a flag word has at most four bytes");
+        let mut reserved = u32::MAX >> (32 - 8 * self.kind.size());
         let mut at = 0;
         while at < bits.len() {
-            reserved &= !(bits[at].mask as u32);
+            reserved &= !bits[at].mask;
             at += 1;
         }
         if reserved != 0 {

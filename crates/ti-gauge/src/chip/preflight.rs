@@ -43,7 +43,7 @@ pub struct Mode {
     /// The word that shows it. Subcommands are sent only after unsealing.
     pub word: Source,
     /// The bit that is set in this mode.
-    pub mask: u16,
+    pub mask: u32,
     /// Name of word and bit, for a message.
     pub name: &'static str,
     /// What is going on, for a message.
@@ -56,13 +56,13 @@ pub struct Mode {
 
 impl Mode {
     /// A running calibration: a bit of CONTROL_STATUS that the gauge clears by itself.
-    pub const fn measuring(mask: u16, name: &'static str, what: &'static str) -> Self {
+    pub const fn measuring(mask: u32, name: &'static str, what: &'static str) -> Self {
         let remedy = "it ends by itself; try again in a minute";
         Self { word: Source::Status, mask, name, what, remedy, ours: false }
     }
 
     /// Calibration mode, which lasts until somebody leaves it.
-    pub const fn calibration(word: Source, mask: u16, name: &'static str, remedy: &'static str) -> Self {
+    pub const fn calibration(word: Source, mask: u32, name: &'static str, remedy: &'static str) -> Self {
         Self { word, mask, name, what: "somebody has left calibration mode on", remedy, ours: false }
     }
 }
@@ -71,7 +71,7 @@ impl Mode {
 #[derive(Debug)]
 pub struct Learning {
     /// CONTROL_STATUS bits that are all set during a cycle.
-    pub status: u16,
+    pub status: u32,
     /// Subclass and offset of Update Status, the byte that distinguishes a first cycle from the continuous learning of
     /// a finished pack. A write to this byte alone starts or ends a cycle by hand.
     pub row: (u8, u16),

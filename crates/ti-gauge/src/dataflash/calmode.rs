@@ -5,7 +5,7 @@
 
 use std::time::Duration;
 
-use super::state::read_word;
+use super::state::read_bits;
 use crate::chip::Calibration;
 use crate::error::{Error, Reason, Result, Step};
 use crate::gauge::{Gauge, Seal, agreed};
@@ -17,7 +17,7 @@ const SHOWS: Duration = Duration::from_millis(100);
 /// Whether calibration is enabled.
 fn is_enabled(gauge: &mut Gauge, calibration: &Calibration) -> Result<bool> {
     let (source, mask) = calibration.enabled;
-    agreed("the bit that allows calibration", || Ok(read_word(gauge, source)? & mask != 0))
+    agreed("the bit that allows calibration", || Ok(read_bits(gauge, source)? & mask != 0))
 }
 
 /// Whether the gauge is in calibration mode.

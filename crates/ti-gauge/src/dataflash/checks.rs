@@ -5,7 +5,7 @@
 
 use super::blocks::{arrange, old_bytes};
 use super::schemes::sequence;
-use super::state::{once_measured, read_word};
+use super::state::{once_measured, read_bits, read_word};
 use super::window::locate;
 use super::window::{Planned, Window};
 use super::{Change, DataFlash, Place};
@@ -317,7 +317,7 @@ fn calibration_enabled(gauge: &mut Gauge) -> Result<bool> {
     let Some((source, mask)) = gauge.chip.gate.as_ref().and_then(|gate| gate.calibration) else {
         return Ok(false);
     };
-    agreed("the bit that allows calibration", || Ok(read_word(gauge, source)? & mask != 0))
+    agreed("the bit that allows calibration", || Ok(read_bits(gauge, source)? & mask != 0))
 }
 
 /// How flash is opened where Voltage() is low because the divider is not set.

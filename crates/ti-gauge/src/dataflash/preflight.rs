@@ -8,7 +8,7 @@
 use super::io::read_byte;
 use super::schemes::sequence;
 use super::session::Session;
-use super::state::{lost_flag, once_measured, read_word};
+use super::state::{lost_flag, once_measured, read_bits, read_word};
 use super::{Change, DataFlash, Outcome};
 use crate::chip::{Chip, Kind, Learning, Mode, Role, Source};
 use crate::error::{Cause, Error, Reason, Result, Step};
@@ -50,7 +50,8 @@ struct Distinct {
 }
 
 impl Distinct {
-    fn of(chip: &Chip, value: impl Fn(Source) -> Option<u16>) -> Self {
+    fn of(chip: &Chip, value: impl Fn(Source) -> Option<u32>) -> Self {
+        let value = |source| value(source).map(|word| word as u16);
         let pack = chip.serial_register().and_then(|register| value(register.source));
         // After a power loss a RAM gauge shows defaults, which identify no pack.
         let of = |role: Role| {
@@ -69,7 +70,7 @@ const LOOKS: u32 = 4;
 pub(super) struct Found {
     pub(super) seal: Seal,
     /// CONTROL_STATUS.
-    pub(super) status: u16,
+    pub(super) status: u32,
     /// Voltage().
     pub(super) voltage_mv: u16,
     /// The gauge's data memory is RAM and has been lost.
@@ -105,14 +106,14 @@ impl DataFlash {
 
     /// Whether the registers of a poll have to be read again before they are believed: they show another pack, or another
     /// count of cycles, by which later polls are judged. I2C has no error detection.
-    pub fn needs_second_poll(&self, chip: &Chip, value: impl Fn(Source) -> Option<u16>) -> bool {
+    pub fn needs_second_poll(&self, chip: &Chip, value: impl Fn(Source) -> Option<u32>) -> bool {
         let cycles = self.known_pack.and_then(|known| known.cycles.zip(Distinct::of(chip, &value).cycles));
         cycles.is_some_and(|(then, now)| then != now) || self.contradicted(chip, value).is_some()
     }
 
     /// Whether the flags of a poll show a loss of data memory that was not known, or no longer show one, and the gauge does
     /// not say the same once more. The profile is written for a loss.
-    pub fn misreads_loss(&self, gauge: &mut Gauge, value: impl Fn(Source) -> Option<u16>) -> Result<bool> {
+    pub fn misreads_loss(&self, gauge: &mut Gauge, value: impl Fn(Source) -> Option<u32>) -> Result<bool> {
         let Some((flags, lost)) = lost_flag(gauge.chip) else { return Ok(false) };
         let shown = value(flags).map(|word| word & lost != 0);
         let Some(shown) =
@@ -120,13 +121,13 @@ impl DataFlash {
         else {
             return Ok(false);
         };
-        let again = read_word(gauge, flags)?;
+        let again = read_bits(gauge, flags)?;
         Ok((again & lost != 0) != shown)
     }
 
     /// The register of a poll that contradicts what is known of the pack, by its name; `value` returns a register by
     /// its source.
-    pub fn contradicted(&self, chip: &Chip, value: impl Fn(Source) -> Option<u16>) -> Option<&'static str> {
+    pub fn contradicted(&self, chip: &Chip, value: impl Fn(Source) -> Option<u32>) -> Option<&'static str> {
         let known = self.known_pack?;
         let now = Distinct::of(chip, value);
         let changes =
@@ -142,7 +143,7 @@ impl DataFlash {
     }
 
     /// Notes a poll; `value` returns a register by its source. Returns whether another pack answers now.
-    pub fn polled(&mut self, chip: &Chip, value: impl Fn(Source) -> Option<u16>) -> bool {
+    pub fn polled(&mut self, chip: &Chip, value: impl Fn(Source) -> Option<u32>) -> bool {
         let flags = chip.register(Role::Flags).and_then(|flags| value(flags.source));
         let contradicted = self.contradicted(chip, &value).is_some();
         let Distinct { pack, cycles, design } = Distinct::of(chip, value);
@@ -320,7 +321,7 @@ impl DataFlash {
     pub(super) fn learning(
         &self,
         gauge: &mut Gauge,
-        status: u16,
+        status: u32,
         changes: &[Change],
     ) -> Result<Option<Error>> {
         let resets = changes.iter().any(|change| change.kind(gauge.chip) == Kind::Reset)
@@ -377,7 +378,7 @@ impl Found {
     fn of(chip: &Chip, look: Look, moment: Moment) -> Self {
         let found = Self { seal: look.seal, status: look.status, voltage_mv: 0, lost: false, moment, look };
         Self {
-            voltage_mv: found.word(voltage(chip)).unwrap_or_default(),
+            voltage_mv: found.word(voltage(chip)).unwrap_or_default() as u16,
             lost: lost_flag(chip)
                 .is_some_and(|(flags, lost)| found.word(flags).is_some_and(|word| word & lost != 0)),
             ..found
@@ -385,12 +386,12 @@ impl Found {
     }
 
     /// A word that the look has shown; `None` for an answer to a subcommand, which takes a question of its own.
-    fn word(&self, source: Source) -> Option<u16> {
+    fn word(&self, source: Source) -> Option<u32> {
         match source {
             Source::Status => Some(self.status),
             Source::Command(code) => {
                 let at = usize::from(code).checked_sub(2)?;
-                Some(u16::from_le_bytes([*self.look.behind.get(at)?, *self.look.behind.get(at + 1)?]))
+                Some(u16::from_le_bytes([*self.look.behind.get(at)?, *self.look.behind.get(at + 1)?]).into())
             }
             Source::Answer(_) => None,
         }
@@ -414,7 +415,7 @@ impl Found {
 
 impl Learning {
     /// Whether CONTROL_STATUS allows that a cycle is running.
-    fn may_run(&self, status: u16) -> bool {
+    fn may_run(&self, status: u32) -> bool {
         status & self.status == self.status
     }
 
@@ -422,9 +423,9 @@ impl Learning {
     fn runs(&self, gauge: &mut Gauge) -> Result<bool> {
         let state = match self.shown {
             None => read_byte(gauge, self.row)?.into(),
-            Some(source) => read_word(gauge, source)?,
+            Some(source) => read_bits(gauge, source)?,
         };
-        Ok(state & u16::from(self.mask) == u16::from(self.value))
+        Ok(state & u32::from(self.mask) == u32::from(self.value))
     }
 }
 
@@ -468,12 +469,12 @@ fn read_state(gauge: &mut Gauge) -> Result<Found> {
 pub(super) fn check_unsealed(gauge: &mut Gauge) -> Result<()> {
     for mode in gauge.chip.preflight.modes {
         let Source::Answer(code) = mode.word else { continue };
-        off(mode, agreed(mode.name, || Ok(gauge.ask(code)? & mode.mask))?)?;
+        off(mode, agreed(mode.name, || Ok(u32::from(gauge.ask(code)?) & mode.mask))?)?;
     }
     Ok(())
 }
 
-fn off(mode: &Mode, word: u16) -> Result<()> {
+fn off(mode: &Mode, word: u32) -> Result<()> {
     if word & mode.mask == 0 {
         return Ok(());
     }

@@ -384,7 +384,7 @@ pub(super) fn reads_wrong(error: &Error) -> bool {
 fn reset(gauge: &mut Gauge, found: Seal, moment: Moment) -> Result<Seal> {
     let access = &gauge.chip.access;
     let incomplete = gauge.chip.control_status.iter().find(|bit| bit.name == "INITCOMP");
-    let incomplete = |status: u16| incomplete.is_some_and(|&Bit { mask, .. }| status & mask == 0);
+    let incomplete = |status: u32| incomplete.is_some_and(|&Bit { mask, .. }| status & mask == 0);
     for attempt in 0..RESETS {
         gauge.reset_since(moment)?;
         let sent = gauge.clock.now();

@@ -19,16 +19,21 @@ const COPIES: Duration = Duration::from_millis(500);
 const FIRST_MEASUREMENT: Duration = Duration::from_secs(2);
 const MEASUREMENT_POLL: Duration = Duration::from_millis(50);
 
-/// Reads a word, or a byte where the source has a row of one byte.
+/// Reads a number of two bytes.
 pub(crate) fn read_word(gauge: &mut Gauge, source: Source) -> Result<u16> {
+    read_bits(gauge, source).map(|word| word as u16)
+}
+
+/// Reads a flag word, which has two bytes unless the source has a row of another size.
+pub(crate) fn read_bits(gauge: &mut Gauge, source: Source) -> Result<u32> {
     match source {
         Source::Status => Ok(gauge.control_status()?.1),
-        Source::Answer(code) => gauge.ask(code),
+        Source::Answer(code) => gauge.ask(code).map(u32::from),
         Source::Command(code) => {
-            let size = gauge.chip.register_at(source).map_or(2, |row| row.size.min(2));
-            let mut bytes = [0; 2];
+            let size = gauge.chip.register_at(source).map_or(2, |row| row.size.min(4));
+            let mut bytes = [0; 4];
             gauge.read(code, &mut bytes[..size.into()])?;
-            Ok(u16::from_le_bytes(bytes))
+            Ok(u32::from_le_bytes(bytes))
         }
     }
 }
@@ -50,7 +55,7 @@ pub(super) fn once_measured<T>(
 }
 
 /// Flags(), and the bit of it that reports that data memory was lost, where there is one.
-pub(super) fn lost_flag(chip: &Chip) -> Option<(Source, u16)> {
+pub(super) fn lost_flag(chip: &Chip) -> Option<(Source, u32)> {
     let lost = chip.volatile.filter(|&lost| lost != 0)?;
     Some((chip.register(Role::Flags)?.source, lost))
 }
@@ -62,7 +67,7 @@ pub fn has_lost_memory(gauge: &mut Gauge) -> Result<bool> {
     let Some((flags, lost)) = lost_flag(chip) else { return Ok(false) };
     let modes = chip.preflight.modes.iter().filter(|mode| mode.ours && mode.word == flags);
     let ours = modes.fold(0, |all, mode| all | mode.mask);
-    agreed("Flags()", || Ok(read_word(gauge, flags)? & (lost | ours) == lost))
+    agreed("Flags()", || Ok(read_bits(gauge, flags)? & (lost | ours) == lost))
 }
 
 /// A register that shows a parameter while the gauge works, and what it is to show before and after a change.

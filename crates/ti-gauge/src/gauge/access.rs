@@ -241,9 +241,9 @@ impl Gauge {
     }
 
     /// Notes that a SEALED which did not arrive was IT_ENABLE, which differs in one bit: [QEN] is set, and was not before.
-    fn note_enabled(&mut self, before: Option<u16>) {
+    fn note_enabled(&mut self, before: Option<u32>) {
         let enabled = self.chip.control_status.iter().find(|bit| bit.name == "QEN").map_or(0, |bit| bit.mask);
-        let is_new = |now: u16| before.is_some_and(|before| before & enabled == 0) && now & enabled != 0;
+        let is_new = |now: u32| before.is_some_and(|before| before & enabled == 0) && now & enabled != 0;
         // I2C has no error detection.
         if is_new(self.last_look().status) && self.seal_anew().is_ok() && is_new(self.last_look().status) {
             let why = "SEALED has reached the gauge as IT_ENABLE: [QEN] is set, and Update Status with it (04), which \

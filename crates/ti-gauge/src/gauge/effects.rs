@@ -114,7 +114,7 @@ pub(super) struct Watch {
     commit: Option<Awaited<Committed>>,
     reset: Option<Awaited<()>>,
     /// The bits of CONTROL_STATUS, one of which is set while the offset is measured.
-    offset: Option<Awaited<u16>>,
+    offset: Option<Awaited<u32>>,
 }
 
 impl Watch {
@@ -207,7 +207,7 @@ impl Watch {
 pub(super) struct Status {
     pub(super) begun: Duration,
     pub(super) ended: Duration,
-    pub(super) status: u16,
+    pub(super) status: u32,
     pub(super) seal: Seal,
 }
 
@@ -329,7 +329,7 @@ mod tests {
         assert_eq!((commits.count(), commits.seen_ms()), (0, 0));
     }
 
-    fn look(begun: u64, status: u16, seal: Seal) -> Status {
+    fn look(begun: u64, status: u32, seal: Seal) -> Status {
         Status { begun: ms(begun), ended: ms(begun + 2), status, seal }
     }
 

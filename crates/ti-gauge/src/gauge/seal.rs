@@ -79,7 +79,7 @@ impl Gauge {
     /// state counts only if the look before has shown it too. What we have sent is no look: after a command that
     /// changes the state it takes two looks to know what came of it, and while the gauge may still show the state
     /// from before the command, that one does not count.
-    pub fn control_status(&mut self) -> Result<(Seal, u16)> {
+    pub fn control_status(&mut self) -> Result<(Seal, u32)> {
         let look = self.look_at_status()?;
         Ok((look.seal, look.status))
     }
@@ -129,7 +129,7 @@ impl Gauge {
         self.command(CONTROL_STATUS)?;
         let mut behind = [0; BEHIND];
         let also = self.looks.also;
-        let status = self.status_word(&mut behind[..also])?;
+        let status = u32::from(self.status_word(&mut behind[..also])?);
         let seal = match self.chip.security.status {
             SealStatus::Bits { sealed, .. } if status & sealed != 0 => Seal::Sealed,
             SealStatus::Bits { not_full_access, .. } => {
@@ -145,11 +145,11 @@ impl Gauge {
             SealStatus::Field { word, shift } => {
                 let word = match word {
                     Source::Status => status,
-                    Source::Answer(code) => self.ask(code)?,
+                    Source::Answer(code) => self.ask(code)?.into(),
                     Source::Command(code) => {
                         let mut word = [0; 2];
                         self.read(code, &mut word)?;
-                        u16::from_le_bytes(word)
+                        u16::from_le_bytes(word).into()
                     }
                 };
                 match word >> shift & 3 {

@@ -21,7 +21,7 @@ pub enum Seal {
 pub(crate) struct Look {
     pub(crate) seal: Seal,
     /// The word.
-    pub(crate) status: u16,
+    pub(crate) status: u32,
     /// The registers from 0x02 on, as far as they were read with it.
     pub(crate) behind: [u8; BEHIND],
 }

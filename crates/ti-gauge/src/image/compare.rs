@@ -233,7 +233,7 @@ impl Image {
         for entry in &mut self.entries {
             let Some(Safe::Keep(mask, why)) = entry.parameter.safe else { continue };
             // A named bit has a meaning that the file asks for: that is refused.
-            let named = entry.parameter.bits.iter().fold(0, |all, bit| all | u32::from(bit.mask));
+            let named = entry.parameter.bits.iter().fold(0, |all, bit| all | bit.mask);
             let mask = i64::from(mask & !named);
             let there =
                 gauge.entries.iter().find(|there| there.is(entry)).map(|there| (there.text(), &there.value));

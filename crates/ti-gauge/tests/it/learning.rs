@@ -70,7 +70,9 @@ impl Bench {
             let code = register.source.command().expect("a standard command");
             gauge.read(code, &mut bytes[..usize::from(register.size)]).expect("an answer");
             let word = u16::from_le_bytes(bytes);
-            names.extend(register.bits.iter().filter(|bit| word & bit.mask != 0).map(|bit| bit.name));
+            names.extend(
+                register.bits.iter().filter(|bit| u32::from(word) & bit.mask != 0).map(|bit| bit.name),
+            );
             match register.role {
                 Some(Role::CurrentNow) => reading.current_ma = f64::from(word as i16),
                 Some(Role::VoltageNow) => reading.voltage_mv = Some(f64::from(word)),

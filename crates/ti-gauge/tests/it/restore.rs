@@ -302,7 +302,8 @@ fn a_fault_at_any_transfer_of_a_restore_causes_no_false_success() {
 fn says_lost(gauge: &mut Gauge) -> bool {
     let mut flags = [0; 2];
     let _ = gauge.read(0x06, &mut flags);
-    gauge.chip.volatile == Some(0) || u16::from_le_bytes(flags) & gauge.chip.volatile.unwrap_or(0) != 0
+    gauge.chip.volatile == Some(0)
+        || u32::from(u16::from_le_bytes(flags)) & gauge.chip.volatile.unwrap_or(0) != 0
 }
 
 /// Whether data memory is the same but for the bit that says that the gauge is sealed.

@@ -209,7 +209,7 @@ fn polled(rig: &mut Rig) {
     let mut word = [0; 2];
     rig.gauge.read(code, &mut word).expect("it answers");
     let flags = u16::from_le_bytes(word);
-    rig.dataflash.polled(chip, |at| (at == source).then_some(flags));
+    rig.dataflash.polled(chip, |at| (at == source).then_some(flags.into()));
 }
 
 fn lose_power(rig: &Rig) {

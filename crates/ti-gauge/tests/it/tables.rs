@@ -203,7 +203,7 @@ fn bits_are_single_uniquely_named_and_inside_their_word() {
         assert_unique(at, bits.iter().map(|bit| bit.mask));
         for bit in bits {
             assert_eq!(bit.mask.count_ones(), 1, "{at}: {}", bit.name);
-            assert!(size >= 2 || bit.mask < 1 << 8, "{at}: {} is outside", bit.name);
+            assert!(size >= 4 || bit.mask < 1 << (8 * size), "{at}: {} is outside", bit.name);
             assert!(!bit.name.is_empty() && !bit.name.starts_with("RSVD"), "{at}: {:?}", bit.name);
         }
     }
@@ -245,8 +245,8 @@ fn unnamed_bits_are_reserved() {
         if parameter.bits.is_empty() {
             continue;
         }
-        let word = (1_u32 << (8 * parameter.kind.size())) - 1;
-        let named = parameter.bits.iter().fold(0, |word, bit| word | u32::from(bit.mask));
+        let word = u32::MAX >> (32 - 8 * parameter.kind.size());
+        let named = parameter.bits.iter().fold(0, |word, bit| word | bit.mask);
         let kept = match parameter.safe {
             Some(Safe::Keep(mask, _)) => mask,
             _ => 0,
@@ -468,7 +468,7 @@ fn the_flash_voltage_check_refers_to_existing_parameters() {
         assert!(gate.cell_divider.is_none() || gate.divider.is_some(), "{}", chip.name);
         if let Some(external) = &gate.external {
             let word = chip.parameter(external.byte.0, external.byte.1).expect(chip.name);
-            let mask = u16::from(external.mask) << (8 * (word.kind.size() - 1));
+            let mask = u32::from(external.mask) << (8 * (word.kind.size() - 1));
             let bit = word.bits.iter().find(|bit| bit.mask == mask);
             // Two of these words have no list of bits.
             let name = bit.map_or(external.name.to_string(), |bit| format!("[{}]", bit.name));
