@@ -237,7 +237,7 @@ impl Owner {
             shared: shared.clone(),
             schedule: Schedule::new(run.phase, now),
             debt: Debt::default(),
-            rare: Registers::UNREAD,
+            rare: Registers::unread(chip.registers),
             statics: Fact::default(),
             looked: Fact::default(),
             control_status: 0,
@@ -329,7 +329,7 @@ impl Owner {
         self.gauge.start_over();
         self.dataflash.start_over();
         self.forget_dataflash();
-        self.rare = Registers::UNREAD;
+        self.rare = Registers::unread(self.gauge.chip.registers);
         self.debt = Debt::default();
         self.schedule.set_gone(self.gauge.clock.now());
         self.shared.publish(|published| {

@@ -289,6 +289,8 @@ pub struct Register {
     pub size: u8,
     /// Whether the value is two's complement.
     pub signed: bool,
+    /// Whether it is a text, the first byte of which is its length.
+    pub text: bool,
     /// TI's name without the parentheses.
     pub name: &'static str,
     /// Unit of one step, as the manual prints it.
@@ -664,11 +666,13 @@ impl Register {
     pub const fn new(code: u8, kind: Type, name: &'static str, unit: &'static str, tier: Tier) -> Self {
         let source = Source::Command(code);
         let signed = matches!(kind, Type::I(_));
+        let text = matches!(kind, Type::S(_));
         let size = kind.size() as u8;
         Self {
             source,
             size,
             signed,
+            text,
             name,
             unit,
             tier,
@@ -681,6 +685,11 @@ impl Register {
             validity: None,
             bits: &[],
         }
+    }
+
+    /// A row that is the answer to a subcommand.
+    pub const fn answer(code: u16, kind: Type, name: &'static str, unit: &'static str, tier: Tier) -> Self {
+        Self { source: Source::Answer(code), ..Self::new(0, kind, name, unit, tier) }
     }
 
     /// The property it feeds.

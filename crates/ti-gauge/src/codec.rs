@@ -54,11 +54,14 @@ pub fn decode(kind: Type, bytes: &[u8]) -> Value {
             Value::Int(if raw >= span / 2 { raw - span } else { raw })
         }
         Type::F4 => Value::Float(decode_f4([bytes[0], bytes[1], bytes[2], bytes[3]])),
-        Type::S(_) => {
-            let length = usize::from(bytes[0]).min(bytes.len() - 1);
-            Value::Text(bytes[1..=length].to_vec())
-        }
+        Type::S(_) => Value::Text(text(bytes).to_vec()),
     }
+}
+
+/// The characters of a string, whose first byte is its length.
+pub(crate) fn text(bytes: &[u8]) -> &[u8] {
+    let length = usize::from(bytes[0]).min(bytes.len() - 1);
+    &bytes[1..=length]
 }
 
 /// The bytes of a value in data flash; `None` if the value does not fit the type.

@@ -84,7 +84,7 @@ fn is_polled(tier: Tier) -> bool {
 }
 
 fn reading(gauge: &mut Gauge) -> Result<Reading> {
-    let mut registers = Registers::UNREAD;
+    let mut registers = Registers::unread(gauge.chip.registers);
     registers.read(gauge, is_polled)?;
     Ok(Reading { chip: gauge.chip, registers })
 }
@@ -120,10 +120,15 @@ pub fn check(gauge: &mut Gauge) -> Result<()> {
 pub fn candidates(target: &Target<'_>) -> Result<Vec<Reading>> {
     let refused = |error: &Error| matches!(error.cause(), Cause::Bus(bus) if bus.may_be_no_ack());
     let mut gauge = target.gauge(CHIPS[0])?;
-    let (mut all, mut answered, mut failure) = (Registers::UNREAD, false, None);
+    let all = CHIPS.iter().map(|&chip| Reading { chip, registers: Registers::unread(chip.registers) });
+    let (mut all, mut answered, mut failure) = (all.collect::<Vec<_>>(), false, None);
     for (start, length) in spans() {
-        match all.read_span(&mut gauge, start, length) {
-            Ok(()) => answered = true,
+        let mut bytes = vec![0; length.into()];
+        match gauge.read(start, &mut bytes) {
+            Ok(()) => {
+                answered = true;
+                all.iter_mut().for_each(|reading| reading.registers.fill(start, &bytes));
+            }
             Err(error) if refused(&error) => failure = Some(error),
             Err(error) => return Err(error),
         }
@@ -133,11 +138,11 @@ pub fn candidates(target: &Target<'_>) -> Result<Vec<Reading>> {
     }
     drop(gauge);
     let mut plausible = Vec::new();
-    for chip in CHIPS {
-        let mut reading = Reading { chip, registers: all.clone() };
+    for mut reading in all {
+        let chip = reading.chip;
         let polled = || chip.registers.iter().filter(|register| is_polled(register.tier));
         // A part may refuse another part's registers, and with them the whole read.
-        if polled().any(|register| all.value(register).is_none()) {
+        if polled().any(|register| reading.registers.value(register).is_none()) {
             target.clock.sleep(SECOND);
             match reading.registers.read(&mut target.gauge(chip)?, is_polled) {
                 Ok(()) => {}

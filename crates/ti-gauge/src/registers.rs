@@ -1,10 +1,13 @@
 // SPDX-License-Identifier: MIT
 
-//! A chip's registers as bytes: which reads fetch them, and what the bytes mean.
+//! A chip's registers: which reads fetch them, and what has been read.
 //!
 //! TI calls a register a standard command. All are at addresses below 0x80, least significant byte first.
 
-use crate::chip::{Register, Tier};
+use std::sync::Arc;
+
+use crate::chip::{Register, Source, Tier};
+use crate::codec;
 use crate::error::Result;
 use crate::gauge::Gauge;
 
@@ -15,67 +18,118 @@ const ADDRESSES: usize = 128;
 /// address twice and the register's.
 const GAP: u8 = 3;
 
-/// The bytes of a gauge's registers, each as it was last read.
+/// What a row of the table reads.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Cell {
+    /// A number, sign applied.
+    Number(i64),
+    /// A text in printable ASCII.
+    Text(Arc<str>),
+}
+
+impl Cell {
+    /// What a row reads with these bytes.
+    fn of(row: &Register, bytes: &[u8]) -> Self {
+        if row.text {
+            let shown = |&byte: &u8| if matches!(byte, b' '..=b'~') { char::from(byte) } else { '?' };
+            return Self::Text(codec::text(bytes).iter().map(shown).collect::<String>().into());
+        }
+        let raw = bytes.iter().rev().fold(0, |sum, &byte| sum << 8 | i64::from(byte));
+        let unused = 64 - 8 * u32::from(row.size);
+        Self::Number(if row.signed { raw << unused >> unused } else { raw })
+    }
+}
+
+/// A gauge's registers, each as it was last read.
 #[derive(Clone, Debug)]
 pub struct Registers {
-    bytes: [u8; ADDRESSES],
-    /// Bit n is set once the byte at address n has been read.
-    known: u128,
+    rows: &'static [Register],
+    /// One for each row; `None` until it has been read.
+    cells: Vec<Option<Cell>>,
 }
 
 impl Registers {
-    /// None has been read.
-    pub const UNREAD: Self = Self { bytes: [0; ADDRESSES], known: 0 };
-
-    /// Reads the registers of the wanted tiers. If a read fails, the bytes that it was for keep their values.
-    pub fn read(&mut self, gauge: &mut Gauge, wanted: impl Fn(Tier) -> bool) -> Result<()> {
-        let mut bursts = bursts(gauge.chip.registers, wanted).into_iter();
-        bursts.try_for_each(|(start, length)| self.read_span(gauge, start, length))
+    /// The registers of a table, before any has been read.
+    pub fn unread(rows: &'static [Register]) -> Self {
+        Self { rows, cells: vec![None; rows.len()] }
     }
 
-    /// Reads that many bytes from an address on.
-    pub(crate) fn read_span(&mut self, gauge: &mut Gauge, start: u8, length: u8) -> Result<()> {
+    /// Reads the registers of the wanted tiers. If a read fails, the registers that it was for keep their values.
+    pub fn read(&mut self, gauge: &mut Gauge, wanted: impl Fn(Tier) -> bool) -> Result<()> {
         let mut bytes = [0; ADDRESSES];
-        let bytes = &mut bytes[..usize::from(length)];
-        gauge.read(start, bytes)?;
-        self.store(start, bytes);
+        for (start, length) in bursts(self.rows, &wanted) {
+            let bytes = &mut bytes[..usize::from(length)];
+            gauge.read(start, bytes)?;
+            self.fill(start, bytes);
+        }
+        for (row, cell) in self.rows.iter().zip(&mut self.cells).filter(|(row, _)| wanted(row.tier)) {
+            match row.source {
+                Source::Command(_) => {}
+                Source::Answer(code) => {
+                    let bytes = &mut bytes[..usize::from(row.size)];
+                    gauge.ask_bytes(code, bytes)?;
+                    *cell = Some(Cell::of(row, bytes));
+                }
+                Source::Status => *cell = Some(Cell::Number(gauge.control_status()?.1.into())),
+            }
+        }
         Ok(())
     }
 
-    fn store(&mut self, start: u8, bytes: &[u8]) {
-        for (at, &byte) in (usize::from(start)..).zip(bytes) {
-            self.bytes[at] = byte;
-            self.known |= 1 << at;
+    /// Takes the registers of which all bytes are among these, which begin at an address.
+    pub(crate) fn fill(&mut self, start: u8, bytes: &[u8]) {
+        for (row, cell) in self.rows.iter().zip(&mut self.cells) {
+            // What Control() and the window show is no reading.
+            let code = row.source.command().filter(|_| row.tier != Tier::Window);
+            let at = code.and_then(|code| code.checked_sub(start)).map(usize::from);
+            if let Some(own) = at.and_then(|at| bytes.get(at..at + usize::from(row.size))) {
+                *cell = Some(Cell::of(row, own));
+            }
         }
     }
 
-    /// The value of a register, sign applied; `None` unless all of its bytes have been read.
+    /// What a row has read; `None` until then.
+    fn cell(&self, register: &Register) -> Option<&Cell> {
+        let at = self.rows.iter().position(|row| row.source == register.source)?;
+        self.cells[at].as_ref()
+    }
+
+    /// The value of a register; `None` until it has been read, and for a text.
     pub fn value(&self, register: &Register) -> Option<i64> {
-        let (start, size) = (usize::from(register.source.command()?), usize::from(register.size));
-        if (start..start + size).any(|at| self.known >> at & 1 == 0) {
-            return None;
+        match self.cell(register)? {
+            Cell::Number(number) => Some(*number),
+            Cell::Text(_) => None,
         }
-        let bytes = &self.bytes[start..start + size];
-        let raw = bytes.iter().rev().fold(0, |sum, &byte| sum << 8 | i64::from(byte));
-        let unused = 64 - 8 * size;
-        Some(if register.signed { raw << unused >> unused } else { raw })
     }
 
-    /// Whether every byte that has been read is this one.
-    pub fn hold_only(&self, byte: u8) -> bool {
-        self.bytes.iter().enumerate().all(|(at, &found)| self.known >> at & 1 == 0 || found == byte)
+    /// The text of a register; `None` until it has been read, and for a number.
+    pub fn text(&self, register: &Register) -> Option<&Arc<str>> {
+        match self.cell(register)? {
+            Cell::Text(text) => Some(text),
+            Cell::Number(_) => None,
+        }
+    }
+
+    /// Whether each number that has been read has all of its bits set, as on a bus that nothing drives.
+    pub fn are_all_ones(&self) -> bool {
+        let is_ones = |(row, cell): (&Register, &Option<Cell>)| match cell {
+            Some(Cell::Number(number)) => number | -1 << (8 * row.size) == -1,
+            Some(Cell::Text(_)) | None => true,
+        };
+        self.rows.iter().zip(&self.cells).all(is_ones)
     }
 }
 
-/// Address and length of the reads that fetch all registers of the wanted tiers in the fewest bytes.
+/// Address and length of the reads that fetch all standard commands of the wanted tiers in the fewest bytes. A command
+/// whose address lies within the one before has a read of its own.
 pub fn bursts(registers: &[Register], wanted: impl Fn(Tier) -> bool) -> Vec<(u8, u8)> {
     let mut bursts: Vec<(u8, u8)> = Vec::new();
     for register in registers.iter().filter(|register| wanted(register.tier)) {
         let Some(code) = register.source.command() else { continue };
         let end = code + register.size;
         match bursts.last_mut() {
-            Some((start, length)) if code <= *start + *length + GAP => {
-                *length = (end - *start).max(*length);
+            Some((start, length)) if (*start + *length..=*start + *length + GAP).contains(&code) => {
+                *length = end - *start;
             }
             _ => bursts.push((code, register.size)),
         }
@@ -85,8 +139,6 @@ pub fn bursts(registers: &[Register], wanted: impl Fn(Tier) -> bool) -> Vec<(u8,
 
 #[cfg(test)]
 mod tests {
-    use std::sync::Arc;
-
     use super::*;
     use crate::chip::{Chip, Source};
     use crate::keys::Keys;
@@ -98,11 +150,17 @@ mod tests {
         Register::new(code, kind, "Register", "", tier)
     }
 
+    /// A table of one register.
+    fn table(code: u8, kind: Type) -> &'static [Register] {
+        Vec::leak(vec![register(code, kind, Tier::Poll)])
+    }
+
     /// What a register of that type reads, with these bytes at its address.
     fn decoded(kind: Type, bytes: &[u8]) -> Option<i64> {
-        let mut registers = Registers::UNREAD;
-        registers.store(0x10, bytes);
-        registers.value(&register(0x10, kind, Tier::Poll))
+        let rows = table(0x10, kind);
+        let mut registers = Registers::unread(rows);
+        registers.fill(0x10, bytes);
+        registers.value(&rows[0])
     }
 
     #[test]
@@ -126,22 +184,53 @@ mod tests {
     fn a_register_has_no_value_until_all_its_bytes_are_read() {
         assert_eq!(decoded(Type::U(2), &[]), None);
         assert_eq!(decoded(Type::U(2), &[0x34]), None);
-        let mut registers = Registers::UNREAD;
-        let last = register(0x7e, Type::U(2), Tier::Poll);
-        registers.store(0x7f, &[0x12]);
-        assert_eq!(registers.value(&last), None);
-        registers.store(0x7e, &[0x34]);
-        assert_eq!(registers.value(&last), Some(0x1234));
+        let rows = table(0x7e, Type::U(2));
+        let mut registers = Registers::unread(rows);
+        registers.fill(0x7f, &[0x12]);
+        assert_eq!(registers.value(&rows[0]), None);
+        registers.fill(0x7d, &[0xff, 0x34, 0x12]);
+        assert_eq!(registers.value(&rows[0]), Some(0x1234));
     }
 
     #[test]
-    fn only_bytes_that_were_read_are_compared() {
-        let mut registers = Registers::UNREAD;
-        registers.store(0x10, &[0xff, 0xff]);
-        assert!(registers.hold_only(0xff));
-        assert!(!registers.hold_only(0x00));
-        registers.store(0x20, &[0xfe]);
-        assert!(!registers.hold_only(0xff));
+    fn all_ones_are_those_of_what_was_read() {
+        let rows = [Type::I(2), Type::U(1), Type::U(4)];
+        let rows = (0..).zip(rows).map(|(at, kind)| register(0x10 + 4 * at, kind, Tier::Poll)).collect();
+        let mut registers = Registers::unread(Vec::leak(rows));
+        registers.fill(0x10, &[0xff; 5]);
+        assert!(registers.are_all_ones());
+        registers.fill(0x18, &[0xff, 0xff, 0xff, 0xfe]);
+        assert!(!registers.are_all_ones());
+        registers.fill(0x18, &[0xff; 4]);
+        assert!(registers.are_all_ones());
+        registers.fill(0x10, &[0xfe, 0xff]);
+        assert!(!registers.are_all_ones());
+    }
+
+    #[test]
+    fn a_text_has_its_length_first_and_is_no_number() {
+        let rows = table(0x20, Type::S(6));
+        let mut registers = Registers::unread(rows);
+        registers.fill(0x20, b"\x04LI\nNx");
+        assert_eq!(registers.text(&rows[0]).map(|text| &**text), Some("LI?N"));
+        assert_eq!(registers.value(&rows[0]), None);
+        assert!(registers.are_all_ones());
+    }
+
+    /// As in Smart Battery Data, where 0x08 is a word and 0x09 another one.
+    #[test]
+    fn words_whose_addresses_overlap_are_read_one_by_one_into_cells_of_their_own() {
+        let rows: &[Register] = Vec::leak(vec![
+            register(0x08, Type::U(2), Tier::Poll),
+            register(0x09, Type::U(2), Tier::Poll),
+            register(0x0b, Type::U(2), Tier::Poll),
+        ]);
+        assert_eq!(bursts(rows, |_| true), [(0x08, 2), (0x09, 4)]);
+        let mut registers = Registers::unread(rows);
+        registers.fill(0x08, &[0x34, 0x12]);
+        registers.fill(0x09, &[0x78, 0x56, 0xbc, 0x9a]);
+        let read = rows.iter().map(|row| registers.value(row));
+        assert_eq!(read.collect::<Vec<_>>(), [Some(0x1234), Some(0x5678), Some(0x9abc)]);
     }
 
     #[test]
@@ -183,7 +272,7 @@ mod tests {
         let read = |broken| {
             let clock = Arc::new(SimClock::new());
             let mut gauge = Gauge::new(chip, Box::new(Addresses { broken }), clock, Keys::default(), false);
-            let mut registers = Registers::UNREAD;
+            let mut registers = Registers::unread(chip.registers);
             let outcome = registers.read(&mut gauge, |tier| tier == Tier::Poll);
             (outcome.is_ok(), registers)
         };

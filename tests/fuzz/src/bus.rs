@@ -159,7 +159,7 @@ pub(crate) fn run(input: &[u8]) {
         }
         1 => {
             let _ = engine.gauge.identify();
-            let mut registers = Registers::UNREAD;
+            let mut registers = Registers::unread(chip.registers);
             let _ = registers.read(&mut engine.gauge, |tier| tier != Tier::Window);
             for register in chip.registers.iter().filter(|register| register.tier != Tier::Window) {
                 let _ = registers.value(register);

@@ -31,7 +31,7 @@ pub(crate) fn run(input: &[u8]) {
     let _ = replay.transfer(&[0xff, 1, 2, 3], &mut [0; 40]);
     let mut gauge = Gauge::new(chip, Box::new(replay), Arc::new(SimClock::new()), Keys::default(), false);
     let _ = gauge.identify();
-    let mut registers = Registers::UNREAD;
+    let mut registers = Registers::unread(chip.registers);
     let _ = registers.read(&mut gauge, |tier| tier != Tier::Window);
     let _ = gauge.unseal();
     let _ = gauge.close();

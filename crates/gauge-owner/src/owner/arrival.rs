@@ -69,7 +69,7 @@ impl Owner {
         self.gauge.forget_refusal();
         self.dataflash.meet(chip, &answers);
         self.forget_dataflash();
-        self.rare = Registers::UNREAD;
+        self.rare = Registers::unread(chip.registers);
         self.schedule.begin_anew();
         self.memory.arrives();
         self.shared.publish(|published| {

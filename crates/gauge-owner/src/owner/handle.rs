@@ -51,6 +51,11 @@ impl Snapshot {
     pub fn value(&self, register: &Register) -> Option<i64> {
         self.registers.value(register)
     }
+
+    /// The register's text; `None` if it has not been read, or is a number.
+    pub fn text(&self, register: &Register) -> Option<&Arc<str>> {
+        self.registers.text(register)
+    }
 }
 
 /// The knowledge about a gauge at one moment; replaced as a whole.

@@ -238,7 +238,7 @@ impl Owner {
         let mut registers = self.rare.clone();
         registers.read(&mut self.gauge, |tier| tier == Tier::Poll)?;
         let chip = self.gauge.chip;
-        if registers.hold_only(0xff) {
+        if registers.are_all_ones() {
             let why = "every byte reads 0xff, as on a bus without a gauge; check that it is connected";
             return Err(Error::new(chip.name, Cause::Protocol, why).at(Step::Read));
         }

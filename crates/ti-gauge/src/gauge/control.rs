@@ -56,6 +56,15 @@ impl Gauge {
         self.status_word(&mut [])
     }
 
+    /// Sends a subcommand and reads the bytes that it answers with, two or more.
+    pub(crate) fn ask_bytes(&mut self, code: u16, into: &mut [u8]) -> Result<()> {
+        self.command(code)?;
+        let (word, behind) = into.split_at_mut(2);
+        let first = self.answer(code, self.chip.identity.answer, behind)?;
+        word.copy_from_slice(&first.to_le_bytes());
+        Ok(())
+    }
+
     /// The version of the firmware, which follows the device number.
     fn firmware_in_mac_data(&mut self) -> Result<u16> {
         let (identity, mut word) = (&self.chip.identity, 0);

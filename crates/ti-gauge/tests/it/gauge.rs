@@ -6,9 +6,13 @@ use std::sync::Arc;
 
 use gauge_bus::clock::{Clock, SimClock};
 use gauge_bus::{Bus, BusError};
-use ti_gauge::chip::Chip;
+use ti_gauge::chip::{Chip, Register, Tier};
 use ti_gauge::gauge::{Gauge, Seal};
 use ti_gauge::keys::Keys;
+use ti_gauge::registers::Registers;
+use ti_gauge::value::Type;
+
+use crate::rig::Rig;
 
 /// UNSEALED, with CONTROL_STATUS 0x4080 and OperationStatus() 0x0004. After DEVICE_TYPE and FW_VERSION,
 /// Control() reads 0xFFA5 once, according to an underwater vehicle's bq34110 driver.
@@ -117,4 +121,21 @@ fn an_idempotent_transfer_is_sent_again_whatever_the_adapter_calls_the_failure()
     let bus = Box::new(Disturbed(Box::new(sim.bus()), BusError::Other(22), false));
     let mut gauge = Gauge::new(chip, bus, clock, Keys::default(), false);
     gauge.seal().expect_err("the adapter cannot do it");
+}
+
+#[test]
+fn a_row_may_be_the_answer_to_a_subcommand() {
+    let mut rig = Rig::new("bq34110");
+    let rows: &[Register] = Vec::leak(vec![
+        Register::new(0x08, Type::U(2), "Voltage", "mV", Tier::Static),
+        Register::answer(0x0001, Type::U(2), "DeviceType", "", Tier::Static),
+        Register::answer(0x0002, Type::U(4), "FirmwareVersion", "", Tier::Static),
+    ]);
+    let mut registers = Registers::unread(rows);
+    registers.read(&mut rig.gauge, |tier| tier == Tier::Static).expect("it answers");
+    let [voltage, kind, version] = [0, 1, 2].map(|at| registers.value(&rows[at]).expect("it was read"));
+    assert!((2000..5000).contains(&voltage), "{voltage}");
+    assert_eq!(kind, 0x0110);
+    // The device number comes first, most significant byte first.
+    assert_eq!(version & 0xffff, 0x1001, "0x{version:08x}");
 }
