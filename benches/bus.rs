@@ -29,7 +29,6 @@ use gauge_sim::{Options, Sim};
 use i2cdev::core::I2CDevice;
 use i2cdev::linux::LinuxI2CDevice;
 use ti_gauge::chip::{CHIPS, Chip, Kind, Parameter, Scheme, Tier};
-use ti_gauge::codec;
 use ti_gauge::codec::WINDOW;
 use ti_gauge::dataflash::{Change, DataFlash, Limits, Outcome, Row};
 use ti_gauge::error::Result;
@@ -273,7 +272,7 @@ fn serve(clock: &SimClock, gauge: &mut Gauge) -> Result<()> {
     let (subclass, parameter) = subclasses
         .find_map(|row| Some(row).zip(row.parameter(UPDATE_STATUS.1)).filter(|_| row.id == UPDATE_STATUS.0))
         .expect("a row");
-    let learned = Change::of_value((subclass, parameter), &Value::Int(0x06), false)?;
+    let learned = Change::of_value(gauge.chip, (subclass, parameter), &Value::Int(0x06), false)?;
     DataFlash::default().write(gauge, &[learned], Duration::ZERO).map(|_| ())
 }
 
@@ -317,16 +316,16 @@ fn change(chip: &'static Chip, found: Seal, engine: Engine, row: Row) -> Result<
     let mut other = DataFlash::default();
     let reader = if engine == Engine::Used { &mut dataflash } else { &mut other };
     let bytes = reader.read(&mut gauge, &[row.0], Duration::ZERO)?.remove(0);
-    write(&mut gauge, &mut dataflash, flip(row, &bytes).as_slice())
+    write(&mut gauge, &mut dataflash, flip(chip, row, &bytes).as_slice())
 }
 
 /// The change of one bit of a parameter, the lowest that its range allows, given the bytes of its subclass.
-fn flip((subclass, parameter): Row, bytes: &[u8]) -> Option<Change> {
+fn flip(chip: &Chip, (subclass, parameter): Row, bytes: &[u8]) -> Option<Change> {
     let at = usize::from(parameter.offset - subclass.start());
     (0..8).find_map(|bit| {
         let mut bytes = bytes[at..at + parameter.kind.size()].to_vec();
         *bytes.last_mut()? ^= 1 << bit;
-        Change::of_value((subclass, parameter), &codec::decode(parameter.kind, &bytes), false).ok()
+        Change::of_value(chip, (subclass, parameter), &chip.layout.decode(parameter.kind, &bytes), false).ok()
     })
 }
 
@@ -360,7 +359,7 @@ fn image(chip: &'static Chip) -> Result<Whole> {
         let mut rows: Vec<_> = subclass.parameters.iter().filter(may).collect();
         rows.sort_by_key(|one| (block(one), one.learned));
         rows.dedup_by_key(|one| block(one));
-        changes.extend(rows.into_iter().filter_map(|parameter| flip((subclass, parameter), &bytes)));
+        changes.extend(rows.into_iter().filter_map(|parameter| flip(chip, (subclass, parameter), &bytes)));
     }
     let (before, begun) = (statistic(&gauge, "flash_writes"), clock.now());
     let (cost, reset) = write(&mut gauge, &mut dataflash, &changes)?;

@@ -13,8 +13,7 @@ use super::transaction::{self, Moment, Staged};
 use super::{Content, Item, Mode, Node, Operations, Shape};
 use crate::error::{Cause, Error, Result};
 use gauge_owner::{Attempt, Done, operations as op};
-use ti_gauge::chip::{FLAT, Kind, Parameter, Range, Subclass, kebab_case};
-use ti_gauge::codec;
+use ti_gauge::chip::{Chip, FLAT, Kind, Parameter, Range, Subclass, kebab_case};
 use ti_gauge::dataflash::{Change, Place};
 use ti_gauge::notation;
 use ti_gauge::text;
@@ -270,7 +269,7 @@ impl Operations for Field<'_> {
         let (row, handle) = (self.supply.row(self.at, self.row), &self.supply.handle);
         let change = match self.supply.staged() {
             Some(_) => Err(transaction::busy().within(row.1.name)),
-            None => Change::parse(row, data, handle.allows_unproven()).map_err(Error::from),
+            None => Change::parse(handle.chip(), row, data, handle.allows_unproven()).map_err(Error::from),
         };
         match change {
             Ok(change) => handle.ask(&op::WRITE, vec![change], done),
@@ -411,7 +410,7 @@ impl Supply {
 
     fn parameter_text(&self, at: u8, row: u8, bytes: &[u8]) -> Vec<u8> {
         let (subclass, parameter) = self.row(at, row);
-        (value_text(subclass, parameter, bytes) + "\n").into_bytes()
+        (value_text(self.chip(), subclass, parameter, bytes) + "\n").into_bytes()
     }
 
     fn df_node(&self, item: DfItem) -> Node {
@@ -502,8 +501,10 @@ impl Supply {
                     format!("raw {place}: {old} -> {}\n", text::hex(bytes))
                 }
                 Some((subclass, parameter)) => {
-                    let old = kept.map_or("-".into(), |kept| column(value_text(subclass, parameter, &kept)));
-                    let new = notation::render(parameter.kind, &codec::decode(parameter.kind, bytes));
+                    let text = |kept: &[u8]| value_text(self.chip(), subclass, parameter, kept);
+                    let old = kept.map_or("-".into(), |kept| column(text(&kept)));
+                    let value = change.value_of(bytes).expect("a parameter has a value");
+                    let new = notation::render(parameter.kind, &value);
                     format!("{}: {old} -> {new}\n", parameter.name)
                 }
             };
@@ -528,8 +529,9 @@ impl Supply {
                 };
                 let [min, max, default] =
                     bounds(subclass, parameter, dm_code).map(|bound| bound.unwrap_or("-".into()));
-                let value =
-                    bytes.as_ref().map_or("-".into(), |bytes| column(value_text(subclass, parameter, bytes)));
+                let value = bytes
+                    .as_ref()
+                    .map_or("-".into(), |bytes| column(value_text(self.chip(), subclass, parameter, bytes)));
                 let unit = if parameter.unit.is_empty() { "-" } else { parameter.unit };
                 let (kind, name, flags) = (parameter.kind, parameter.name, flags(subclass, parameter));
                 lines += &format!(
@@ -551,9 +553,9 @@ fn address(parameter: &Parameter) -> String {
     format!("0x{:04x}", parameter.offset)
 }
 
-fn value_text(subclass: &Subclass, parameter: &Parameter, bytes: &[u8]) -> String {
+fn value_text(chip: &Chip, subclass: &Subclass, parameter: &Parameter, bytes: &[u8]) -> String {
     let at = usize::from(parameter.offset - subclass.start());
-    let value = codec::decode(parameter.kind, &bytes[at..at + parameter.kind.size()]);
+    let value = chip.layout.decode(parameter.kind, &bytes[at..at + parameter.kind.size()]);
     notation::render(parameter.kind, &value)
 }
 

@@ -529,7 +529,7 @@ fn change(rules: &Rules<'_>, line: &str) -> Result<Change> {
         ),
         Unnamed::Unknown => unknown(rules.chip, place),
     })?;
-    let change = Change::parse((subclass, parameter), value.as_bytes(), rules.also_unproven)?;
+    let change = Change::parse(rules.chip, (subclass, parameter), value.as_bytes(), rules.also_unproven)?;
     let index = rules.chip.subclasses.iter().position(|row| std::ptr::eq(row, subclass));
     if let Some(stored) = index.and_then(rules.stored) {
         let at = usize::from(parameter.offset - subclass.start());

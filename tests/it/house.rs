@@ -190,6 +190,28 @@ fn no_module_uses_one_that_uses_it() {
     assert!(found.is_empty(), "{}", found.join("\n"));
 }
 
+/// Modules of `ti-gauge` that know which byte of a number comes first: the codec, the formats of files, what is sent and
+/// read as the wire has it, and what reads raw transfers.
+const ORDERED: &[&str] = &["codec", "image", "gauge", "rom", "dataflash::schemes", "dataflash::anonymous"];
+
+#[test]
+fn the_order_of_bytes_is_known_to_few() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("crates/ti-gauge/src");
+    let is_known = |module: &str| {
+        ORDERED.iter().any(|known| module == *known || module.starts_with(&format!("{known}::")))
+    };
+    let mut knowing = BTreeSet::new();
+    for (module, text) in modules(&folder) {
+        let module = module.join("::");
+        if text.contains("be_bytes") || text.contains("le_bytes") {
+            knowing.insert(module);
+        }
+    }
+    assert!(knowing.iter().any(|module| module == "codec"), "{knowing:?}");
+    let others: Vec<_> = knowing.iter().filter(|module| !is_known(module)).collect();
+    assert!(others.is_empty(), "these have an order of bytes of their own: {others:?}");
+}
+
 /// What only the program may know: FUSE, and but for the crate with commands of its own, a command line.
 #[test]
 fn no_crate_depends_on_what_lies_above_it() {

@@ -55,7 +55,8 @@ fn a_swapped_pack_is_detected() {
         u16::from_be_bytes([read[0][4], read[0][5]])
     };
     let write = |value: i64| {
-        let change = Change::of_value((subclass, parameter), &Value::Int(value), false).expect("it fits");
+        let change =
+            Change::of_value(chip, (subclass, parameter), &Value::Int(value), false).expect("it fits");
         handle.wait_for(&op::WRITE, vec![change])
     };
     assert_eq!(serial(), 1);

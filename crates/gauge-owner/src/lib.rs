@@ -30,7 +30,7 @@
 //!
 //! // An operation: Cell Terminate Voltage, verified before the answer.
 //! let row = chip.row("80", "53").expect("a parameter of the table");
-//! let change = Change::of_value(row, &Value::Int(3100), false)?;
+//! let change = Change::of_value(chip, row, &Value::Int(3100), false)?;
 //! gauge.wait_for(&operations::WRITE, vec![change])?;
 //! # Ok::<(), gauge_owner::error::Error>(())
 //! ```

@@ -404,7 +404,7 @@ mod tests {
 
     fn change(chip: &'static Chip) -> Change {
         let row = chip.row("80", "53").expect("a parameter of the table");
-        Change::of_value(row, &Value::Int(3100), false).expect("it fits")
+        Change::of_value(chip, row, &Value::Int(3100), false).expect("it fits")
     }
 
     #[test]

@@ -38,7 +38,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let mut dataflash = DataFlash::default();
 
     let (subclass, parameter) = chip.row("80", "53").expect("Cell Terminate Voltage");
-    let change = Change::parse((subclass, parameter), b"3100", false)?;
+    let change = Change::parse(chip, (subclass, parameter), b"3100", false)?;
     match dataflash.write(&mut gauge, &[change], Duration::ZERO)? {
         Outcome::Unchanged => println!("{}: was 3100 already", parameter.name),
         Outcome::Written { .. } => println!("{}: 3100 mV, written and verified", parameter.name),

@@ -10,7 +10,6 @@
 use std::time::Duration;
 
 use crate::chip::{Calibration, Chip, Offset, Parameter, Role, Subclass};
-use crate::codec;
 use crate::dataflash::{
     BEGINS, Change, DataFlash, Outcome, Place, Row, WriteOptions, assure_same, read_bits, read_word,
 };
@@ -242,9 +241,10 @@ impl Task<'_> {
     fn values(&mut self, subclass: &'static Subclass, parameters: &[&Parameter]) -> Result<Vec<Value>> {
         let waited = self.waited();
         let bytes = self.dataflash.read(self.gauge, &[subclass], waited)?.remove(0);
+        let layout = self.gauge.chip.layout;
         let value = |parameter: &&Parameter| {
             let at = usize::from(parameter.offset - subclass.start());
-            codec::decode(parameter.kind, &bytes[at..at + parameter.kind.size()])
+            layout.decode(parameter.kind, &bytes[at..at + parameter.kind.size()])
         };
         Ok(parameters.iter().map(value).collect())
     }
@@ -583,9 +583,9 @@ impl Task<'_> {
         self.check_pack(cells, divider, voltage_mv)?;
         let ((subclass, parameter), old) = self.value(external.byte)?;
         let Value::Int(word) = old else { return Err(not_documented(chip)) };
-        let shift = 8 * (parameter.kind.size() - 1);
+        let shift = chip.layout.shift(parameter.kind.size(), 0);
         let selected = word | i64::from(external.mask) << shift;
-        let set = Change::of_value((subclass, parameter), &Value::Int(selected), false)?;
+        let set = Change::of_value(chip, (subclass, parameter), &Value::Int(selected), false)?;
         let mut changes = vec![
             change(chip, limit, 0.0)?,
             change(chip, cells_row, cells.into())?,
@@ -690,7 +690,7 @@ fn row(chip: &'static Chip, (id, offset): (u8, u16)) -> Result<Row> {
 
 fn change(chip: &'static Chip, place: (u8, u16), value: f64) -> Result<Change> {
     let row = row(chip, place)?;
-    Change::parse(row, value.to_string().as_bytes(), false)
+    Change::parse(chip, row, value.to_string().as_bytes(), false)
 }
 
 fn naming(chip: &'static Chip, role: Role) -> (&'static str, &'static str) {

@@ -7,6 +7,7 @@
 
 use std::time::Duration;
 
+use crate::codec::Layout;
 use crate::text;
 use crate::value::Type;
 
@@ -59,7 +60,7 @@ pub static CHIPS: &[&Chip] = &[
 ];
 
 /// One fuel gauge: everything in which parts differ.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Chip {
     /// Name on the command line: TI's, lower case.
     pub name: &'static str,
@@ -76,6 +77,13 @@ pub struct Chip {
     pub firmware_file: Option<FirmwareFile>,
     /// Chemistry as the kernel names it, where the part allows only one; else `Unknown`.
     pub technology: &'static str,
+    /// Its 7-bit address on the bus.
+    pub address: u8,
+    /// How it stores numbers in data flash.
+    pub layout: Layout,
+    /// The addresses of data flash on a part with a flat address space; empty on others, and where no document says where
+    /// they end.
+    pub flat: std::ops::Range<u16>,
     /// Standard commands, by address.
     pub registers: &'static [Register],
     /// Control() subcommands, by code.
@@ -168,7 +176,7 @@ impl Evidence {
 
 /// The layout of data flash in images that are written in ROM mode: 32 rows of 32 bytes, in which subclasses
 /// follow each other without regard to the blocks of normal mode.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct RomImage {
     /// The subclasses whose place is known, by id, and the index of their first byte. All of their length is there.
     pub subclasses: &'static [(u8, u16)],
@@ -181,7 +189,7 @@ pub struct RomImage {
 
 /// A file with the whole firmware, by the Device Name in its data flash. Only that and the version of the firmware show which part a
 /// file is for.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct FirmwareFile {
     /// Index of its length byte in the 32 rows.
     pub name: usize,
@@ -190,7 +198,7 @@ pub struct FirmwareFile {
 }
 
 /// A defect of some parts that a byte of data flash reveals.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Quirk {
     /// Subclass id.
     pub subclass: u8,
@@ -281,7 +289,7 @@ pub enum Role {
 }
 
 /// A standard command.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Register {
     /// Where it is read.
     pub source: Source,
@@ -325,7 +333,7 @@ pub struct Bit {
 }
 
 /// A Control() subcommand.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Subcommand {
     /// The word written to Control().
     pub code: u16,
@@ -351,7 +359,7 @@ pub enum Effect {
 }
 
 /// What the flags register means to a power_supply. Masks of the [`Role::Flags`] register.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Condition {
     /// Fully charged.
     pub full: u32,
@@ -392,7 +400,7 @@ impl Condition {
 
 /// A gauge for primary cells, which are never charged: `status` is `Discharging` while a current flows, whatever
 /// its sign, and otherwise `Not charging`; never `Charging` or `Full`.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Primary {
     /// The bit of CONTROL_STATUS that is set between GAUGE_START and GAUGE_STOP. Current() is measured only then.
     pub active: u32,
@@ -409,7 +417,7 @@ pub struct Primary {
 }
 
 /// By what the host multiplies a part's values. Parameters of data flash are in the units of the registers.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Scaling {
     /// Voltages.
     pub voltage: Scale,
@@ -461,7 +469,7 @@ impl Scaling {
 }
 
 /// Seal states and keys.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Security {
     /// Where the seal state is read.
     pub status: SealStatus,
@@ -481,7 +489,7 @@ pub struct Security {
 }
 
 /// Where and how a part stores its keys.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub enum KeyStorage {
     /// Changing them is not supported; the text gives the reason.
     Fixed(&'static str),
@@ -490,7 +498,7 @@ pub enum KeyStorage {
 }
 
 /// The part of a block that holds only keys. Positions count from its first byte.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct KeyBlock {
     /// Subclass id, or [`FLAT`].
     pub subclass: u8,
@@ -518,7 +526,7 @@ pub enum KeyOrder {
 }
 
 /// Where and how the seal state is read.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub enum SealStatus {
     /// In CONTROL_STATUS: a bit that is set while SEALED, a bit that is set while not in FULL ACCESS.
     Bits {
@@ -540,7 +548,7 @@ pub enum SealStatus {
 
 /// How data flash is accessed, and the delays that this needs. No delay is optional; the table gives the
 /// source of each.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Access {
     /// The sequence that reads and writes a block.
     pub scheme: Scheme,
@@ -577,9 +585,6 @@ pub enum Scheme {
     /// None: only the standard commands are known.
     None,
 }
-
-/// The addresses of data flash on the flash parts with ManufacturerAccessControl() (SLUUBH1C 12.1.3).
-pub const FLAT_FLASH: std::ops::Range<u16> = 0x4000..0x4400;
 
 impl Scheme {
     /// Whether data flash is one flat address space, without subclasses.
@@ -622,7 +627,7 @@ impl Security {
 }
 
 /// The delays of SHA-1 authentication, each with its source in the table.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Authentication {
     /// From the challenge until its checksum may follow.
     pub challenge: Duration,
@@ -631,7 +636,7 @@ pub struct Authentication {
 }
 
 /// The voltage below which the gauge acknowledges a flash write but stores nothing.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Gate {
     /// Parameter that holds the limit in mV, two bytes and signed: subclass and offset. 0 opens the gate.
     pub limit: (u8, u16),
@@ -649,7 +654,7 @@ pub struct Gate {
 }
 
 /// A bit of data flash that selects the divider by which the pack's voltage reaches the converter.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct External {
     /// The byte: subclass and offset.
     pub byte: (u8, u16),

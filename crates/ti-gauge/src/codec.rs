@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT
 
-//! Bytes to values and back, and the checksum of a block. Pure: no bus, no text.
+//! Bytes to values and back, and the checksum of a block. Pure: no bus, no text. Which byte of a number comes first is
+//! known here and to the formats of files only.
 
 use crate::value::{Type, Value};
 
@@ -44,50 +45,134 @@ pub fn checksum(bytes: &[u8]) -> u8 {
     255 - bytes.iter().fold(0u8, |sum, &byte| sum.wrapping_add(byte))
 }
 
-/// The value stored in data flash as `bytes`, whose number must be the type's size.
-pub fn decode(kind: Type, bytes: &[u8]) -> Value {
-    debug_assert_eq!(bytes.len(), kind.size());
-    match kind {
-        Type::U(_) | Type::H(_) => Value::Int(unsigned(bytes)),
-        Type::I(size) => {
-            let (raw, span) = (unsigned(bytes), 1i64 << (8 * size));
-            Value::Int(if raw >= span / 2 { raw - span } else { raw })
+/// Which byte of a number comes first.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Order {
+    /// The most significant one.
+    Big,
+    /// The least significant one.
+    Little,
+}
+
+/// The format of floating-point numbers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Float {
+    /// TI's older one, which is not IEEE 754.
+    TiF4,
+    /// IEEE 754 of single precision.
+    Ieee,
+}
+
+/// How a part stores numbers in data flash.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Layout {
+    /// Which of their bytes comes first.
+    pub order: Order,
+    /// What those with a fraction are.
+    pub float: Float,
+}
+
+impl Layout {
+    /// That of most of TI's gauges.
+    pub const TI: Self = Self { order: Order::Big, float: Float::TiF4 };
+
+    /// The value stored in data flash as `bytes`, whose number must be the type's size.
+    pub fn decode(self, kind: Type, bytes: &[u8]) -> Value {
+        debug_assert_eq!(bytes.len(), kind.size());
+        match kind {
+            Type::U(_) | Type::H(_) => Value::Int(self.number(bytes)),
+            Type::I(size) => {
+                let (raw, span) = (self.number(bytes), 1i64 << (8 * size));
+                Value::Int(if raw >= span / 2 { raw - span } else { raw })
+            }
+            Type::F4 => {
+                let bits = self.number(bytes) as u32;
+                Value::Float(match self.float {
+                    Float::TiF4 => decode_f4(bits.to_be_bytes()),
+                    Float::Ieee => f32::from_bits(bits).into(),
+                })
+            }
+            Type::S(_) => Value::Text(text(bytes).to_vec()),
         }
-        Type::F4 => Value::Float(decode_f4([bytes[0], bytes[1], bytes[2], bytes[3]])),
-        Type::S(_) => Value::Text(text(bytes).to_vec()),
     }
+
+    /// The bytes of a value in data flash; `None` if the value does not fit the type.
+    pub fn encode(self, kind: Type, value: &Value) -> Option<Vec<u8>> {
+        match (kind, value) {
+            (Type::I(size) | Type::U(size) | Type::H(size), Value::Int(value)) => {
+                let (min, max) = kind.bounds()?;
+                (min..=max).contains(value).then(|| self.bytes(*value, size.into()))
+            }
+            (Type::F4, Value::Float(value)) => {
+                let bits = match self.float {
+                    Float::TiF4 => u32::from_be_bytes(encode_f4(*value)?),
+                    Float::Ieee => Some(*value as f32).filter(|single| single.is_finite())?.to_bits(),
+                };
+                Some(self.bytes(bits.into(), 4))
+            }
+            (Type::S(size), Value::Text(text)) => {
+                let room = usize::from(size) - 1;
+                (text.len() <= room).then(|| {
+                    let mut bytes = vec![0; room + 1];
+                    bytes[0] = text.len() as u8;
+                    bytes[1..=text.len()].copy_from_slice(text);
+                    bytes
+                })
+            }
+            _ => None,
+        }
+    }
+
+    /// The number without a sign that bytes are, at most seven.
+    pub fn number(self, bytes: &[u8]) -> i64 {
+        let add = |sum: i64, &byte: &u8| sum << 8 | i64::from(byte);
+        match self.order {
+            Order::Big => bytes.iter().fold(0, add),
+            Order::Little => bytes.iter().rev().fold(0, add),
+        }
+    }
+
+    /// The word that two bytes are.
+    pub fn word(self, bytes: [u8; 2]) -> u16 {
+        self.number(&bytes) as u16
+    }
+
+    /// The low bytes of a number, `size` of them.
+    fn bytes(self, number: i64, size: usize) -> Vec<u8> {
+        let mut bytes = number.to_le_bytes()[..size].to_vec();
+        if self.order == Order::Big {
+            bytes.reverse();
+        }
+        bytes
+    }
+
+    /// The two bytes of a word.
+    pub fn bytes_of(self, word: u16) -> [u8; 2] {
+        match self.order {
+            Order::Big => word.to_be_bytes(),
+            Order::Little => word.to_le_bytes(),
+        }
+    }
+
+    /// How far byte `at` of a number of `size` bytes is from its lowest bit, in bits.
+    pub fn shift(self, size: usize, at: usize) -> usize {
+        match self.order {
+            Order::Big => 8 * (size - 1 - at),
+            Order::Little => 8 * at,
+        }
+    }
+}
+
+/// A number as both formats of [`Float`] hold it, with 24 bits: those of a `f64` that remain.
+pub(crate) fn rounded(value: f64) -> f64 {
+    const DROPPED: u32 = f64::MANTISSA_DIGITS - 24;
+    f64::from_bits(value.to_bits().wrapping_add(1 << (DROPPED - 1)) & (u64::MAX << DROPPED))
 }
 
 /// The characters of a string, whose first byte is its length.
 pub(crate) fn text(bytes: &[u8]) -> &[u8] {
     let length = usize::from(bytes[0]).min(bytes.len() - 1);
     &bytes[1..=length]
-}
-
-/// The bytes of a value in data flash; `None` if the value does not fit the type.
-pub fn encode(kind: Type, value: &Value) -> Option<Vec<u8>> {
-    match (kind, value) {
-        (Type::I(size) | Type::U(size) | Type::H(size), Value::Int(value)) => {
-            let (min, max) = kind.bounds()?;
-            let bytes = value.to_be_bytes();
-            (min..=max).contains(value).then(|| bytes[bytes.len() - usize::from(size)..].to_vec())
-        }
-        (Type::F4, Value::Float(value)) => encode_f4(*value).map(|bytes| bytes.to_vec()),
-        (Type::S(size), Value::Text(text)) => {
-            let room = usize::from(size) - 1;
-            (text.len() <= room).then(|| {
-                let mut bytes = vec![0; room + 1];
-                bytes[0] = text.len() as u8;
-                bytes[1..=text.len()].copy_from_slice(text);
-                bytes
-            })
-        }
-        _ => None,
-    }
-}
-
-fn unsigned(bytes: &[u8]) -> i64 {
-    bytes.iter().fold(0, |sum, &byte| sum << 8 | i64::from(byte))
 }
 
 /// TI's older floating-point format, which is not IEEE 754: an exponent biased by 128, then 24 bits of
@@ -155,11 +240,17 @@ mod tests {
         #[test]
         #[cfg_attr(miri, ignore = "it tries so many values that it takes hours there")]
         fn what_is_decoded_encodes_to_the_same_value((kind, bytes) in stored()) {
-            let value = decode(kind, &bytes);
-            let again = encode(kind, &value).expect("a decoded value fits its type");
-            prop_assert_eq!(decode(kind, &again), value);
+            let value = Layout::TI.decode(kind, &bytes);
+            let again = Layout::TI.encode(kind, &value).expect("a decoded value fits its type");
+            prop_assert_eq!(Layout::TI.decode(kind, &again), value);
             if !matches!(kind, Type::S(_)) {
-                prop_assert_eq!(again, bytes);
+                prop_assert_eq!(&again, &bytes);
+            }
+            if !matches!(kind, Type::S(_) | Type::F4) {
+                let value = LITTLE.decode(kind, &bytes);
+                prop_assert_eq!(LITTLE.encode(kind, &value), Some(bytes.clone()));
+                let turned: Vec<u8> = bytes.into_iter().rev().collect();
+                prop_assert_eq!(Layout::TI.decode(kind, &turned), value);
             }
         }
     }
@@ -182,9 +273,13 @@ mod tests {
             ([0x81, 0x80, 0x00, 0x00], -1.0),
             ([0x00, 0x00, 0x00, 0x00], 0.0),
         ] {
-            let Value::Float(read) = decode(Type::F4, &bytes) else { panic!("F4 is a float") };
+            let Value::Float(read) = Layout::TI.decode(Type::F4, &bytes) else { panic!("F4 is a float") };
             assert!((read - value).abs() <= value.abs() * 1e-7, "{bytes:02x?} reads {read}, not {value}");
-            assert_eq!(encode(Type::F4, &Value::Float(value)).as_deref(), Some(&bytes[..]), "{value}");
+            assert_eq!(
+                Layout::TI.encode(Type::F4, &Value::Float(value)).as_deref(),
+                Some(&bytes[..]),
+                "{value}"
+            );
         }
     }
 
@@ -195,29 +290,64 @@ mod tests {
             let [exponent, mantissa] = high.to_be_bytes();
             for low in [0x0000u16, 0x0001, 0x7fff, 0xffff] {
                 let bytes = [exponent, mantissa, low.to_be_bytes()[0], low.to_be_bytes()[1]];
-                let value = decode(Type::F4, &bytes);
-                assert_eq!(encode(Type::F4, &value).as_deref(), Some(&bytes[..]), "{value:?}");
+                let value = Layout::TI.decode(Type::F4, &bytes);
+                assert_eq!(Layout::TI.encode(Type::F4, &value).as_deref(), Some(&bytes[..]), "{value:?}");
             }
+        }
+    }
+
+    const LITTLE: Layout = Layout { order: Order::Little, float: Float::Ieee };
+
+    /// What a published dump of a bq28z610 has at 0x4000 and at 0x4006.
+    #[test]
+    fn a_layout_has_its_own_order_of_bytes_and_format_of_floats() {
+        assert_eq!(LITTLE.decode(Type::I(2), &[0x87, 0x2f]), Value::Int(12167));
+        assert_eq!(LITTLE.encode(Type::I(2), &Value::Int(12167)), Some(vec![0x87, 0x2f]));
+        let bytes = [0x7b, 0x09, 0xed, 0x3f];
+        let Value::Float(gain) = LITTLE.decode(Type::F4, &bytes) else { panic!("F4 is a float") };
+        assert!((gain - 1.852).abs() < 5e-4, "{gain}");
+        assert_eq!(LITTLE.encode(Type::F4, &Value::Float(gain)), Some(bytes.to_vec()));
+        assert_eq!(LITTLE.encode(Type::F4, &Value::Float(1e39)), None);
+        assert_eq!(LITTLE.decode(Type::I(2), &[0x70, 0xfe]), Value::Int(-400));
+        assert_eq!(LITTLE.encode(Type::H(4), &Value::Int(0x3672_0414)), Some(vec![0x14, 0x04, 0x72, 0x36]));
+        assert_eq!((LITTLE.word([0x34, 0x12]), LITTLE.bytes_of(0x1234)), (0x1234, [0x34, 0x12]));
+        assert_eq!((LITTLE.shift(2, 0), LITTLE.shift(2, 1)), (0, 8));
+        assert_eq!((Layout::TI.word([0x12, 0x34]), Layout::TI.bytes_of(0x1234)), (0x1234, [0x12, 0x34]));
+        assert_eq!((Layout::TI.shift(2, 0), Layout::TI.shift(2, 1)), (8, 0));
+        // A string is the same in each of them.
+        assert_eq!(LITTLE.decode(Type::S(5), b"\x04LION"), Layout::TI.decode(Type::S(5), b"\x04LION"));
+        // TI's floats may stand in the other order as well.
+        let turned = Layout { order: Order::Little, float: Float::TiF4 };
+        assert_eq!(turned.decode(Type::F4, &[0, 0, 0, 0x80]), Value::Float(0.5));
+    }
+
+    #[test]
+    fn a_number_is_rounded_to_what_a_float_of_four_bytes_holds() {
+        for value in [0.0, 1.0, -1.0, 0.1, 1.0 / 3.0, 5677445.0, 2e38, 16_777_217.0, -16_777_219.0, 1e-30] {
+            assert_eq!(rounded(value), rounded(rounded(value)));
+            assert!((rounded(value) - value).abs() <= value.abs() * 6e-8, "{value}");
+            let Some(bytes) = Layout::TI.encode(Type::F4, &Value::Float(value)) else { continue };
+            assert_eq!(Layout::TI.decode(Type::F4, &bytes), Value::Float(rounded(value)), "{value}");
         }
     }
 
     #[test]
     fn integers_are_big_endian_twos_complement() {
-        assert_eq!(decode(Type::I(2), &[0xfe, 0x70]), Value::Int(-400));
-        assert_eq!(encode(Type::I(2), &Value::Int(-400)), Some(vec![0xfe, 0x70]));
-        assert_eq!(decode(Type::I(1), &[0xf6]), Value::Int(-10));
-        assert_eq!(decode(Type::H(4), &[0x36, 0x72, 0x04, 0x14]), Value::Int(0x3672_0414));
-        assert_eq!(encode(Type::U(1), &Value::Int(256)), None);
-        assert_eq!(encode(Type::I(1), &Value::Int(-129)), None);
+        assert_eq!(Layout::TI.decode(Type::I(2), &[0xfe, 0x70]), Value::Int(-400));
+        assert_eq!(Layout::TI.encode(Type::I(2), &Value::Int(-400)), Some(vec![0xfe, 0x70]));
+        assert_eq!(Layout::TI.decode(Type::I(1), &[0xf6]), Value::Int(-10));
+        assert_eq!(Layout::TI.decode(Type::H(4), &[0x36, 0x72, 0x04, 0x14]), Value::Int(0x3672_0414));
+        assert_eq!(Layout::TI.encode(Type::U(1), &Value::Int(256)), None);
+        assert_eq!(Layout::TI.encode(Type::I(1), &Value::Int(-129)), None);
     }
 
     /// SLUA790 section 2.4, example 2: the device chemistry becomes `PbA`, padded by zeros.
     #[test]
     fn strings_carry_their_length_first() {
-        assert_eq!(decode(Type::S(5), b"\x04LION"), Value::Text(b"LION".to_vec()));
-        assert_eq!(encode(Type::S(5), &Value::Text(b"PbA".to_vec())), Some(b"\x03PbA\0".to_vec()));
-        assert_eq!(encode(Type::S(5), &Value::Text(b"LiFePO4".to_vec())), None);
-        assert_eq!(decode(Type::S(5), b"\xffLION"), Value::Text(b"LION".to_vec()));
+        assert_eq!(Layout::TI.decode(Type::S(5), b"\x04LION"), Value::Text(b"LION".to_vec()));
+        assert_eq!(Layout::TI.encode(Type::S(5), &Value::Text(b"PbA".to_vec())), Some(b"\x03PbA\0".to_vec()));
+        assert_eq!(Layout::TI.encode(Type::S(5), &Value::Text(b"LiFePO4".to_vec())), None);
+        assert_eq!(Layout::TI.decode(Type::S(5), b"\xffLION"), Value::Text(b"LION".to_vec()));
     }
 
     /// SLUSBZ5D 7.3.3.1 with the defaults of subclass 64.

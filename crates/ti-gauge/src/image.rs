@@ -8,7 +8,7 @@
 use std::fmt;
 
 use crate::chip::{Chip, FLAT, Kind, Parameter, Subclass};
-use crate::codec::{self, WINDOW};
+use crate::codec::WINDOW;
 use crate::dataflash::{Change, Place};
 use crate::error::{Cause, Error, Result};
 use crate::notation;
@@ -171,8 +171,8 @@ fn check_count(text: &str, written: Option<usize>, found: usize, what: &str) -> 
 
 impl Entry {
     /// Its bytes in data flash.
-    pub fn bytes(&self) -> Option<Vec<u8>> {
-        codec::encode(self.parameter.kind, &self.value)
+    pub fn bytes(&self, chip: &Chip) -> Option<Vec<u8>> {
+        chip.layout.encode(self.parameter.kind, &self.value)
     }
 
     /// The value as in the parameter's file.
@@ -250,7 +250,7 @@ impl Image {
             let subclass = &chip.subclasses[index];
             for parameter in subclass.parameters {
                 let at = usize::from(parameter.offset - subclass.start());
-                let value = codec::decode(parameter.kind, &bytes[at..at + parameter.kind.size()]);
+                let value = chip.layout.decode(parameter.kind, &bytes[at..at + parameter.kind.size()]);
                 image.add(subclass, parameter, value, 0);
             }
         }
@@ -353,7 +353,8 @@ impl Image {
                 continue;
             }
             let at = |error: Error| error.within(&format!("line {line}"));
-            changes.push(Change::of_value((subclass, parameter), value, false).map_err(at)?.saved());
+            changes
+                .push(Change::of_value(self.chip, (subclass, parameter), value, false).map_err(at)?.saved());
         }
         // The chemistry is lost with the power too.
         for raw in self.raw.iter().filter(|raw| self.is_chemistry(raw)) {

@@ -10,6 +10,7 @@ use std::sync::Arc;
 
 use zeroize::{Zeroize, Zeroizing};
 
+use crate::codec::Layout;
 use crate::error::{Cause, Error, Result};
 
 /// Name of a key.
@@ -70,7 +71,7 @@ pub struct Secret(Arc<Zeroizing<Vec<u8>>>);
 
 impl From<[u16; 2]> for Secret {
     fn from([first, second]: [u16; 2]) -> Self {
-        let ([a, b], [c, d]) = (first.to_be_bytes(), second.to_be_bytes());
+        let ([a, b], [c, d]) = (Layout::TI.bytes_of(first), Layout::TI.bytes_of(second));
         Self::of_bytes(&[a, b, c, d])
     }
 }
@@ -116,7 +117,7 @@ impl Secret {
 
     /// The two words of the key.
     pub fn words(&self) -> [u16; 2] {
-        let word = |at: usize| u16::from_be_bytes([self.0[at], self.0[at + 1]]);
+        let word = |at: usize| Layout::TI.word([self.0[at], self.0[at + 1]]);
         [word(0), word(2)]
     }
 

@@ -33,7 +33,7 @@
 //! let mut dataflash = DataFlash::default();
 //!
 //! let row = chip.row("80", "53").expect("Cell Terminate Voltage");
-//! let change = Change::parse(row, b"3100", false).expect("a value in range");
+//! let change = Change::parse(chip, row, b"3100", false).expect("a value in range");
 //! let outcome = dataflash.write(&mut gauge, &[change], Duration::ZERO)?;
 //! let old = vec![3000_u16.to_be_bytes().to_vec()];
 //! assert_eq!(outcome, Outcome::Written { reset: true, old });

@@ -18,6 +18,11 @@ const ADDRESSES: usize = 128;
 /// address twice and the register's.
 const GAP: u8 = 3;
 
+/// A number as standard commands have it, least significant byte first.
+pub(crate) fn number(bytes: &[u8]) -> i64 {
+    bytes.iter().rev().fold(0, |sum, &byte| sum << 8 | i64::from(byte))
+}
+
 /// What a row of the table reads.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Cell {
@@ -34,7 +39,7 @@ impl Cell {
             let shown = |&byte: &u8| if matches!(byte, b' '..=b'~') { char::from(byte) } else { '?' };
             return Self::Text(codec::text(bytes).iter().map(shown).collect::<String>().into());
         }
-        let raw = bytes.iter().rev().fold(0, |sum, &byte| sum << 8 | i64::from(byte));
+        let raw = number(bytes);
         let unused = 64 - 8 * u32::from(row.size);
         Self::Number(if row.signed { raw << unused >> unused } else { raw })
     }

@@ -736,7 +736,8 @@ fn a_scale_that_is_written_applies() {
     for scale in ["1", "10"] {
         let row = rig.handle.chip().row(&id.to_string(), &offset.to_string()).expect("a row");
         let value = ti_gauge::notation::parse(row.1, scale.as_bytes()).expect("a value");
-        let change = ti_gauge::dataflash::Change::of_value(row, &value, true).expect("it fits");
+        let change =
+            ti_gauge::dataflash::Change::of_value(rig.handle.chip(), row, &value, true).expect("it fits");
         rig.ask(&op::WRITE, vec![change]).expect("the default key");
         for _ in 0..20 {
             rig.poll_after(Duration::from_secs(2));

@@ -233,5 +233,5 @@ impl Engine<'_> {
 fn change(chip: &'static Chip, id: u8, offset: u16, value: &str) -> Change {
     let mut alike = chip.subclasses.iter().filter(|row| row.id == id);
     let row = alike.find_map(|row| Some((row, row.parameter(offset)?))).expect("a parameter of the table");
-    Change::parse(row, value.as_bytes(), true).expect("a value in range")
+    Change::parse(chip, row, value.as_bytes(), true).expect("a value in range")
 }

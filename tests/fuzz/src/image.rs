@@ -44,7 +44,11 @@ fn check(input: &[u8], format: Format) {
     let Ok(image) = image else { return };
     for entry in &image.entries {
         assert!(entry.subclass.kind != Kind::Security, "a key is in an image: {}", entry.parameter.name);
-        assert!(codec::encode(entry.parameter.kind, &entry.value).is_some(), "{}", image.name(entry));
+        assert!(
+            codec::Layout::TI.encode(entry.parameter.kind, &entry.value).is_some(),
+            "{}",
+            image.name(entry)
+        );
     }
     // The result depends on the values only.
     drop(image.to_restore());
@@ -78,7 +82,9 @@ fn reads_back(image: &Image, format: Format) {
     assert_eq!(image.firmware, again.firmware);
     let bytes = |image: &Image| -> BTreeMap<String, Option<Vec<u8>>> {
         let entries = image.entries.iter().filter(is_compared);
-        entries.map(|entry| (image.name(entry), codec::encode(entry.parameter.kind, &entry.value))).collect()
+        entries
+            .map(|entry| (image.name(entry), codec::Layout::TI.encode(entry.parameter.kind, &entry.value)))
+            .collect()
     };
     let (old, new) = (bytes(image), bytes(&again));
     for (name, value) in &old {
@@ -109,7 +115,7 @@ fn stored(image: &Image, id: u8) -> Vec<u8> {
         }
     }
     for entry in image.entries.iter().filter(|entry| entry.subclass.id == id) {
-        let bytes = codec::encode(entry.parameter.kind, &entry.value).unwrap_or_default();
+        let bytes = codec::Layout::TI.encode(entry.parameter.kind, &entry.value).unwrap_or_default();
         put((entry.parameter.offset - entry.subclass.start()).into(), &bytes);
     }
     bytes

@@ -68,14 +68,14 @@ fn check((subclass, parameter): Row, input: &[u8]) {
         (Value::Text(bytes), Range::Text { .. }) => assert!(bytes.len() <= shown.len()),
         other => panic!("a value of another type: {other:?}"),
     }
-    let change = match Change::of_value((subclass, parameter), &value, true) {
+    let change = match Change::of_value(CHIPS[0], (subclass, parameter), &value, true) {
         Err(error) if subclass.kind == Kind::Security => {
             return assert!(matches!(error.cause(), Cause::NotPermitted), "{error}");
         }
         change => change.expect("an accepted value fits its type"),
     };
     assert_eq!(change.bytes().len(), kind.size());
-    let read = codec::decode(kind, change.bytes());
+    let read = codec::Layout::TI.decode(kind, change.bytes());
     if kind != Type::F4 {
         assert_eq!(read, value, "stored and read as another value");
     }
@@ -84,7 +84,7 @@ fn check((subclass, parameter): Row, input: &[u8]) {
     }
     let again = notation::parse_stored(parameter, notation::render(kind, &read).as_bytes());
     let again = again.expect("what is shown can be written");
-    assert_eq!(codec::encode(kind, &again), Some(change.bytes().to_vec()));
+    assert_eq!(codec::Layout::TI.encode(kind, &again), Some(change.bytes().to_vec()));
 }
 
 /// What a file accepts means the same with units allowed; a unit is refused, or gives a value of which the text is the

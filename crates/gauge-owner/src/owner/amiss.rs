@@ -107,7 +107,7 @@ mod tests {
             let rows =
                 chip.subclasses.iter().flat_map(|class| class.parameters.iter().map(move |row| (class, row)));
             let row = rows.into_iter().find(|(_, row)| row.name == "Design Capacity").expect("each has one");
-            let change = Change::of_value(row, &Value::Int(1234), false).expect("it fits");
+            let change = Change::of_value(chip, row, &Value::Int(1234), false).expect("it fits");
             rig.ask(&op::WRITE, vec![change]).expect("the default keys");
             for _ in 0..2 {
                 rig.poll_after(INTERVAL);

@@ -382,7 +382,7 @@ mod tests {
 
     fn write(rig: &mut Rig, value: i64) -> Result<()> {
         let row = rig.handle.chip().row("80", "53").expect("Cell Terminate Voltage");
-        let change = Change::of_value(row, &Value::Int(value), false).expect("it fits");
+        let change = Change::of_value(rig.handle.chip(), row, &Value::Int(value), false).expect("it fits");
         rig.ask(&op::WRITE, vec![change])
     }
 
@@ -543,7 +543,8 @@ mod tests {
         let chip = rig.handle.chip();
         for (offset, value) in [("11", 2200), ("6", 3), ("4", 7)] {
             let row = chip.row("48", offset).expect("a parameter of the table");
-            let change = Change::of_value(row, &Value::Int(value), false).expect("it fits");
+            let change =
+                Change::of_value(rig.handle.chip(), row, &Value::Int(value), false).expect("it fits");
             rig.ask(&op::WRITE, vec![change]).expect("the default key");
             has_arrived(&mut rig);
             for _ in 0..3 {

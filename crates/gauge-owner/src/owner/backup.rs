@@ -169,7 +169,7 @@ impl Owner {
                 let entries = image.entries.iter();
                 let same =
                     |entry: &&Entry| ptr::eq(entry.parameter, parameter) && ptr::eq(entry.subclass, subclass);
-                entries.into_iter().find(same).and_then(Entry::bytes)
+                entries.into_iter().find(same).and_then(|entry| entry.bytes(chip))
             };
             let since = dataflash::erased_since(chip, |row| of(oldest, row), bytes);
             lost.extend(
@@ -243,14 +243,14 @@ fn is_own(chip: &'static Chip, image: &Image, bytes: &dyn Fn(Row) -> Option<Vec<
         if !chip.preflight.marks.contains(&place) || entry.parameter.learned {
             continue;
         }
-        let (Some(then), Some(now)) = (entry.bytes(), bytes(row)) else { continue };
+        let (Some(then), Some(now)) = (entry.bytes(chip), bytes(row)) else { continue };
         if now.iter().all(|&byte| byte == 0xff) {
             continue;
         }
         if then != now {
             return false;
         }
-        certain |= dataflash::distinguishes(row, &now);
+        certain |= dataflash::distinguishes(chip, row, &now);
     }
     certain
 }
@@ -371,7 +371,7 @@ mod tests {
         let chip = rig.handle.chip();
         let row = chip.row("80", "53").expect("Cell Terminate Voltage");
         let value = Value::Int(text.parse().expect("a number"));
-        let change = Change::of_value(row, &value, false).expect("it fits");
+        let change = Change::of_value(chip, row, &value, false).expect("it fits");
         rig.ask(&op::WRITE, vec![change])
     }
 

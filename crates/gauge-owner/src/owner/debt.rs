@@ -167,7 +167,8 @@ mod tests {
     fn write(rig: &mut Rig) -> Result<()> {
         let subclass = &rig.handle.chip().subclasses[rig.index(80)];
         let parameter = subclass.parameter(53).expect("a parameter of the table");
-        let change = Change::of_value((subclass, parameter), &Value::Int(3100), false).expect("it fits");
+        let change = Change::of_value(rig.handle.chip(), (subclass, parameter), &Value::Int(3100), false)
+            .expect("it fits");
         rig.ask(&op::WRITE, vec![change])
     }
 

@@ -20,7 +20,6 @@ use gauge_bus::clock::Clock;
 use ti_gauge::authentication::{Message, Order};
 use ti_gauge::calibration::Measured;
 use ti_gauge::chip::{Chip, Limited, Parameter, Register, Role, Subclass};
-use ti_gauge::codec;
 use ti_gauge::dataflash::{Change, Place};
 use ti_gauge::epoch::{Epoch, Fact};
 use ti_gauge::gauge::{Answers, Gauge, Seal, Statistics};
@@ -320,7 +319,7 @@ impl Shared {
             false => lock(&self.kept).get(index)?.bytes.clone(),
         };
         let at = usize::from(offset - row.start());
-        Some(codec::decode(kind, bytes.get(at..at + kind.size())?))
+        Some(self.chip.layout.decode(kind, bytes.get(at..at + kind.size())?))
     }
 
     /// A byte of data flash, likewise.

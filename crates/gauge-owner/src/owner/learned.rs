@@ -1245,7 +1245,7 @@ mod tests {
         let rows =
             || chip.subclasses.iter().flat_map(|class| class.parameters.iter().map(move |row| (class, row)));
         let design = rows().find(|(_, row)| row.name == "Design Capacity").expect("each has one");
-        let profile = Change::of_value(design, &Value::Int(1200), false).expect("it fits").saved();
+        let profile = Change::of_value(chip, design, &Value::Int(1200), false).expect("it fits").saved();
         let mut learned =
             rows().filter(|row| !row.1.unproven && chip.stays(*row) == Stays::Pack && row.1.kind.size() == 2);
         let (class, row) = learned.clone().find(|(_, row)| is_capacity(row)).expect("each has one");
@@ -1554,7 +1554,7 @@ mod tests {
             };
             let named = |name: &str| rows().find(|(_, row)| row.name == name);
             let design = named("Design Capacity").expect("each has one");
-            let profile = Change::of_value(design, &Value::Int(1200), false).expect("it fits").saved();
+            let profile = Change::of_value(chip, design, &Value::Int(1200), false).expect("it fits").saved();
             let (class, row) = named("Qmax Cell 0").or(named("Full Charge Capacity")).expect("each has one");
             let learned = Learned::new(folder.clone(), "i2c-1-55".into(), Some("A".into()));
             let run = Run { profile: vec![profile], learned: Some(learned), ..Run::default() };

@@ -15,6 +15,7 @@ use ti_gauge::dataflash::{self, Change, Outcome};
 use ti_gauge::epoch::Fact;
 use ti_gauge::gauge::{Seal, Statistics};
 use ti_gauge::registers::Registers;
+use ti_gauge::value::Value;
 
 /// How often the profile is written to a gauge that has lost it again by the next poll.
 const TRIES: u32 = 3;
@@ -520,8 +521,8 @@ fn waits_for_insertion(chip: &Chip, profile: &[Change]) -> Option<u16> {
         chip.subcommands.iter().find(|subcommand| subcommand.name == "BAT_INSERT" && subcommand.sealed)?;
     let waits = |change: &Change| {
         let bit = change.row()?.1.bits.iter().find(|bit| bit.name == "BIE")?;
-        let word = change.bytes().iter().fold(0, |word: u32, &byte| word << 8 | u32::from(byte));
-        Some(word & bit.mask == 0)
+        let Some(Value::Int(word)) = change.value_of(change.bytes()) else { return None };
+        Some(word & i64::from(bit.mask) == 0)
     };
     profile.iter().find_map(waits)?.then_some(insert.code)
 }
@@ -690,7 +691,8 @@ mod tests {
         let chip = Chip::by_name("bq27441-g1").expect("it has a table");
         let mut rig = rig(chip, "");
         let row = chip.row("82", "10").expect("Design Capacity");
-        rig.ask(&op::WRITE, vec![Change::parse(row, b"2000", false).expect("it fits")]).expect("UNSEALED");
+        rig.ask(&op::WRITE, vec![Change::parse(chip, row, b"2000", false).expect("it fits")])
+            .expect("UNSEALED");
         rig.ask(&op::REFRESH, ()).expect("it answers");
         rig.owner.memory.doubt();
         for _ in 0..3 {
@@ -1076,7 +1078,7 @@ mod tests {
                 chip.subclasses.iter().flat_map(|class| class.parameters.iter().map(move |row| (class, row)))
             };
             let value = ti_gauge::value::Value::Int(CAPACITY);
-            let change = rows().find_map(|row| Change::of_value(row, &value, false).ok());
+            let change = rows().find_map(|row| Change::of_value(chip, row, &value, false).ok());
             let change = change.expect("a row that takes this number");
             let choice = Choice { rule: crate::choose::Rule::default(), profile: vec![change.clone()] };
             for run in [
@@ -1108,16 +1110,16 @@ mod tests {
             ..Rule::default()
         };
         let second: Vec<Change> =
-            profile(chip, "").iter().map(|change| with_capacity(change, 4321)).collect();
+            profile(chip, "").iter().map(|change| with_capacity(chip, change, 4321)).collect();
         vec![
             Choice { rule: rule(100.0, 200.0, "first"), profile: profile(chip, "") },
             Choice { rule: rule(300.0, 400.0, "second"), profile: second },
         ]
     }
 
-    fn with_capacity(change: &Change, capacity: i64) -> Change {
+    fn with_capacity(chip: &Chip, change: &Change, capacity: i64) -> Change {
         let row = change.row().expect("a parameter");
-        Change::of_value(row, &ti_gauge::value::Value::Int(capacity), false).expect("it fits").saved()
+        Change::of_value(chip, row, &Value::Int(capacity), false).expect("it fits").saved()
     }
 
     #[test]
@@ -1232,7 +1234,7 @@ mod tests {
                 chip.subclasses.iter().flat_map(|class| class.parameters.iter().map(move |row| (class, row)));
             let row = rows.into_iter().find(|(_, row)| row.name == "OpConfig").expect("each has one");
             let config = ti_gauge::value::Value::Int(if is_sent { 0x05F8 } else { 0x25F8 });
-            let config = Change::of_value(row, &config, false).expect("it fits");
+            let config = Change::of_value(chip, row, &config, false).expect("it fits");
             let profile = [profile(chip, ""), vec![config.saved()]].concat();
             let mut rig = Rig::of(chip.name, Run { profile, ..Run::default() });
             rig.start().expect("it answers");

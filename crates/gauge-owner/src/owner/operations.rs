@@ -14,7 +14,6 @@ use crate::error::{Cause, Error, Reason, Result};
 use ti_gauge::authentication::{self, Message};
 use ti_gauge::calibration::Job;
 use ti_gauge::chip::Subclass;
-use ti_gauge::codec;
 use ti_gauge::dataflash::{Change, Decision, Outcome, Place};
 use ti_gauge::epoch::{Epoch, Fact};
 use ti_gauge::keys;
@@ -130,8 +129,8 @@ fn passes_sealed(now: Seal, goal: Seal) -> Option<&'static str> {
 /// hexadecimal where it has none.
 fn difference(change: &Change, old: &[u8]) -> String {
     let new = change.stored_over(old);
-    let show = |bytes: &[u8]| match change.row() {
-        Some((_, parameter)) => notation::show(parameter, &codec::decode(parameter.kind, bytes)),
+    let show = |bytes: &[u8]| match change.row().zip(change.value_of(bytes)) {
+        Some(((_, parameter), value)) => notation::show(parameter, &value),
         None => text::hex(bytes),
     };
     let unit = change.row().map_or("", |(_, parameter)| unit::shown(parameter));
@@ -459,7 +458,7 @@ mod tests {
         let subclass = &rig.handle.chip().subclasses[rig.index(80)];
         let parameter = subclass.parameter(53).expect("a parameter of the table");
         let value = Value::Int(text.parse().expect("a number"));
-        Change::of_value((subclass, parameter), &value, false).expect("it fits")
+        Change::of_value(rig.handle.chip(), (subclass, parameter), &value, false).expect("it fits")
     }
 
     /// Nothing is sent for a request that is refused.
@@ -490,8 +489,8 @@ mod tests {
         let chip = ti_gauge::chip::Chip::by_name("bq34z100-g1").expect("it has a table");
         let of = |id: &str, offset: &str, old: &[u8], new: &[u8]| {
             let row = chip.row(id, offset).expect("a parameter of the table");
-            let value = codec::decode(row.1.kind, new);
-            difference(&Change::of_value(row, &value, true).expect("a value in range"), old)
+            let value = chip.layout.decode(row.1.kind, new);
+            difference(&Change::of_value(chip, row, &value, true).expect("a value in range"), old)
         };
         assert_eq!(of("80", "53", &[0x0b, 0xb8], &[0x0c, 0x1c]), "3000 -> 3100 mV");
         assert_eq!(of("48", "4", &[0, 1], &[0, 7]), "0x0001 -> 0x0007");

@@ -544,7 +544,7 @@ mod tests {
     /// Writes Cell Terminate Voltage.
     fn write(rig: &mut Rig, value: i64) -> Result<()> {
         let row = rig.handle.chip().row("80", "53").expect("a parameter of the table");
-        let change = Change::of_value(row, &Value::Int(value), false).expect("it fits");
+        let change = Change::of_value(rig.handle.chip(), row, &Value::Int(value), false).expect("it fits");
         rig.ask(&op::WRITE, vec![change])
     }
 

@@ -252,7 +252,8 @@ mod tests {
         for (value, busy) in [(3100, "old"), (3200, "nack")] {
             rig.sim.set("commit_busy", busy).expect("a knob");
             let row = rig.handle.chip().row("80", "53").expect("Cell Terminate Voltage");
-            let change = Change::of_value(row, &Value::Int(value), false).expect("two bytes");
+            let change =
+                Change::of_value(rig.handle.chip(), row, &Value::Int(value), false).expect("two bytes");
             rig.ask(&op::WRITE, vec![change]).expect("written");
         }
         rig.ask(&op::CALIBRATE, Job::BoardOffset).expect("calibrated");

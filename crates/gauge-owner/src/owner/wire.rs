@@ -14,7 +14,6 @@ use gauge_bus::trace::Trace;
 use gauge_bus::{Bus, GAUGE_ADDRESS};
 use gauge_sim::SimBus;
 use ti_gauge::chip::{Chip, Kind};
-use ti_gauge::codec;
 use ti_gauge::dataflash::{Change, Row};
 use ti_gauge::notation;
 use ti_gauge::value::Value;
@@ -110,7 +109,7 @@ impl Wire {
         let at = self.rig.handle.chip().subclasses.iter().position(|one| std::ptr::eq(one, subclass));
         let kept = self.rig.handle.kept(at.expect("it is of the table")).expect("it was read");
         let at = usize::from(row.offset - subclass.start());
-        codec::decode(row.kind, &kept[at..at + row.kind.size()])
+        self.rig.handle.chip().layout.decode(row.kind, &kept[at..at + row.kind.size()])
     }
 
     /// Another value of it.
@@ -120,7 +119,7 @@ impl Wire {
             Value::Int(number) => Value::Int(number ^ 1),
             Value::Float(_) | Value::Text(_) => unreachable!("{name} is a whole number"),
         };
-        Change::of_value(row, &value, true).expect("it is in range")
+        Change::of_value(self.rig.handle.chip(), row, &value, true).expect("it is in range")
     }
 
     fn read_all(&mut self) {

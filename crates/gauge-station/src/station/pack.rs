@@ -635,7 +635,7 @@ impl Task<'_> {
             return Err(refuse("bring-up", format!("no document describes that of a {}", self.chip().model)));
         };
         let size = self.chip().parameter(external.byte.0, external.byte.1).map_or(1, |row| row.kind.size());
-        let bit = i64::from(external.mask) << (8 * (size - 1));
+        let bit = i64::from(external.mask) << self.chip().layout.shift(size, 0);
         let is_set = before.number(external.byte).is_some_and(|word| word & bit != 0);
         Ok(!is_set || before.number(cells_at) != Some(cells.into()))
     }

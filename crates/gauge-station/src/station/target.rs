@@ -6,7 +6,6 @@ use std::sync::Arc;
 
 use sha2::{Digest, Sha256};
 use ti_gauge::chip::{Chip, Subclass};
-use ti_gauge::codec;
 use ti_gauge::dataflash::{Change, Row};
 use ti_gauge::image::{Changes, Entry, Image};
 use ti_gauge::text;
@@ -63,14 +62,14 @@ impl Flash {
     /// The text of a parameter.
     pub(super) fn text(&self, row: Row) -> Option<String> {
         let bytes = self.bytes(row)?;
-        Some(notation::render(row.1.kind, &codec::decode(row.1.kind, bytes)))
+        Some(notation::render(row.1.kind, &self.chip.layout.decode(row.1.kind, bytes)))
     }
 
     /// The number that a parameter holds, where it holds one.
     pub(super) fn number(&self, (id, offset): Place) -> Option<i64> {
         let rows = self.chip.subclasses.iter().filter(|subclass| subclass.id == id);
         let row = rows.into_iter().find_map(|subclass| Some((subclass, subclass.parameter(offset)?)))?;
-        match codec::decode(row.1.kind, self.bytes(row)?) {
+        match self.chip.layout.decode(row.1.kind, self.bytes(row)?) {
             ti_gauge::value::Value::Int(number) => Some(number),
             _ => None,
         }
@@ -142,7 +141,7 @@ pub(super) fn changes(asked: &Image, now: &Flash, also_unproven: bool) -> Result
     let mut list = Vec::new();
     for difference in &changes {
         let Entry { subclass, parameter, .. } = difference.new;
-        let change = Change::of_value((subclass, parameter), &difference.new.value, also_unproven)?;
+        let change = Change::of_value(now.chip, (subclass, parameter), &difference.new.value, also_unproven)?;
         if let Some(stored) = now.bytes((*subclass, *parameter)) {
             change.check_reserved(stored)?;
         }
@@ -164,7 +163,7 @@ pub(super) fn check(asked: &Image, now: &Flash, but: &[Place]) -> Result<()> {
             continue;
         }
         let row = (*subclass, *parameter);
-        if entry.bytes().as_deref() != now.bytes(row) {
+        if entry.bytes(asked.chip).as_deref() != now.bytes(row) {
             let has = now.text(row).unwrap_or_else(|| "not shown".into());
             let hint = if parameter.learned { "; the gauge rewrites it itself: exclude learned" } else { "" };
             let why = format!("it is {has} when read back, and {} was asked for{hint}", entry.text());

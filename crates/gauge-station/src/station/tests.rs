@@ -398,7 +398,7 @@ impl Map {
             }
         }
         for entry in &plan.image.entries {
-            let bytes = codec::encode(entry.parameter.kind, &entry.value).expect("it fits");
+            let bytes = codec::Layout::TI.encode(entry.parameter.kind, &entry.value).expect("it fits");
             for (offset, byte) in (entry.parameter.offset..).zip(bytes) {
                 asked.insert(place(entry.subclass.id, offset), byte);
             }
@@ -659,7 +659,7 @@ fn the_comparison_finds_every_bit() {
     for entry in line.station.plan.image.entries.iter().step_by(7) {
         let area = entry.subclass.id;
         let at = usize::from(entry.parameter.offset) + entry.parameter.kind.size() - 1;
-        let bytes = entry.bytes().expect("it fits");
+        let bytes = entry.bytes(line.station.plan.image.chip).expect("it fits");
         let last = bytes[bytes.len() - 1];
         sim.set_flash(area.into(), at, &[last ^ 1]);
         let now = Flash::read(&mut gauge).expect("the default key");
@@ -982,7 +982,8 @@ fn regression_a_pack_with_an_erased_row_passed() {
             let mut gauge = opened(&torn, &clock, run);
             torn.set("tear", "erased").and_then(|()| torn.set("fault", "torn-commit 5")).expect("knobs");
             let row = torn_row();
-            let change = Change::of_value(row, &Value::Int(3100), false).expect("it fits");
+            let change =
+                Change::of_value(gauge.handle.chip(), row, &Value::Int(3100), false).expect("it fits");
             gauge.ask(&op::WRITE, vec![change]).expect_err("it is torn");
             torn.set("power", "on").expect("a knob");
         } else {

@@ -32,8 +32,10 @@ use super::{
     Access, Bit, Chip, Condition, Evidence, FLAT, Identity, KeyStorage, Mode, Parameter as P, Preflight,
     Register, Role, Safe, Scaling, Scheme, SealStatus, Security, Signature, Source, Subclass, Subcommand,
 };
+use crate::codec::Layout;
 use crate::value::Type::U;
 use crate::value::types::{H1, H2, I1, I2, U1, U2};
+use gauge_bus::GAUGE_ADDRESS;
 
 /// The BQ27220 as its manual and its drivers know it.
 pub static CHIP: Chip = Chip {
@@ -46,6 +48,9 @@ pub static CHIP: Chip = Chip {
     identity: Identity { device_type: 0x0220, firmware: &[], hardware: None, dm_codes: &[], answer: 0x40 },
     firmware_file: None,
     technology: "Li-ion",
+    address: GAUGE_ADDRESS,
+    layout: Layout::TI,
+    flat: 0..0,
     registers: REGISTERS,
     subcommands: SUBCOMMANDS,
     control_status: CONTROL_STATUS,

@@ -21,7 +21,9 @@ use super::bq27441_g1::{
     CAPACITY, CONDITION, ITPOR, KEEP_STATE, LOAD_SELECT, OP_CONFIG_B, SECURITY, preflight,
 };
 use super::{Chip, Evidence, Identity, Parameter as P, Role, Subclass};
+use crate::codec::Layout;
 use crate::value::types::{H1, H2, H4, I1, I2, U1, U2};
+use gauge_bus::GAUGE_ADDRESS;
 
 /// The BQ27426 as far as it is known.
 pub static CHIP: Chip = Chip {
@@ -39,6 +41,9 @@ pub static CHIP: Chip = Chip {
     },
     firmware_file: None,
     technology: "Li-ion",
+    address: GAUGE_ADDRESS,
+    layout: Layout::TI,
+    flat: 0..0,
     registers: REGISTERS,
     subcommands: SUBCOMMANDS,
     control_status: CONTROL_STATUS,

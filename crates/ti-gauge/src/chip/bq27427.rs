@@ -23,8 +23,10 @@ use super::{
     Access, Bit, Chip, Evidence, Identity, Parameter as P, Quirk, Register, Role, Scale, Scaling, Scheme,
     Subclass, Subcommand,
 };
+use crate::codec::Layout;
 use crate::value::Type::U;
 use crate::value::types::{H1, H2, H4, I1, I2, U1, U2};
+use gauge_bus::GAUGE_ADDRESS;
 
 /// The BQ27427 as TI's documents and traces describe it.
 pub static CHIP: Chip = Chip {
@@ -43,6 +45,9 @@ pub static CHIP: Chip = Chip {
     },
     firmware_file: None,
     technology: "Li-ion",
+    address: GAUGE_ADDRESS,
+    layout: Layout::TI,
+    flat: 0..0,
     registers: REGISTERS,
     subcommands: SUBCOMMANDS,
     control_status: CONTROL_STATUS,

@@ -15,8 +15,10 @@ use super::{
     Access, Bit, Chip, Condition, Evidence, Identity, KeyStorage, Learning, Mode, Pack, Parameter as P,
     Preflight, Register, Role, Safe, Scaling, Scheme, SealStatus, Security, Source, Subclass, Subcommand,
 };
+use crate::codec::Layout;
 use crate::value::Type::U;
 use crate::value::types::{H1, H2, H4, I1, I2, U1, U2};
+use gauge_bus::GAUGE_ADDRESS;
 
 /// DM_CODE of the bq27441-G1B.
 const G1B: u16 = 0x58;
@@ -39,6 +41,9 @@ pub static CHIP: Chip = Chip {
     },
     firmware_file: None,
     technology: "Li-ion",
+    address: GAUGE_ADDRESS,
+    layout: Layout::TI,
+    flat: 0..0,
     registers: REGISTERS,
     subcommands: SUBCOMMANDS,
     control_status: CONTROL_STATUS,

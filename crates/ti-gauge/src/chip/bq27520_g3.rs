@@ -23,8 +23,10 @@ use super::{
     Parameter as P, Preflight, Register, Role, Safe, Scaling, Scheme, SealStatus, Security, Signature,
     Source, Subclass, Subcommand,
 };
+use crate::codec::Layout;
 use crate::value::Type::U;
 use crate::value::types::{H1, H2, I1, I2, U1, U2};
+use gauge_bus::GAUGE_ADDRESS;
 
 /// The bq27520-G3 as far as it is known.
 pub static CHIP: Chip = Chip {
@@ -43,6 +45,9 @@ pub static CHIP: Chip = Chip {
     // bq_bqfs_g3.h of github.com/pelotoncycle/opensource-quartz (firmware 3.24, whole).
     firmware_file: Some(super::FirmwareFile { name: 670, names: &["bq27520"] }),
     technology: "Li-ion",
+    address: GAUGE_ADDRESS,
+    layout: Layout::TI,
+    flat: 0..0,
     registers: REGISTERS,
     subcommands: SUBCOMMANDS,
     control_status: CONTROL_STATUS,

@@ -19,8 +19,10 @@ use super::{
     Bit, Chip, Evidence, Identity, Mode, Pack, Parameter as P, Preflight, Register, Role, Scaling, Source,
     Subclass, Subcommand,
 };
+use crate::codec::Layout;
 use crate::value::Type::U;
 use crate::value::types::{H1, H2, H4, I1, I2, U1, U2};
+use gauge_bus::GAUGE_ADDRESS;
 
 /// The bq27621-G1 as far as it is known.
 pub static CHIP: Chip = Chip {
@@ -38,6 +40,9 @@ pub static CHIP: Chip = Chip {
     },
     firmware_file: None,
     technology: "Li-ion",
+    address: GAUGE_ADDRESS,
+    layout: Layout::TI,
+    flat: 0..0,
     registers: REGISTERS,
     subcommands: SUBCOMMANDS,
     control_status: CONTROL_STATUS,

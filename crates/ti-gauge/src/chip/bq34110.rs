@@ -24,8 +24,10 @@ use super::{
     Preflight, Register, Role, Safe, Scaling, Scheme, SealStatus, Security, Signature, Source, Subclass,
     Subcommand,
 };
+use crate::codec::Layout;
 use crate::value::Type::U;
 use crate::value::types::{H1, H2, H4, I1, I2, U1, U2};
+use gauge_bus::GAUGE_ADDRESS;
 
 /// The bq34110 as its drivers know it.
 pub static CHIP: Chip = Chip {
@@ -38,6 +40,9 @@ pub static CHIP: Chip = Chip {
     identity: Identity { device_type: 0x0110, firmware: &[], hardware: None, dm_codes: &[], answer: 0x40 },
     firmware_file: None,
     technology: "Unknown",
+    address: GAUGE_ADDRESS,
+    layout: Layout::TI,
+    flat: 0x4000..0x4400, // SLUUBH1C 12.1.3
     registers: REGISTERS,
     subcommands: SUBCOMMANDS,
     // Both are set while CC_OFFSET or BOARD_OFFSET runs; no driver uses another bit.

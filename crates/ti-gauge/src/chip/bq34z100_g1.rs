@@ -16,8 +16,10 @@ use super::{
     KeyOrder, KeyStorage, Learning, Mode, Offset, Pack, Parameter as P, Preflight, Register, Role, RomImage,
     Safe, Scale, Scaling, Scheme, SealStatus, Security, Source, Subclass, Subcommand,
 };
+use crate::codec::Layout;
 use crate::value::Type::U;
 use crate::value::types::{H1, H2, H4, I1, I2, U1, U2};
+use gauge_bus::GAUGE_ADDRESS;
 
 /// The bq34z100-G1 as TI's documents describe it.
 pub static CHIP: Chip = Chip {
@@ -38,6 +40,9 @@ pub static CHIP: Chip = Chip {
     // bq34z100_dffs.h of github.com/tibms/kernel-4.4 (firmware 0.16).
     firmware_file: Some(super::FirmwareFile { name: 633, names: &["bq34z100-G1"] }),
     technology: "Unknown",
+    address: GAUGE_ADDRESS,
+    layout: Layout::TI,
+    flat: 0..0,
     registers: REGISTERS,
     subcommands: SUBCOMMANDS,
     control_status: CONTROL_STATUS,

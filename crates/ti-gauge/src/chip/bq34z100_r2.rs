@@ -20,8 +20,10 @@ use super::{
     KeyStorage, Learning, Mode, Pack, Parameter as P, Preflight, Register, Role, RomImage, Scale, Scaling,
     Scheme, SealStatus, Security, Signature, Source, Subclass,
 };
+use crate::codec::Layout;
 use crate::value::Type::U;
 use crate::value::types::{H1, H2, H4, I1, I2, U1, U2};
+use gauge_bus::GAUGE_ADDRESS;
 
 /// The bq34z100-R2 as far as it is known.
 pub static CHIP: Chip = Chip {
@@ -41,6 +43,9 @@ pub static CHIP: Chip = Chip {
     // BQ34Z100_DFI.c of github.com/DmitrijSarychev/Handy_Files (firmware 2.02, all 512 rows).
     firmware_file: Some(super::FirmwareFile { name: 640, names: &["bq34z100-G1"] }),
     technology: "Unknown",
+    address: GAUGE_ADDRESS,
+    layout: Layout::TI,
+    flat: 0..0,
     registers: REGISTERS,
     subcommands: SUBCOMMANDS,
     control_status: CONTROL_STATUS,

@@ -23,8 +23,10 @@ use super::{
     Mode, Pack, Parameter as P, Preflight, Primary, Register, Role, Safe, Scaling, Scheme, SealStatus,
     Security, Signature, Source, Subclass, Subcommand,
 };
+use crate::codec::Layout;
 use crate::value::Type::U;
 use crate::value::types::{H1, H2, H4, I1, I2, I4, U1, U2, U4};
+use gauge_bus::GAUGE_ADDRESS;
 
 /// The bq35100 as TI's documents and its drivers describe it.
 pub static CHIP: Chip = Chip {
@@ -45,6 +47,9 @@ pub static CHIP: Chip = Chip {
     firmware_file: None,
     // Li-MnO2 and Li-SOCl2 are primary cells, for which the kernel has no name.
     technology: "Unknown",
+    address: GAUGE_ADDRESS,
+    layout: Layout::TI,
+    flat: 0x4000..0x4400, // SLUUBH1C 12.1.3
     registers: REGISTERS,
     subcommands: SUBCOMMANDS,
     control_status: CONTROL_STATUS,

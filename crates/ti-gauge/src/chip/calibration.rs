@@ -5,7 +5,7 @@
 use super::Source;
 
 /// The subcommands, bits and parameters of calibration.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Calibration {
     /// Toggles the permission to enter and to leave calibration mode.
     pub enable: u16,
@@ -40,7 +40,7 @@ pub struct Calibration {
 }
 
 /// An offset that the gauge measures without a current.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Offset {
     /// The subcommand that starts it.
     pub start: u16,

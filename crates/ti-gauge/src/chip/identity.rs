@@ -6,7 +6,7 @@ use super::{Chip, bq27441_g1, bq27520_g3, kernel};
 use crate::value::Type;
 
 /// The answers that identify a part.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Identity {
     /// Control(DEVICE_TYPE).
     pub device_type: u16,
@@ -71,7 +71,7 @@ pub struct Answers {
 }
 
 /// A parameter that must hold a plausible value before the first write.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Signature {
     /// Subclass id.
     pub subclass: u8,
@@ -98,7 +98,7 @@ impl Signature {
 }
 
 /// A known part without a table.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Sibling {
     /// TI's name.
     pub name: &'static str,

@@ -26,7 +26,9 @@
 use super::{
     Access, Bit, Chip, Condition, Evidence, Identity, Preflight, Register, Role, Scaling, Security, Tier,
 };
+use crate::codec::Layout;
 use crate::value::Type::{self, I, U};
+use gauge_bus::GAUGE_ADDRESS;
 
 /// The gauges, in the order of the driver.
 #[rustfmt::skip]
@@ -197,6 +199,9 @@ const fn gauge(
         identity: Identity::NONE,
         firmware_file: None,
         technology: "Li-ion",
+        address: GAUGE_ADDRESS,
+        layout: Layout::TI,
+        flat: 0..0,
         registers,
         subcommands: &[],
         control_status: &[],

@@ -5,7 +5,7 @@
 use super::Source;
 
 /// Checks before a write, besides identity, gate and seal.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Preflight {
     /// What distinguishes packs with the same part, if anything is known.
     pub pack: Option<Pack>,
@@ -27,7 +27,7 @@ impl Preflight {
 }
 
 /// A word that differs from pack to pack.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Pack {
     /// The word. Reading a register also detects another part, which has something else at that address.
     pub word: Source,
@@ -38,7 +38,7 @@ pub struct Pack {
 }
 
 /// A mode in which a write would be lost, or would disturb the program that entered it.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Mode {
     /// The word that shows it. Subcommands are sent only after unsealing.
     pub word: Source,
@@ -68,7 +68,7 @@ impl Mode {
 }
 
 /// How to recognise a learning cycle.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Learning {
     /// CONTROL_STATUS bits that are all set during a cycle.
     pub status: u32,

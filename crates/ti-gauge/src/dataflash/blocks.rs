@@ -5,7 +5,7 @@
 use super::Change;
 use super::window::{Planned, Window, learned, locate};
 use crate::chip::Parameter;
-use crate::codec::{self, Bytes, WINDOW};
+use crate::codec::{Bytes, WINDOW};
 use crate::error::Result;
 use crate::gauge::Gauge;
 use crate::value::Type;
@@ -64,8 +64,8 @@ pub(super) fn arrange(planned: &mut [Planned], key: &dyn Fn(&Planned) -> (u8, u1
 /// Whether a change gives a string the value that it has. Its bytes then remain as they are, also those after its end
 /// and a length that is larger than the field: they are no part of the value.
 fn is_same_string(change: &Change, planned: &[Planned]) -> bool {
-    let Some((_, Parameter { kind: kind @ Type::S(_), .. })) = change.row else { return false };
-    codec::decode(*kind, &old_bytes(change, planned)) == codec::decode(*kind, &change.bytes)
+    let Some((_, Parameter { kind: Type::S(_), .. })) = change.row else { return false };
+    change.value_of(&old_bytes(change, planned)) == change.value_of(&change.bytes)
 }
 
 /// Number of blocks that the changes touch.

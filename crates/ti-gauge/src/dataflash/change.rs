@@ -9,7 +9,7 @@ use super::Place;
 use super::checks::integer;
 pub use crate::chip::Row;
 use crate::chip::{Chip, FLAT, Kind, Parameter, Range, Safe};
-use crate::codec::{self, WINDOW};
+use crate::codec::{Layout, WINDOW};
 use crate::error::{Cause, Error, Reason, Result, Step};
 use crate::notation;
 use crate::value::Value;
@@ -19,10 +19,11 @@ use crate::value::Value;
 /// It cannot be put together from parts:
 ///
 /// ```compile_fail
+/// use ti_gauge::codec::Layout;
 /// use ti_gauge::dataflash::Change;
 ///
 /// let place = (80, 53).into();
-/// let change = Change { place, bytes: vec![0xff, 0xff], row: None, saved: false };
+/// let change = Change { place, bytes: vec![0xff, 0xff], row: None, saved: false, layout: Layout::TI };
 /// ```
 #[derive(Clone, Debug)]
 pub struct Change {
@@ -33,30 +34,33 @@ pub struct Change {
     pub(super) row: Option<Row>,
     /// The bytes come from a saved configuration: bits that must not change keep their present value.
     pub(super) saved: bool,
+    /// How the part stores numbers.
+    pub(super) layout: Layout,
 }
 
 impl Change {
     /// A new value of a parameter, as its file takes it. `also_unproven` also allows a row whose address or range no
     /// second source confirms (EACCES otherwise).
-    pub fn parse(row: Row, text: &[u8], also_unproven: bool) -> Result<Self> {
+    pub fn parse(chip: &Chip, row: Row, text: &[u8], also_unproven: bool) -> Result<Self> {
         let value = check_row(row, also_unproven).and_then(|()| notation::parse(row.1, text));
         let value = value.map_err(|error| error.at_place(Place::of(row).into()))?;
-        Self::of_value(row, &value, also_unproven)
+        Self::of_value(chip, row, &value, also_unproven)
     }
 
     /// A new value of a parameter. It must be of its type, in the manual's range and above the safe minimum.
-    pub fn of_value(row: Row, value: &Value, also_unproven: bool) -> Result<Self> {
-        Self::checked(row, value, also_unproven).map_err(|error| error.at_place(Place::of(row).into()))
+    pub fn of_value(chip: &Chip, row: Row, value: &Value, also_unproven: bool) -> Result<Self> {
+        Self::checked(chip, row, value, also_unproven).map_err(|error| error.at_place(Place::of(row).into()))
     }
 
-    fn checked(row: Row, value: &Value, also_unproven: bool) -> Result<Self> {
+    fn checked(chip: &Chip, row: Row, value: &Value, also_unproven: bool) -> Result<Self> {
         let parameter = row.1;
         check_row(row, also_unproven)?;
         notation::check(parameter, value)?;
-        let bytes = codec::encode(parameter.kind, value).ok_or_else(|| {
+        let bytes = chip.layout.encode(parameter.kind, value).ok_or_else(|| {
             Error::new(parameter.name, Cause::Invalid, format!("does not fit type {}", parameter.kind))
         })?;
-        let change = Self { place: Place::of(row), bytes, row: Some(row), saved: false };
+        let place = Place::of(row);
+        let change = Self { place, bytes, row: Some(row), saved: false, layout: chip.layout };
         change.check_least()?;
         Ok(change)
     }
@@ -64,7 +68,7 @@ impl Change {
     /// Bytes that no manual documents, all in one block: no key, no limit and no unproven row can be bypassed with them.
     pub fn raw(chip: &Chip, place: Place, bytes: Vec<u8>) -> Result<Self> {
         check_raw(chip, place, bytes.len()).map_err(|error| error.at_place(place.into()))?;
-        Ok(Self { place, bytes, row: None, saved: false })
+        Ok(Self { place, bytes, row: None, saved: false, layout: chip.layout })
     }
 
     /// Makes it part of a saved configuration: bits that must not change keep their present value.
@@ -88,6 +92,11 @@ impl Change {
         self.row
     }
 
+    /// The value that bytes in its place are; `None` for undocumented ones.
+    pub fn value_of(&self, bytes: &[u8]) -> Option<Value> {
+        self.row.map(|(_, parameter)| self.layout.decode(parameter.kind, bytes))
+    }
+
     /// The bytes as they will be stored in place of `old`: those of a saved configuration leave bits alone that must not
     /// change.
     pub fn stored_over(&self, old: &[u8]) -> Vec<u8> {
@@ -99,7 +108,7 @@ impl Change {
     pub(super) fn kept_bits(&self, number: usize) -> u8 {
         match self.row {
             Some((_, Parameter { safe: Some(Safe::Keep(mask, _)), .. })) if self.saved => {
-                (mask >> (8 * (self.bytes.len() - 1 - number))) as u8
+                (mask >> self.layout.shift(self.bytes.len(), number)) as u8
             }
             _ => 0,
         }
@@ -108,7 +117,7 @@ impl Change {
     /// Checks the safe minimum, the only safety limit that needs no gauge.
     pub(super) fn check_least(&self) -> Result<()> {
         let Some((_, parameter)) = self.row else { return Ok(()) };
-        let number = integer(parameter, &self.bytes);
+        let number = integer(self.layout, parameter, &self.bytes);
         match &parameter.safe {
             Some(Safe::AtLeast(least, why)) if number < i64::from(*least) => {
                 let unsafe_value = Reason::Unsafe { number, least: (*least).into(), why };
@@ -123,8 +132,8 @@ impl Change {
         let Some((_, parameter @ Parameter { safe: Some(Safe::Keep(mask, why)), .. })) = self.row else {
             return Ok(());
         };
-        let old = integer(parameter, stored);
-        let differ = (old ^ integer(parameter, &self.bytes)) & i64::from(*mask);
+        let old = integer(self.layout, parameter, stored);
+        let differ = (old ^ integer(self.layout, parameter, &self.bytes)) & i64::from(*mask);
         if differ == 0 {
             return Ok(());
         }
@@ -141,8 +150,9 @@ impl Change {
             Range::Text { default } => default.map(|text| Value::Text(text.into())),
         };
         let flavour = parameter.flavour.map(|(_, default)| Value::Int(default.into()));
-        let is =
-            |default: Value| codec::encode(parameter.kind, &default).is_some_and(|default| default == bytes);
+        let is = |default: Value| {
+            self.layout.encode(parameter.kind, &default).is_some_and(|default| default == bytes)
+        };
         // Where none is printed, nothing can be told.
         printed.is_none() || [printed, flavour].into_iter().flatten().any(is)
     }

@@ -10,7 +10,7 @@ use super::window::locate;
 use super::window::{Planned, Window};
 use super::{Change, DataFlash, Place};
 use crate::chip::{Gate, Parameter, Role, Safe, Scheme};
-use crate::codec::{self, WINDOW};
+use crate::codec::{Layout, WINDOW};
 use crate::error::{Cause, Error, Reason, Result, Step};
 use crate::gauge::{Gauge, agreed};
 use crate::value::Value;
@@ -26,7 +26,9 @@ impl DataFlash {
             let size = row.kind.size();
             let (place, at) = locate(row.subclass, row.offset);
             let window = sequence(gauge).load(gauge, place)?;
-            let Value::Int(found) = codec::decode(row.kind, &window[at..at + size]) else { continue };
+            let Value::Int(found) = gauge.chip.layout.decode(row.kind, &window[at..at + size]) else {
+                continue;
+            };
             if !row.holds(found) {
                 let why = format!(
                     "{} holds {found}, which cannot be: this firmware keeps its data flash elsewhere, and nothing \
@@ -60,7 +62,7 @@ impl DataFlash {
         let (place, at) = place_of(row);
         let window = sequence(gauge).load(gauge, place)?;
         self.recognise(gauge, place, &window)?;
-        Ok(u16::from_be_bytes([window[at], window[at + 1]]))
+        Ok(gauge.chip.layout.word([window[at], window[at + 1]]))
     }
 
     /// Checks that the gate is open now.
@@ -93,9 +95,10 @@ impl DataFlash {
             return Ok(false);
         };
         let mut cells = 1;
+        let layout = gauge.chip.layout;
         let (before, after) = (
-            Setting::of(gate, known, cells, planned, 0),
-            Setting::of(gate, known, cells, planned, planned.len()),
+            Setting::of((gate, layout), known, cells, planned, 0),
+            Setting::of((gate, layout), known, cells, planned, planned.len()),
         );
         if before == after {
             return Ok(false);
@@ -116,7 +119,7 @@ impl DataFlash {
             let is_late = |block: &Planned| after.limit != before.limit && holds(block) == raised;
             arrange(planned, &|block| (is_late(block).into(), 0));
         }
-        let setting = |stored: usize| Setting::of(gate, known, cells, planned, stored);
+        let setting = |stored: usize| Setting::of((gate, layout), known, cells, planned, stored);
         let before = setting(0);
         // One reading may have a wrong bit.
         let (mut low, mut high) = (voltage_mv, voltage_mv);
@@ -193,7 +196,13 @@ impl Setting {
     }
 
     /// The values after the first `stored` of the blocks. What no block holds is as `known` and `cells` say.
-    fn of(gate: &Gate, known: (i16, u16), cells: u8, planned: &[Planned], stored: usize) -> Self {
+    fn of(
+        (gate, layout): (&Gate, Layout),
+        known: (i16, u16),
+        cells: u8,
+        planned: &[Planned],
+        stored: usize,
+    ) -> Self {
         let byte = |row, otherwise| {
             let changed = planned[..stored].iter().rev().filter(|block| block.changes(row));
             let new = changed.filter_map(|block| block.at(row).map(|at| block.new[at])).next();
@@ -201,8 +210,8 @@ impl Setting {
             new.or_else(old).unwrap_or(otherwise)
         };
         let word = |row, otherwise: u16| {
-            let ([first, second], [high, low]) = (both(row), otherwise.to_be_bytes());
-            u16::from_be_bytes([byte(first, high), byte(second, low)])
+            let ([first, second], [high, low]) = (both(row), layout.bytes_of(otherwise));
+            layout.word([byte(first, high), byte(second, low)])
         };
         let external = gate.external.as_ref();
         Self {
@@ -342,9 +351,10 @@ fn remedy(gate: &Gate) -> String {
 pub(super) fn shut(gauge: &mut Gauge) -> Result<Option<Error>> {
     let voltage = gauge.chip.register(Role::VoltageNow).map(|register| register.source);
     let Some((gate, voltage)) = gauge.chip.gate.as_ref().zip(voltage) else { return Ok(None) };
+    let layout = gauge.chip.layout;
     let mut word = |row| {
         let (place, at) = place_of(row);
-        sequence(gauge).load(gauge, place).map(|window| u16::from_be_bytes([window[at], window[at + 1]]))
+        sequence(gauge).load(gauge, place).map(|window| layout.word([window[at], window[at + 1]]))
     };
     let limit = word(gate.limit)? as i16;
     let now = Setting::now(limit, gate.divider.map(&mut word).transpose()?.unwrap_or(1));
@@ -358,8 +368,8 @@ pub(super) fn shut(gauge: &mut Gauge) -> Result<Option<Error>> {
 }
 
 /// The number that a parameter's bytes encode; all safety limits are on integers.
-pub(super) fn integer(parameter: &Parameter, bytes: &[u8]) -> i64 {
-    match codec::decode(parameter.kind, bytes) {
+pub(super) fn integer(layout: Layout, parameter: &Parameter, bytes: &[u8]) -> i64 {
+    match layout.decode(parameter.kind, bytes) {
         Value::Int(number) => number,
         Value::Float(_) | Value::Text(_) => 0,
     }

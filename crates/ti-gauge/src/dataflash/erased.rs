@@ -6,7 +6,7 @@ use super::window::Window;
 use super::window::{holds_keys, locate};
 use super::{Place, Row};
 use crate::chip::{Chip, Kind, Range};
-use crate::codec::{self, WINDOW};
+use crate::codec::{Layout, WINDOW};
 use crate::error::{Cause, Error};
 use crate::value::Value;
 
@@ -19,7 +19,7 @@ pub fn erased(chip: &'static Chip, bytes: impl Fn(Row) -> Option<Vec<u8>>) -> Ve
     let mut lost = Vec::new();
     for (_, rows) in rows(chip) {
         let ends = erased_end(&rows, &bytes);
-        lost.extend(ends.into_iter().filter(|row| is_forbidden(*row)));
+        lost.extend(ends.into_iter().filter(|row| is_forbidden(chip.layout, *row)));
     }
     lost
 }
@@ -78,7 +78,7 @@ pub(super) fn erased_in(chip: &'static Chip, place: Window, content: &[u8; WINDO
     };
     let rows = rows(chip).into_iter().find(|(window, _)| *window == place).map(|(_, rows)| rows);
     let rows: Vec<Row> = rows.into_iter().flatten().filter(|row| inside(*row).is_some()).collect();
-    erased_end(&rows, inside).into_iter().filter(|row| is_forbidden(*row)).collect()
+    erased_end(&rows, inside).into_iter().filter(|row| is_forbidden(chip.layout, *row)).collect()
 }
 
 /// The rows of flash without keys, and the parameters that end in each of them, by their places.
@@ -112,8 +112,8 @@ fn erased_end(rows: &[Row], bytes: impl Fn(Row) -> Option<Vec<u8>>) -> Vec<Row> 
 }
 
 /// Whether a parameter cannot hold what erased flash reads as.
-fn is_forbidden((_, parameter): Row) -> bool {
-    let value = codec::decode(parameter.kind, &vec![ERASED; parameter.kind.size()]);
+fn is_forbidden(layout: Layout, (_, parameter): Row) -> bool {
+    let value = layout.decode(parameter.kind, &vec![ERASED; parameter.kind.size()]);
     match (&parameter.range, value) {
         (Range::Int { min, max, .. }, Value::Int(value)) => !(*min..=*max).contains(&value),
         (Range::Float { min, max, .. }, Value::Float(value)) => !(*min..=*max).contains(&value),

@@ -12,7 +12,6 @@ use super::schemes::sequence;
 use super::session::{Session, in_time};
 use super::{Change, DataFlash, Place, Row, old_bytes};
 use crate::chip::Kind;
-use crate::codec;
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::{Gauge, Moment, agreed};
 use crate::journal::{OpenJournal, Plan};
@@ -49,9 +48,10 @@ impl DataFlash {
         if let Some(row) = self.learn_marks(gauge)? {
             return Err(self.other_pack(gauge, row));
         }
+        let layout = gauge.chip.layout;
         let as_they_are = rows.iter().map(|&row| {
             let bytes = vec![0; row.1.kind.size()];
-            Change { place: Place::of(row), bytes, row: Some(row), saved: false }
+            Change { place: Place::of(row), bytes, row: Some(row), saved: false, layout }
         });
         let as_they_are: Vec<Change> = as_they_are.collect();
         let mut blocks = gather(gauge, &as_they_are, |gauge, place| sequence(gauge).load(gauge, place))?;
@@ -60,7 +60,7 @@ impl DataFlash {
         let olds = as_they_are
             .iter()
             .zip(rows)
-            .map(|(change, (_, parameter))| codec::decode(parameter.kind, &old_bytes(change, &blocks)));
+            .map(|(change, (_, parameter))| layout.decode(parameter.kind, &old_bytes(change, &blocks)));
         let olds = olds.collect();
         let neighbours = self.neighbours(gauge, &blocks)?;
         let reset = as_they_are.iter().any(|change| change.kind(gauge.chip) == Kind::Reset);

@@ -11,8 +11,7 @@ use super::Row;
 use super::window::Window;
 use super::window::{holds_keys, learned, locate};
 use crate::chip::{Chip, FLAT, Range};
-use crate::codec::Bytes;
-use crate::codec::{self, WINDOW};
+use crate::codec::{Bytes, WINDOW};
 use crate::journal::{Identity, Mark, Plan};
 use crate::value::Value;
 
@@ -127,22 +126,22 @@ pub(super) fn compare<E>(
         }
         if row.1.learned {
             // A counter never goes back.
-            if word(&held) < word(bytes) {
+            if chip.layout.number(&held) < chip.layout.number(bytes) {
                 return Ok(Match::Other(row.1.name.into()));
             }
         } else if held != *bytes {
             return Ok(Match::Other(row.1.name.into()));
         } else {
-            certain |= distinguishes(row, &held);
+            certain |= distinguishes(chip, row, &held);
         }
     }
     if let Some(&(id, offset)) = chip.preflight.pack.as_ref().and_then(|pack| pack.rows.first())
         && let Some(row) = row(chip, id, offset)
     {
         let (place, _) = locate(id, offset);
-        let serial = now.serial.to_be_bytes();
+        let serial = chip.layout.bytes_of(now.serial);
         if now.serial == then.serial {
-            certain |= now.serial != 0 && distinguishes(row, &serial);
+            certain |= now.serial != 0 && distinguishes(chip, row, &serial);
         } else if planned(place).is_none() {
             return Ok(Match::Other("SerialNumber()".into()));
         }
@@ -163,7 +162,7 @@ pub(super) fn shows_another(chip: &'static Chip, then: &Identity, now: &Identity
 pub(super) fn is_named(chip: &'static Chip, now: &Identity) -> bool {
     let number = chip.preflight.pack.as_ref().and_then(|pack| pack.rows.first());
     let row = number.and_then(|&(id, offset)| row(chip, id, offset));
-    row.is_some_and(|row| now.serial != 0 && distinguishes(row, &now.serial.to_be_bytes()))
+    row.is_some_and(|row| now.serial != 0 && distinguishes(chip, row, &chip.layout.bytes_of(now.serial)))
 }
 
 /// The marks of a pack after a plan was carried out or undone: some may be what it writes.
@@ -189,22 +188,18 @@ pub(super) fn serial(chip: &'static Chip, plan: &Plan, is_new: bool) -> Option<u
     let block =
         plan.blocks.iter().find(|block| (block.subclass, block.base) == (place.subclass, place.base))?;
     let bytes = if is_new { &block.new } else { &block.old };
-    chip.serial_register().map(|_| u16::from_be_bytes([bytes[at], bytes[at + 1]]))
-}
-
-fn word(bytes: &[u8]) -> u16 {
-    bytes.iter().fold(0, |word, &byte| word << 8 | u16::from(byte))
+    chip.serial_register().map(|_| chip.layout.word([bytes[at], bytes[at + 1]]))
 }
 
 /// Whether these are not the bytes of every pack from the factory, and not those of erased flash either.
-pub fn distinguishes((_, parameter): Row, bytes: &[u8]) -> bool {
+pub fn distinguishes(chip: &Chip, (_, parameter): Row, bytes: &[u8]) -> bool {
     let default = match parameter.range {
         Range::Int { default, .. } => default.map(Value::Int),
         Range::Float { default, .. } => default.map(Value::Float),
         Range::Text { default } => default.map(|text| Value::Text(text.into())),
     };
     let blank = |blank: u8| bytes.iter().all(|&byte| byte == blank);
-    match default.and_then(|default| codec::encode(parameter.kind, &default)) {
+    match default.and_then(|default| chip.layout.encode(parameter.kind, &default)) {
         Some(default) => default != bytes && !blank(0) && !blank(0xff),
         // An offset is 0 until it has been measured; of a gain without a printed default nothing is known.
         None => matches!(parameter.range, Range::Int { .. }) && !blank(0) && !blank(0xff),

@@ -14,6 +14,7 @@ use crate::chip::{Chip, Kind, Learning, Mode, Role, Source};
 use crate::error::{Cause, Error, Reason, Result, Step};
 use crate::gauge::{Answers, Gauge, Look, Moment, Seal, Statistics, agreed};
 use crate::journal::Identity;
+use crate::registers;
 
 /// Control(ROM_MODE), after which a gauge is a flash programmer at another address.
 const ROM_MODE: u16 = 0x0F00;
@@ -391,7 +392,7 @@ impl Found {
             Source::Status => Some(self.status),
             Source::Command(code) => {
                 let at = usize::from(code).checked_sub(2)?;
-                Some(u16::from_le_bytes([*self.look.behind.get(at)?, *self.look.behind.get(at + 1)?]).into())
+                self.look.behind.get(at..at + 2).map(|word| registers::number(word) as u32)
             }
             Source::Answer(_) => None,
         }

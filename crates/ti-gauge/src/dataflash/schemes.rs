@@ -46,7 +46,7 @@ pub(super) trait Sequence {
     /// Reads a word, believed when the selection is echoed and two readings agree, or its checksum is right.
     fn word(&self, gauge: &mut Gauge, place: Window, at: usize) -> Result<u16> {
         let window = self.load(gauge, place)?;
-        Ok(u16::from_be_bytes([window[at], window[at + 1]]))
+        Ok(gauge.chip.layout.word([window[at], window[at + 1]]))
     }
     /// Whether the block must be in the window before its bytes are changed. Not needed if the bytes are sent
     /// with their address and the checksum covers both.

@@ -6,9 +6,9 @@ use std::time::Duration;
 
 use super::Change;
 use crate::chip::{Chip, Role, Source};
-use crate::codec;
 use crate::error::Result;
 use crate::gauge::{Gauge, agreed};
+use crate::registers;
 use crate::value::Value;
 
 /// Between two looks at a register that is to show what data memory holds, and the time that it has for that.
@@ -33,7 +33,7 @@ pub(crate) fn read_bits(gauge: &mut Gauge, source: Source) -> Result<u32> {
             let size = gauge.chip.register_at(source).map_or(2, |row| row.size.min(4));
             let mut bytes = [0; 4];
             gauge.read(code, &mut bytes[..size.into()])?;
-            Ok(u32::from_le_bytes(bytes))
+            Ok(registers::number(&bytes) as u32)
         }
     }
 }
@@ -86,7 +86,7 @@ impl Copied {
             change.row().is_some_and(|(_, parameter)| parameter.name.replace(' ', "") == register.name)
         })?;
         let kind = change.row()?.1.kind;
-        let word = |bytes: &[u8]| match codec::decode(kind, bytes) {
+        let word = |bytes: &[u8]| match chip.layout.decode(kind, bytes) {
             Value::Int(word) => u16::try_from(word).ok(),
             _ => None,
         };

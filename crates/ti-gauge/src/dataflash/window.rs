@@ -5,7 +5,7 @@
 use std::ops::Range;
 
 use super::Place;
-use crate::chip::{Chip, FLAT, FLAT_FLASH, Kind, Scheme};
+use crate::chip::{Chip, FLAT, Kind};
 use crate::codec::{Bytes, WINDOW};
 
 /// A 32-byte piece of data flash, as the gauge shows it in its window.
@@ -133,14 +133,13 @@ fn learned_values(chip: &Chip, place: Window) -> impl Iterator<Item = Bytes> {
 /// Whether data flash of a part with a flat address space has a row at an address. Beyond its ends the same word is a
 /// subcommand, or nothing that a manual names.
 pub(super) fn has_address(chip: &Chip, base: u16) -> bool {
-    match chip.access.scheme {
-        Scheme::Mac => FLAT_FLASH.contains(&base),
-        // Where this data memory ends is not documented.
-        _ => chip.subclasses.iter().filter(|row| row.id == FLAT).any(|row| {
-            let end = row.start() + row.length;
-            base < end && row.start() < base.saturating_add(WINDOW as u16)
-        }),
+    if !chip.flat.is_empty() {
+        return chip.flat.contains(&base);
     }
+    chip.subclasses.iter().filter(|row| row.id == FLAT).any(|row| {
+        let end = row.start() + row.length;
+        base < end && row.start() < base.saturating_add(WINDOW as u16)
+    })
 }
 
 /// The bytes of a window that belong to keys. Only a flat window can extend beyond its own subclass.

@@ -95,7 +95,7 @@ impl Image {
         for old in compared(self) {
             match new.entries.iter().find(|entry| entry.is(old)) {
                 None => comparison.only_first.push(old),
-                Some(new) if old.bytes() != new.bytes() => {
+                Some(new) if old.bytes(self.chip) != new.bytes(self.chip) => {
                     comparison.differences.push(Difference { old, new, name: self.name(old) });
                 }
                 Some(_) => {}

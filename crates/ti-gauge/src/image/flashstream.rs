@@ -10,7 +10,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use super::target::{chip_like, instead};
 use super::{Faults, Format, Group, Image, Raw, Reading, at_line, check_count, is_written};
 use crate::chip::{CHIPS, Chip, Effect, FLAT, Kind, Parameter, SIBLINGS, Scheme, Subclass};
-use crate::codec::{self, WINDOW, checksum};
+use crate::codec::{WINDOW, checksum};
 
 mod romimage;
 use crate::error::{Cause, Error, Result};
@@ -757,7 +757,8 @@ impl Stream {
                     continue;
                 }
                 let bytes: Vec<u8> = found.iter().map(|(byte, _)| *byte).collect();
-                image.add(subclass, parameter, codec::decode(parameter.kind, &bytes), line);
+                let value = image.chip.layout.decode(parameter.kind, &bytes);
+                image.add(subclass, parameter, value, line);
             }
         }
         image.notes.append(&mut self.notes);
@@ -901,7 +902,7 @@ fn runs(image: &Image) -> Result<Vec<(u16, Vec<u8>)>> {
     entries.sort_by_key(|entry| entry.parameter.offset);
     let mut runs: Vec<(u16, Vec<u8>)> = Vec::new();
     for entry in entries {
-        let bytes = entry.bytes().ok_or_else(|| {
+        let bytes = entry.bytes(image.chip).ok_or_else(|| {
             Error::new(entry.parameter.name, Cause::Invalid, "its value does not fit its type")
         })?;
         let offset = entry.parameter.offset;

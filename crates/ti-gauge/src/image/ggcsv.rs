@@ -8,7 +8,7 @@ mod spreadsheet;
 
 use super::{Entry, Faults, Group, Image, NAMED, Reading, at_line, check_count, chip_of, cut_short, word};
 use crate::chip::{Chip, FLAT, Kind, Parameter, Range, Subclass, kebab_case};
-use crate::codec;
+use crate::codec::Layout;
 use crate::error::{Cause, Error, Result};
 use crate::notation;
 use crate::text;
@@ -46,8 +46,7 @@ const COUNT_LINE: &str = "gaugefs parameters";
 
 /// The image as text.
 pub fn write(image: &Image) -> String {
-    let rows: Vec<[String; 18]> =
-        image.entries.iter().map(|entry| row(entry.subclass, entry.parameter, &entry.value)).collect();
+    let rows: Vec<[String; 18]> = image.entries.iter().map(|entry| row(image.chip.layout, entry)).collect();
     // Not every reader knows quotes: if a value contains a comma, tabs separate the columns.
     let tabs = rows.iter().flatten().any(|field| field.contains(','));
     let (comma, gap) = if tabs { ("\t", "\t") } else { (",", ", ") };
@@ -66,7 +65,8 @@ pub fn write(image: &Image) -> String {
     text
 }
 
-fn row(subclass: &Subclass, parameter: &Parameter, value: &Value) -> [String; 18] {
+fn row(layout: Layout, entry: &Entry) -> [String; 18] {
+    let Entry { subclass, parameter, value, .. } = entry;
     let show = |value: &Value| match (parameter.kind, value) {
         (_, Value::Text(string)) => notation::shown(string),
         (Type::H(_), _) => notation::render(parameter.kind, value).replacen("0x", "", 1),
@@ -92,7 +92,7 @@ fn row(subclass: &Subclass, parameter: &Parameter, value: &Value) -> [String; 18
     };
     let shown = |value: Option<Value>| value.map_or(String::new(), |value| show(&value));
     let base = if subclass.id == FLAT { FLAT_BASE } else { 0 };
-    let raw = codec::encode(parameter.kind, value).unwrap_or_default();
+    let raw = layout.encode(parameter.kind, value).unwrap_or_default();
     [
         subclass.class.to_string(),
         subclass.name.to_string(),
@@ -315,7 +315,7 @@ fn add_row<'a>(
     };
     let bytes = field("data-flash-raw-value").unwrap_or_default().trim();
     let raw = text::unhex(bytes.as_bytes()).filter(|raw| raw.len() == parameter.kind.size());
-    let raw = raw.map(|raw| codec::decode(parameter.kind, &raw));
+    let raw = raw.map(|raw| image.chip.layout.decode(parameter.kind, &raw));
     if is_string {
         if shown.contains('_') && raw.is_none() && !bytes.is_empty() {
             let why = "its bytes in Data Flash Raw Value are damaged, and _ may stand for any of them";
@@ -620,7 +620,7 @@ mod tests {
 
     #[test]
     fn what_a_spreadsheet_has_changed_is_refused_with_the_cause() {
-        let gain = codec::encode(Type::F4, &Value::Float(5.006)).expect("it fits");
+        let gain = Layout::TI.encode(Type::F4, &Value::Float(5.006)).expect("it fits");
         let gain = format!("Calibration,Data,CC Gain,5006,F,f.fff,x,{}", text::hex(&gain));
         for (row, says) in [
             ("Configuration,Data,Device Name,\"ACME", "line 2: a quote that is opened is never closed"),
@@ -659,11 +659,11 @@ mod tests {
     #[test]
     fn a_number_that_is_shown_rounded_is_read_from_its_bytes() {
         let gain = 0.010_123_4_f64;
-        let bytes = codec::encode(Type::F4, &Value::Float(gain)).expect("it fits");
+        let bytes = Layout::TI.encode(Type::F4, &Value::Float(gain)).expect("it fits");
         let row = |shown: &str| {
             value_of(&format!("Calibration,Data,CC Gain,{shown},F,f.fff,x,{}", text::hex(&bytes)))
         };
-        assert_eq!(row("0.010"), notation::render(Type::F4, &codec::decode(Type::F4, &bytes)));
+        assert_eq!(row("0.010"), notation::render(Type::F4, &Layout::TI.decode(Type::F4, &bytes)));
         assert_eq!(row("0.011"), "0.011");
     }
 

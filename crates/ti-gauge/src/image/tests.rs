@@ -34,7 +34,8 @@ pub(super) fn written(image: &Image, format: Format) -> String {
             let mut bytes = vec![0xff; length.into()];
             for entry in image.entries.iter().filter(|entry| entry.subclass.id == id) {
                 let at = usize::from(entry.parameter.offset);
-                bytes[at..at + entry.parameter.kind.size()].copy_from_slice(&entry.bytes().expect("it fits"));
+                bytes[at..at + entry.parameter.kind.size()]
+                    .copy_from_slice(&entry.bytes(image.chip).expect("it fits"));
             }
             Ok(bytes)
         })

@@ -18,7 +18,7 @@ fn a_change_is_what_may_be_written() {
                 let at = format!("{} {}", chip.name, parameter.name);
                 if let Range::Int { min, max, .. } = parameter.range {
                     let of = |value| {
-                        Change::of_value(row, &Value::Int(value), true).map_err(|error| cause(&error))
+                        Change::of_value(chip, row, &Value::Int(value), true).map_err(|error| cause(&error))
                     };
                     if subclass.kind == Kind::Security {
                         assert_eq!(of(min).err(), Some("not-permitted"), "{at}");
@@ -27,7 +27,7 @@ fn a_change_is_what_may_be_written() {
                         refused += 2;
                     }
                     if parameter.unproven && subclass.kind != Kind::Security {
-                        let error = Change::of_value(row, &Value::Int(min), false).expect_err(&at);
+                        let error = Change::of_value(chip, row, &Value::Int(min), false).expect_err(&at);
                         assert_eq!(cause(&error), "io", "{at}: {error}");
                         unproven += 1;
                     }

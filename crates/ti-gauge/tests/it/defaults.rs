@@ -47,7 +47,7 @@ fn defaults_of_the_simulator_match_the_tables() {
             let bytes = rig.dataflash.read(&mut rig.gauge, &[subclass], Duration::ZERO).unwrap().remove(0);
             for parameter in subclass.parameters.iter().filter(|parameter| !parameter.unproven) {
                 let at = usize::from(parameter.offset - subclass.start());
-                let found = codec::decode(parameter.kind, &bytes[at..at + parameter.kind.size()]);
+                let found = codec::Layout::TI.decode(parameter.kind, &bytes[at..at + parameter.kind.size()]);
                 let same = match (&parameter.range, &found) {
                     (Range::Int { default: Some(default), .. }, Value::Int(found)) => found == default,
                     (Range::Float { default: Some(default), .. }, Value::Float(found)) => {
@@ -90,7 +90,7 @@ fn a_new_gauge_read_through_the_engine_holds_the_tables_defaults() {
                     _ => continue,
                 };
                 let at = usize::from(row.offset - subclass.start());
-                let found = codec::decode(row.kind, &read[at..at + row.kind.size()]);
+                let found = codec::Layout::TI.decode(row.kind, &read[at..at + row.kind.size()]);
                 let same = match (&found, &expected) {
                     // An F4 is exact to about seven digits.
                     (Value::Float(found), Value::Float(expected)) => (found / expected - 1.0).abs() < 1e-6,

@@ -59,12 +59,14 @@ fn image_of(rig: &mut Rig) -> Image {
 
 /// Imports a file. Returns what of it is passed over.
 fn import(rig: &mut Rig, text: &str) -> Vec<String> {
+    let chip = rig.gauge.chip;
     let here = image_of(rig);
     let mut file = Image::parse(text, Some(rig.gauge.chip)).expect("an image");
     file.keep_reserved(&here);
     let changes = here.changes(&file, &[], false).expect("values in range");
     let change = |entry: &ti_gauge::image::Entry| {
-        Change::of_value((entry.subclass, entry.parameter), &entry.value, false).expect("it is in range")
+        Change::of_value(chip, (entry.subclass, entry.parameter), &entry.value, false)
+            .expect("it is in range")
     };
     let all: Vec<_> = changes.changes.iter().map(|difference| change(difference.new)).collect();
     rig.dataflash.write(&mut rig.gauge, &all, Duration::ZERO).expect("it is written");
@@ -175,9 +177,9 @@ fn fill(rig: &Rig, content: &[(&'static Subclass, Vec<u8>)]) -> usize {
             let at = usize::from(row.offset - subclass.start());
             let old = &bytes[at..at + row.kind.size()];
             is_parameter[at..at + old.len()].fill(true);
-            let old = codec::decode(row.kind, old);
+            let old = codec::Layout::TI.decode(row.kind, old);
             if let Some(value) = other_value(rig.gauge.chip, subclass, row, &old) {
-                put(at, &codec::encode(row.kind, &value).expect("a value in range"));
+                put(at, &codec::Layout::TI.encode(row.kind, &value).expect("a value in range"));
             }
         }
         // A flat part has a place for all that it computes with, named or not.
@@ -225,7 +227,8 @@ fn clone_by(chip: &'static Chip, format: Format) {
     let changes = here.changes(&file, &[], true).unwrap_or_else(|error| panic!("{at}: {error}"));
     assert!(changes.passed_over.is_empty(), "{at}: {:?}", changes.passed_over);
     let raw = file.raw_changes(|id| of(&before, id), true).unwrap_or_else(|error| panic!("{at}: {error}"));
-    let of_entry = |entry: &Entry| Change::of_value((entry.subclass, entry.parameter), &entry.value, true);
+    let of_entry =
+        |entry: &Entry| Change::of_value(chip, (entry.subclass, entry.parameter), &entry.value, true);
     let mut all: Vec<_> =
         changes.changes.iter().map(|change| of_entry(change.new).expect("it fits")).collect();
     for run in raw {

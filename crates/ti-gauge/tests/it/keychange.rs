@@ -575,7 +575,8 @@ fn regression_a_power_cut_in_a_change_of_keys_cannot_be_settled() {
                         let row = rig.gauge.chip.subclasses.iter().find(|row| row.kind != Kind::Security);
                         let row = row.expect("a subclass");
                         let mut others = row.parameters.iter();
-                        let one = |one| Change::of_value((row, one), &Value::Int(1), true).ok();
+                        let one =
+                            |one| Change::of_value(rig.gauge.chip, (row, one), &Value::Int(1), true).ok();
                         let other = others.find_map(one).expect("a number that may be 1");
                         assert_eq!(cause(&rig.write_all(&[other]).expect_err("refused")), "busy", "{at}");
                         assert!(rig.clock.now() - wrong < Duration::from_secs(1), "{at}");

@@ -18,6 +18,7 @@ mod gauge;
 mod image;
 mod journal;
 mod keychange;
+mod layout;
 mod learning;
 mod places;
 mod power;

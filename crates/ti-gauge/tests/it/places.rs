@@ -419,8 +419,8 @@ fn regression_a_write_beside_erased_parameters_was_made() {
         let changes: Vec<Change> = rows
             .filter(inside)
             .map(|row| {
-                let value = codec::decode(row.1.kind, &whole(row).expect("it was read"));
-                Change::of_value(row, &value, true).expect("a value in range")
+                let value = codec::Layout::TI.decode(row.1.kind, &whole(row).expect("it was read"));
+                Change::of_value(rig.gauge.chip, row, &value, true).expect("a value in range")
             })
             .collect();
         rig.write_all(&changes).expect("it is whole then");

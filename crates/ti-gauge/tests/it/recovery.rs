@@ -1139,7 +1139,8 @@ fn regression_a_value_that_was_rewritten_after_an_interrupted_write_needed_a_per
         for own in [own, 0xffff] {
             let write = |rig: &Rig, cut| {
                 let row = rig.gauge.chip.row(&id.to_string(), &offset.to_string()).expect("a parameter");
-                let change = Change::parse(row, new.to_string().as_bytes(), false).expect("it fits");
+                let change =
+                    Change::parse(rig.gauge.chip, row, new.to_string().as_bytes(), false).expect("it fits");
                 host(rig, &folder, cut, |dataflash, gauge| dataflash.write(gauge, &[change], Duration::ZERO))
             };
             let (said, transfers) = write(&Rig::calibrated(chip, Seal::Sealed), None);

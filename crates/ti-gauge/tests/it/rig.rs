@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use gauge_bus::clock::{Clock, SimClock};
 use gauge_sim::{Options, Sim};
-use ti_gauge::chip::{Chip, FLAT, Parameter, Subclass};
+use ti_gauge::chip::{CHIPS, Chip, FLAT, Parameter, Subclass};
 use ti_gauge::codec;
 use ti_gauge::dataflash::{Change, DataFlash, Outcome, Row};
 use ti_gauge::error::{Error, Result};
@@ -95,13 +95,13 @@ impl Rig {
 
     pub(crate) fn change_of(chip: &'static Chip, subclass: u8, offset: u16, text: &str) -> Change {
         let (subclass, parameter) = Self::find_in(chip, subclass, offset);
-        Change::parse((subclass, parameter), text.as_bytes(), true).expect("a value in range")
+        Change::parse(chip, (subclass, parameter), text.as_bytes(), true).expect("a value in range")
     }
 
     /// Writes a parameter. The outcome is without the bytes that it replaced, so that tests can compare it.
     pub(crate) fn write(&mut self, subclass: u8, offset: u16, text: &str) -> Result<Outcome> {
         let row = self.find(subclass, offset);
-        let change = Change::parse(row, text.as_bytes(), true)?;
+        let change = Change::parse(self.gauge.chip, row, text.as_bytes(), true)?;
         self.dataflash.write(&mut self.gauge, &[change], Duration::ZERO).map(without_old)
     }
 
@@ -148,7 +148,14 @@ pub(crate) fn another((subclass, parameter): Row, old: &[u8]) -> Option<Change> 
     let mut changes = (0..8).filter_map(|bit| {
         let mut bytes = old.to_vec();
         *bytes.last_mut()? ^= 1 << bit;
-        Change::of_value((subclass, parameter), &codec::decode(parameter.kind, &bytes), true).ok()
+        // The layout of the parts with this engine's tests.
+        Change::of_value(
+            CHIPS[0],
+            (subclass, parameter),
+            &codec::Layout::TI.decode(parameter.kind, &bytes),
+            true,
+        )
+        .ok()
     });
     changes.find(|change| change.bytes() != old)
 }

@@ -306,11 +306,12 @@ fn a_saved_word_keeps_the_bits_that_must_not_change() {
                 let old = rig.read(subclass.id, parameter.offset).expect("a read");
                 let other: Vec<u8> = old.iter().map(|byte| !byte).collect();
                 // Bits that the manual has none for are out of its range.
-                let other = match (codec::decode(parameter.kind, &other), &parameter.range) {
+                let other = match (codec::Layout::TI.decode(parameter.kind, &other), &parameter.range) {
                     (Value::Int(word), Range::Int { max, .. }) => Value::Int(word & max),
                     (other, _) => other,
                 };
-                let change = Change::of_value((subclass, parameter), &other, true).expect("bits").saved();
+                let change =
+                    Change::of_value(chip, (subclass, parameter), &other, true).expect("bits").saved();
                 let outcome = rig.dataflash.write(&mut rig.gauge, &[change], Duration::ZERO);
                 let now = rig.read(subclass.id, parameter.offset).expect("a read");
                 let word = |bytes: &[u8]| bytes.iter().fold(0, |word, &byte| word << 8 | u64::from(byte));

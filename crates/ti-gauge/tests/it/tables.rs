@@ -311,6 +311,18 @@ fn parameters_are_in_order_inside_their_subclass_and_do_not_overlap() {
     }
 }
 
+/// The range decides what may be selected on a part without subclasses.
+#[test]
+fn flash_with_flat_addresses_has_a_range_with_all_of_its_rows() {
+    for chip in CHIPS {
+        assert_eq!(chip.flat.is_empty(), chip.access.scheme != Scheme::Mac, "{}", chip.name);
+        for subclass in chip.subclasses.iter().filter(|_| !chip.flat.is_empty()) {
+            let last = subclass.start() + subclass.length - 1;
+            assert!(chip.flat.contains(&subclass.start()) && chip.flat.contains(&last), "{}", subclass.name);
+        }
+    }
+}
+
 #[test]
 fn flat_groups_end_with_their_last_parameter_and_lie_in_data_flash() {
     let flat = CHIPS.iter().flat_map(|chip| chip.subclasses).filter(|subclass| subclass.id == FLAT);
@@ -336,7 +348,7 @@ fn default_bytes(parameter: &Parameter) -> Option<Vec<u8>> {
         Range::Float { default, .. } => Value::Float((*default)?),
         Range::Text { default } => Value::Text((*default)?.into()),
     };
-    codec::encode(parameter.kind, &value)
+    codec::Layout::TI.encode(parameter.kind, &value)
 }
 
 #[test]
@@ -371,7 +383,7 @@ fn a_signature_is_an_existing_parameter_and_not_a_key() {
 
 fn fits(signature: &Signature, bytes: &[u8]) -> bool {
     let bytes = &bytes[..signature.kind.size()];
-    let Value::Int(value) = codec::decode(signature.kind, bytes) else { panic!("an integer") };
+    let Value::Int(value) = codec::Layout::TI.decode(signature.kind, bytes) else { panic!("an integer") };
     (signature.min..=signature.max).contains(&value)
 }
 
@@ -898,7 +910,7 @@ fn an_image_of_a_bq27421_g1_proves_its_rows() {
         let holds = |row: &Parameter| {
             let found = &bytes[usize::from(row.offset)..][..row.kind.size()];
             let Range::Int { min, max, default } = row.range else { panic!("{}", row.name) };
-            let Value::Int(value) = codec::decode(row.kind, found) else { panic!("{}", row.name) };
+            let Value::Int(value) = codec::Layout::TI.decode(row.kind, found) else { panic!("{}", row.name) };
             assert!((min..=max).contains(&value), "{} {value}", row.name);
             default == Some(value) && value != 0
         };

@@ -86,7 +86,7 @@ struct Life {
 pub fn days(chip: &'static Chip, days: Range<u32>, seed: u64, remedy: Remedy<'_>) -> Errors {
     let rows = chip.subclasses.iter().flat_map(|class| class.parameters.iter().map(move |row| (class, row)));
     let row = rows.into_iter().find(|(_, row)| row.name == "Design Capacity").expect("each has one");
-    let profile = vec![Change::of_value(row, &Value::Int(DESIGN), false).expect("it fits").saved()];
+    let profile = vec![Change::of_value(chip, row, &Value::Int(DESIGN), false).expect("it fits").saved()];
     let run = match remedy {
         Remedy::Nothing => Run::default(),
         Remedy::Profile => Run { profile: profile.clone(), ..Run::default() },

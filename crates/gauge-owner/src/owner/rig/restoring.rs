@@ -34,7 +34,7 @@ pub fn values(chip: &'static Chip, all: bool) -> Vec<Change> {
     let change = |row: Row| {
         let Range::Int { min, max, .. } = row.1.range else { return None };
         let values = [(min + max) / 2, min + 1, max / 3, 4000, 1800, 12];
-        let fits = |value: &i64| Change::of_value(row, &Value::Int(*value), false).ok();
+        let fits = |value: &i64| Change::of_value(chip, row, &Value::Int(*value), false).ok();
         values.iter().filter(|&&value| (min..=max).contains(&value)).find_map(fits).map(Change::saved)
     };
     rows.filter(is_wanted).filter_map(change).collect()

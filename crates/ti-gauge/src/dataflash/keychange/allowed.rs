@@ -2,7 +2,7 @@
 
 //! Which keys may be changed, and to what.
 
-use super::ring::{ADDRESSES, ERASED, SEALS, SUBCOMMANDS};
+use super::ring::{ERASED, SEALS, SUBCOMMANDS};
 use crate::chip::{Chip, KeyBlock, KeyStorage};
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::Gauge;
@@ -31,9 +31,8 @@ pub(super) fn block_of(chip: &'static Chip, name: Name) -> Result<&'static KeyBl
 /// Refuses keys that would leave a gauge open or be taken for something else. The manual's defaults are
 /// allowed, so that a pack can be handed on with them.
 pub(super) fn check_new(gauge: &Gauge, change: &KeyChange) -> Result<()> {
-    let refuse = |why: &'static str| {
-        Err(Error::new("", Cause::OutOfRange, format!("the new key {why}")).at(Step::Check))
-    };
+    let refuse =
+        |why: &str| Err(Error::new("", Cause::OutOfRange, format!("the new key {why}")).at(Step::Check));
     if change.new == change.old {
         let why = "the new key is the old one";
         return Err(Error::new("", Cause::Invalid, why).at(Step::Check));
@@ -62,8 +61,13 @@ pub(super) fn check_new(gauge: &Gauge, change: &KeyChange) -> Result<()> {
     if words.iter().any(|word| *word < SUBCOMMANDS || known(word)) {
         return refuse("has a word that is a subcommand, which the manual forbids");
     }
-    if gauge.chip.access.scheme.is_flat() && words.iter().any(|word| ADDRESSES.contains(word)) {
-        return refuse("has a word that is an address of data flash (0x4000 to 0x43ff)");
+    let flat = &gauge.chip.flat;
+    if words.iter().any(|word| flat.contains(word)) {
+        let last = flat.end - 1;
+        return refuse(&format!(
+            "has a word that is an address of data flash (0x{:04x} to 0x{last:04x})",
+            flat.start
+        ));
     }
     Ok(())
 }

@@ -9,8 +9,6 @@ use crate::keys::{Name, Secret};
 
 /// Words below this are, or may become, subcommands of any part.
 pub(super) const SUBCOMMANDS: u16 = 0x0100;
-/// Words that ManufacturerAccessControl() takes for addresses.
-pub(super) const ADDRESSES: std::ops::Range<u16> = 0x4000..0x4400;
 /// Content of erased flash.
 pub(super) const ERASED: u16 = 0xffff;
 /// Bytes of an authentication key.
@@ -61,7 +59,7 @@ pub(super) fn is_harmless(gauge: &Gauge, key: &Secret) -> bool {
     let is_command = |word: &u16| {
         *word < SUBCOMMANDS
             || gauge.chip.subcommands.iter().any(|subcommand| subcommand.code == *word)
-            || gauge.chip.access.scheme.is_flat() && ADDRESSES.contains(word)
+            || gauge.chip.flat.contains(word)
     };
     !key.words().iter().any(is_command)
 }

@@ -64,7 +64,7 @@ impl Task<'_> {
             }
             let at = self.at(name);
             let present = unstored(&window[at..at + 4], self.block.order);
-            let erased = ERASED.to_be_bytes();
+            let erased = ERASED.to_ne_bytes();
             let is_left = (0..4).step_by(2).all(|word| {
                 let word = word..word + 2;
                 present.bytes()[word.clone()] == erased
@@ -95,7 +95,7 @@ impl Task<'_> {
         let present = &window[at..at + LENGTH_OF_KEY];
         let word = |at: usize| {
             let word = at..at + 2;
-            [&old.bytes()[word.clone()], &new.bytes()[word.clone()], &ERASED.to_be_bytes()]
+            [&old.bytes()[word.clone()], &new.bytes()[word.clone()], &ERASED.to_ne_bytes()]
                 .contains(&&present[word])
         };
         if (0..present.len()).step_by(2).all(word) && !self.is_stored(window, old, *name) {

@@ -102,7 +102,7 @@ impl Sequence for Block {
                 let wanted = &mut bytes[..2 + at + 2];
                 gauge.read(DATA_FLASH_CLASS, wanted).map_err(|error| error.at(Step::ReadBlock))?;
                 let echoed = wanted[..2] == [place.subclass, block_of(place)?];
-                let now = echoed.then(|| u16::from_be_bytes([wanted[2 + at], wanted[3 + at]]));
+                let now = echoed.then(|| gauge.chip.layout.word([wanted[2 + at], wanted[3 + at]]));
                 match now {
                     Some(word) if now == before => return Ok(word),
                     _ => before = now,

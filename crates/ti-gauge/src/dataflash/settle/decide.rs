@@ -9,7 +9,7 @@ use super::Decision;
 use super::pending::Pending;
 use super::task::{Shown, compare_seen, number_of};
 use crate::chip::{Chip, Kind};
-use crate::codec::{self, WINDOW};
+use crate::codec::WINDOW;
 use crate::dataflash::keychange::way_out;
 use crate::dataflash::pack::Match;
 use crate::dataflash::planned::{Seen, look};
@@ -230,7 +230,7 @@ fn table(chip: &Chip, seen: &[Seen]) -> String {
                 continue;
             }
             let show = |bytes: &[u8; WINDOW]| {
-                notation::render(parameter.kind, &codec::decode(parameter.kind, &bytes[range.clone()]))
+                notation::render(parameter.kind, &chip.layout.decode(parameter.kind, &bytes[range.clone()]))
             };
             table += &format!(
                 "{}\t{}\t{}\t{}\t{}\n",

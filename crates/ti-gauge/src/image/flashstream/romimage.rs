@@ -8,7 +8,7 @@
 
 use super::{Command, DEVICE_TYPE, FW_VERSION, GAUGE, ROM, ROM_MODE, identity};
 use crate::chip::{CHIPS, Chip, Kind, RomImage, Subclass};
-use crate::codec::{self, WINDOW};
+use crate::codec::WINDOW;
 use crate::error::{Cause, Error, Result};
 use crate::image::target::versions;
 use crate::image::{Faults, Group, Image, LeftOut, Raw, at_line, cut_short};
@@ -312,7 +312,7 @@ impl Rom {
             subclass.parameters.iter().all(|row| {
                 let at = usize::from(start + row.offset);
                 let stored = &bytes[at..at + row.kind.size()];
-                match (row.kind, codec::decode(row.kind, stored)) {
+                match (row.kind, chip.layout.decode(row.kind, stored)) {
                     (Type::S(size), value) => {
                         let is_text = stored[0] < size
                             && stored[1..=usize::from(stored[0])]
@@ -361,7 +361,8 @@ impl Rom {
                 let (from, size) = (usize::from(row.offset), row.kind.size());
                 is_parameter[from..from + size].fill(true);
                 let at = start + from;
-                image.add(subclass, row, codec::decode(row.kind, &bytes[at..at + size]), self.line(at));
+                let value = image.chip.layout.decode(row.kind, &bytes[at..at + size]);
+                image.add(subclass, row, value, self.line(at));
             }
             for offset in (0..length).filter(|&offset| !is_parameter[offset]) {
                 let (line, byte) = (self.line(start + offset), bytes[start + offset]);
