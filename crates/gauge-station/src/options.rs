@@ -9,7 +9,7 @@ use ti_gauge::{date, text};
 
 /// The table `[station]` of a station's file.
 #[derive(Clone, Debug, Default)]
-// The tests write them as a file does.
+// Tests write them as a file does.
 #[cfg_attr(test, derive(serde::Deserialize), serde(rename_all = "kebab-case", default, deny_unknown_fields))]
 pub struct Options {
     /// Name in the records; by default the file's.
@@ -34,13 +34,13 @@ pub struct Options {
     pub serial: Option<SerialFrom>,
     /// First number of the counter; by default 1.
     pub first_serial: Option<i64>,
-    /// The counter's numbers are shown in hexadecimal: the station's file has them so.
+    /// The station's file has the counter's numbers in hexadecimal, so they are shown so.
     pub serial_is_hex: bool,
     /// Last number of the counter; by default the largest that fits.
     pub last_serial: Option<i64>,
     /// File with one serial number a line.
     pub serial_list: Option<PathBuf>,
-    /// The parameter that holds it; by default the one named Serial Number.
+    /// The parameter for the serial number; by default the one named Serial Number.
     pub serial_parameter: Option<String>,
     /// Manufacture Date: today, or YYYY-MM-DD.
     pub date: Option<String>,
@@ -59,42 +59,42 @@ pub struct Options {
     pub board_offset: bool,
     /// Calibrate the offset of the converter.
     pub cc_offset: bool,
-    /// Calibrate Voltage() to that many mV.
+    /// Calibrate Voltage() to this many mV.
     pub voltage: Option<f64>,
-    /// Calibrate Current() to that many mA.
+    /// Calibrate Current() to this many mA.
     pub current: Option<f64>,
-    /// Calibrate Temperature() to that many degrees Celsius.
+    /// Calibrate Temperature() to this many degrees Celsius.
     pub temperature: Option<f64>,
-    /// What Voltage() may be off after its calibration or the bring-up, in mV.
+    /// Tolerance of Voltage() after its calibration or the bring-up, in mV.
     pub voltage_tolerance: Option<f64>,
-    /// What Current() may be off after its calibration, in mA.
+    /// Tolerance of Current() after its calibration, in mA.
     pub current_tolerance: Option<f64>,
-    /// What Temperature() may be off after its calibration, in K.
+    /// Tolerance of Temperature() after its calibration, in K.
     pub temperature_tolerance: Option<f64>,
-    /// What Current() may show without a current after the calibration of an offset, in mA.
+    /// Tolerance of Current() without a current after the calibration of an offset, in mA.
     pub offset_tolerance: Option<f64>,
 
     /// Leave the packs sealed; by default true.
     pub seal: Option<bool>,
-    /// Key file with the keys that the packs get.
+    /// Key file with the packs' new keys.
     pub new_key_file: Option<PathBuf>,
     /// How to treat a pack that was programmed before; by default refuse.
     pub seen: Option<Seen>,
-    /// How to treat an interrupted write that may have been another pack's; by default refuse.
+    /// How to treat an interrupted write that may be another pack's; by default refuse.
     pub unsettled: Option<Unsettled>,
     /// Ask for a label of each pack.
     pub label: bool,
-    /// The parameter that holds it; by default it is in the record only.
+    /// The parameter for the label; by default only the record has it.
     pub label_parameter: Option<String>,
     /// Program to run at each outcome, with its arguments; none if that is empty.
     pub exec: Vec<String>,
-    /// End the station after that many failures in a row; by default it goes on.
+    /// End the station after this many failures in a row; by default it goes on.
     pub stop_after_failures: Option<u64>,
-    /// Wait after the first pack of a run until somebody has confirmed that it is right.
+    /// Wait after the first pack of a run until somebody has confirmed it.
     pub confirm_first: bool,
-    /// What the simulated packs are like that come one after the other; see [`Rehearsed::parse`].
+    /// Events of a rehearsal, one per simulated pack; see [`Rehearsed::parse`].
     pub rehearse: Vec<String>,
-    /// How many simulated packs come one after the other; by default as many as are rehearsed, or 1.
+    /// Number of simulated packs; by default one per event, or 1.
     pub packs: Option<u32>,
 }
 
@@ -121,7 +121,7 @@ pub enum Seen {
     Redo,
 }
 
-/// How to treat an interrupted write that may have been another pack's.
+/// How to treat an interrupted write that may be another pack's.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(test, derive(serde::Deserialize), serde(rename_all = "kebab-case"))]
 pub enum Unsettled {
@@ -132,14 +132,14 @@ pub enum Unsettled {
     Discard,
 }
 
-/// What a simulated pack is like that comes in a rehearsal.
+/// A simulated pack of a rehearsal.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Rehearsed {
     /// As the station's file says.
     Good,
-    /// Taken off at that transfer, counted from when it was connected.
+    /// Taken off at that transfer after it was connected.
     Pulled(u32),
-    /// Another part than that of the image.
+    /// Another part than the image's.
     OtherPart,
     /// Another unseal key than the station knows.
     OtherKey,
@@ -148,7 +148,7 @@ pub enum Rehearsed {
 }
 
 impl Rehearsed {
-    /// Reads one of `good`, `pulled N`, `other-part`, `other-key` and `dead-meter`. An error says what would be accepted.
+    /// Reads one of `good`, `pulled N`, `other-part`, `other-key` and `dead-meter`. An error lists them.
     pub fn parse(word: &str) -> Result<Self, String> {
         let words: Vec<&str> = word.split_whitespace().collect();
         Ok(match words[..] {
@@ -166,19 +166,18 @@ impl Rehearsed {
             ["other-key"] => Self::OtherKey,
             ["dead-meter"] => Self::DeadMeter,
             _ => {
-                let why = "is none of: good, pulled N, other-part, other-key, dead-meter";
+                let why = "is not an event; use good, pulled N, other-part, other-key or dead-meter";
                 return Err(format!("`{}` {why}", text::printable(word)));
             }
         })
     }
 }
 
-/// A manufacture date.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Date {
     /// The day on which the pack is programmed.
     Today,
-    /// A given day, as data flash has it.
+    /// A given day, in data flash's format.
     Day(i64),
 }
 
@@ -186,7 +185,7 @@ pub(crate) enum Date {
 pub type Refused = (&'static str, String);
 
 impl Options {
-    /// Refuses bad values, and keys that do not belong together.
+    /// Refuses bad values and contradicting keys.
     pub fn check(&self) -> Result<(), Refused> {
         let refuse = |key, why: &str| Err((key, why.to_string()));
         self.groups()?;
@@ -261,7 +260,6 @@ impl Options {
         names.iter().map(group).collect()
     }
 
-    /// What the simulated packs are like.
     pub(crate) fn rehearsed(&self) -> Result<Vec<Rehearsed>, Refused> {
         self.rehearse
             .iter()
@@ -270,7 +268,6 @@ impl Options {
             .map_err(|why| ("rehearse", why))
     }
 
-    /// The manufacture date.
     pub(crate) fn date(&self) -> Result<Option<Date>, Refused> {
         let date = |text: &String| match text.as_str() {
             "today" => Ok(Date::Today),

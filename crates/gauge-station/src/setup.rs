@@ -12,7 +12,7 @@ use gauge_owner::GaugeOptions;
 pub struct Setup {
     /// What it does with each pack.
     pub options: Options,
-    /// The places at which packs are connected, each with its name.
+    /// The places for packs, with their names.
     pub gauges: Vec<(String, GaugeOptions)>,
     /// Its name in the records.
     pub name: String,
@@ -25,7 +25,7 @@ pub struct Setup {
 }
 
 impl Setup {
-    /// The station of a file with that absolute path, beside which it keeps its record unless the options say otherwise.
+    /// The station of a file with that absolute path. Its record is beside the file unless the options say otherwise.
     pub fn new(file: &Path, options: Options, gauges: Vec<(String, GaugeOptions)>) -> Self {
         let stem = file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
         let record = options.record.clone().unwrap_or_else(|| file.with_extension("jsonl"));

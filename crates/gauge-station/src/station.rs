@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT
 
-//! A station that programs one pack after the other.
+//! A station that programs pack after pack.
 //!
-//! `pack` is the way of one pack, `target` what it is asked to have, `record` the file that says what became of each,
-//! and `serial` gives the numbers. Each bus has a thread of its own; the record is what they share.
+//! `pack` is a pack's way, `target` its goal, `record` the file of outcomes, and `serial` the source of numbers. Each
+//! bus has its own thread; they share the record.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -57,16 +57,16 @@ use slot::Place;
 use tally::Tally;
 pub use tally::Totals;
 
-/// Time between two looks for a pack: less than anybody takes to exchange one.
+/// Interval of looks for a pack: shorter than any exchange.
 const LOOK: Duration = Duration::from_millis(200);
-/// Looks in a row that must find a pack, or none: contacts bounce.
+/// Consecutive looks that must agree: contacts bounce.
 const STEADY: u32 = 7;
-/// What somebody is told if the contact to a pack that is done with was broken for a moment.
+/// The warning after a short break of the contact to a finished pack.
 const MAYBE_ANOTHER: &str =
     "the contact was broken, so another pack may be there, which was not programmed: take it off";
 
-/// Programs pack after pack, at all places of a station at the same time, until `packs` have been begun, there are no
-/// more, or `stops` is set. Returns whether all have passed; one that an earlier run has left unfinished has not.
+/// Programs packs at all places of a station at the same time, until `packs` have been begun, there are no more, or
+/// `stops` is set. Returns whether all have passed; an unfinished pack of an earlier run has not.
 pub fn run(
     plan: Plan,
     clock: &Arc<dyn Clock>,
@@ -93,19 +93,19 @@ trait Slot: Send {
     fn clock(&self) -> Arc<dyn Clock>;
     /// A bus to the pack.
     fn bus(&mut self) -> Box<dyn Bus>;
-    /// Whether a pack is connected; `None` if there will never be one again.
+    /// Whether a pack is connected; `None` if none will ever be connected again.
     fn is_there(&mut self) -> Option<bool>;
-    /// The pack is done with.
+    /// The pack is finished.
     fn done(&mut self) {}
-    /// The reason why there will never be a pack again, if that is a failure.
+    /// Why no pack will be connected again, if that is a failure.
     fn error(&mut self) -> Option<Error> {
         None
     }
 }
 
-/// The source of typed or scanned lines. `None` at their end.
+/// The source of typed or scanned lines; `None` at their end.
 pub trait Scanner: Send {
-    /// Asks for a line. The text says for what.
+    /// Asks for a line; the text says for what.
     fn line(&mut self, what: &str) -> Option<String>;
 }
 
@@ -115,7 +115,7 @@ pub trait Screen: Send + Sync {
     fn outcome(&self, line: &str);
     /// Tells somebody what to do, or what the station is doing.
     fn prompt(&self, line: &str);
-    /// What a slot shows from now on, with a line about it.
+    /// Sets a slot's sign, with a line about it.
     fn sign(&self, _slot: &str, _sign: Sign, _what: &str) {}
     /// The outcomes of this run so far.
     fn totals(&self, _totals: &Totals) {}
@@ -137,14 +137,12 @@ impl fmt::Display for Progress {
     }
 }
 
-/// One place of a station at which packs are connected.
+/// A place of a station.
 struct Bench {
     name: String,
     options: GaugeOptions,
     keys: Keys,
-    /// The keys that the packs get.
     new_keys: Option<Keys>,
-    /// Its name in messages.
     subject: String,
     /// The folder of its journal and backups, and its name there.
     place: (PathBuf, String),
@@ -152,7 +150,7 @@ struct Bench {
     is_fast: bool,
 }
 
-/// The part that all benches of a station share.
+/// What all benches of a station share.
 struct Station {
     plan: Plan,
     serials: Serials,
@@ -160,13 +158,11 @@ struct Station {
     record: Mutex<Record>,
     desk: Desk,
     who: String,
-    /// Packs that may still be begun.
     left: AtomicU64,
     failures: AtomicU64,
     tally: Mutex<Tally>,
     first: First,
     stops: Arc<AtomicBool>,
-    /// No further pack is begun.
     halted: AtomicBool,
 }
 
@@ -195,12 +191,12 @@ impl Plan {
         self.setup.gauges.iter().map(|(name, _)| name.as_str())
     }
 
-    /// Whether packs keep what no document describes.
+    /// Whether undocumented bytes of packs stay.
     fn leaves_undocumented(&self) -> bool {
         self.setup.options.groups().is_ok_and(|groups| groups.contains(&Group::Undocumented))
     }
 
-    /// Reads and checks both.
+    /// Reads and checks the image and the station's file.
     pub fn read(image_path: &Path, setup: Setup) -> Result<Self> {
         let name = input::name(image_path);
         let source = input::Source::read(image_path)?;
@@ -226,7 +222,7 @@ impl Plan {
         Self::of(image, image_name, image_sum, setup).map_err(|error| error.within(&file))
     }
 
-    /// The work of the station on packs that get an image.
+    /// The plan for packs with this image.
     fn of(mut image: Image, image_name: String, image_sum: String, setup: Setup) -> Result<Self> {
         let invalid = |subject: &str, why: String| Error::new(subject, Cause::Invalid, why);
         let chip = image.chip;
@@ -294,7 +290,7 @@ impl Plan {
         });
         let keys = keys.collect::<Result<Vec<_>>>()?;
         let plan = Self { setup, image, image_name, image_sum, serial_row, label_row, date_row, date, keys };
-        // What a list holds is checked as well.
+        // The list's content is checked too.
         Serials::of(&plan.setup.options, plan.serial_row)?;
         Ok(plan)
     }
@@ -319,7 +315,7 @@ impl Plan {
         text
     }
 
-    /// What stands in the way at the station's places, as far as that can be seen without a transfer.
+    /// Obstacles at the station's places, as far as they show without a transfer.
     pub fn check(&self, clock: &Arc<dyn Clock>) -> Vec<Error> {
         let check = |(name, gauge): &(String, GaugeOptions)| {
             let checked = Source::of(gauge).and_then(|source| source.check(Path::new(""), clock));
@@ -328,11 +324,11 @@ impl Plan {
         self.setup.gauges.iter().filter_map(check).collect()
     }
 
-    /// Refuses to begin a record where images of these gauges are: their record is missing, and with it the serial
-    /// numbers that were given.
+    /// Refuses to begin a record where images of these gauges exist: their record is missing, and with it the given
+    /// serial numbers.
     fn check_images(&self) -> Result<()> {
         let images = &self.setup.images;
-        // The one from before is saved before the pack is on record.
+        // The image from before is saved before the pack is on record.
         let of_gauge = |name: &str| {
             let Some((number, rest)) = name.split_once('-') else { return false };
             let is_number = number.len() >= 6 && number.bytes().all(|byte| byte.is_ascii_digit());
@@ -354,7 +350,6 @@ impl Plan {
         }
     }
 
-    /// The part of all packs.
     fn chip(&self) -> &'static Chip {
         self.image.chip
     }
@@ -363,7 +358,7 @@ impl Plan {
     fn bench(&self, at: usize, subject: String, is_fast: bool, journal_key: Option<String>) -> Result<Bench> {
         let (keys, new_keys) = self.keys[at].clone();
         let folder = self.setup.options.state_dir.as_deref().or(Some(&self.setup.images));
-        // A journal of packs on a bus is where a mount would look for it.
+        // A mount looks for journals of packs on a bus there.
         let folder = if journal_key.is_some() { self.setup.options.state_dir.as_deref() } else { folder };
         let place = journal_dir::place(folder, journal_key)?.unwrap_or_default();
         let (name, options) = self.setup.gauges[at].clone();
@@ -371,7 +366,6 @@ impl Plan {
     }
 }
 
-/// An error about a key of the station's file.
 fn of_key((key, why): (&str, String)) -> Error {
     Error::new(key, Cause::Invalid, why)
 }
@@ -383,7 +377,7 @@ fn own_row(chip: &'static Chip, key: &str, parameter: &str) -> Result<Row> {
     })
 }
 
-/// A calibration, and the current in mA that must flow meanwhile.
+/// A calibration, and the current in mA that it needs.
 fn jobs(setup: &Setup) -> Vec<(Job, Option<f64>)> {
     let station = &setup.options;
     let offsets = [(station.board_offset, Job::BoardOffset), (station.cc_offset, Job::CcOffset)];
@@ -411,7 +405,6 @@ impl Bench {
         })
     }
 
-    /// The folder with the journals of its packs.
     fn journals(&self, disk: &Arc<dyn Disk>) -> Journal {
         let (folder, key) = self.place.clone();
         Journal::new(folder, key, self.subject.clone()).on(disk.clone())
@@ -419,7 +412,7 @@ impl Bench {
 }
 
 impl Station {
-    /// Opens the record, and closes what a station that was stopped has left there.
+    /// Opens the record, and closes what a stopped station has left there.
     fn start(
         plan: Plan,
         disk: Arc<dyn Disk>,
@@ -438,7 +431,7 @@ impl Station {
         let serials = Serials::of(&plan.setup.options, plan.serial_row)?;
         let slots = plan.slots().map(String::from).collect();
         let account = || User::from_uid(geteuid()).ok().flatten().map(|user| user.name);
-        // Buses often belong to root, and the person is somebody else.
+        // Buses often belong to root, who is not the person.
         let user = std::env::var("SUDO_USER").ok().or_else(account).unwrap_or_default();
         let host =
             regular::read_text(Path::new("/proc/sys/kernel/hostname"), regular::SYSTEM).unwrap_or_default();
@@ -458,7 +451,7 @@ impl Station {
         })
     }
 
-    /// Records as failed what was begun and has no outcome.
+    /// Records packs without an outcome as failed.
     fn close_unfinished(&self, benches: &[&Bench]) -> Result<()> {
         let mut record = self.record();
         for entry in record.unfinished() {
@@ -508,13 +501,12 @@ impl Station {
         self.plan.setup.options.seal.unwrap_or(true)
     }
 
-    /// A serial number of the record as people know it.
+    /// A serial number of the record as people write it.
     fn told_serial(&self, recorded: &str) -> String {
         let row = self.plan.serial_row;
         row.map_or_else(|| recorded.into(), |row| self.serials.as_written(row, recorded))
     }
 
-    /// The line that people see.
     fn line(&self, entry: &Entry) -> String {
         let serial = match (&entry.serial, &entry.scanned) {
             (Some(serial), Some(scanned)) => format!(" serial {scanned} ({serial})"),
@@ -544,7 +536,7 @@ impl Station {
         jobs(&self.plan.setup)
     }
 
-    /// The first line about a pack, as a failure until it is known better.
+    /// A pack's first line, a failure until more is known.
     fn entry(&self, bench: &Bench) -> Entry {
         Entry {
             number: self.record().number(),
@@ -559,8 +551,8 @@ impl Station {
         }
     }
 
-    /// Records the outcome. A pack without its line has not passed. `look_again` makes sure that it is still there after
-    /// the program that the station's file names was told PASS; otherwise it makes the line that of a failure.
+    /// Records the outcome. A pack without its line has not passed. `look_again` checks that the pack is still there
+    /// after the program of `exec` got PASS; otherwise it turns the line into a failure.
     fn end(&self, mut entry: Entry, look_again: impl FnOnce(&mut Entry)) -> Entry {
         entry.time = self.time();
         // It is read back, and printed as one line.
@@ -585,7 +577,7 @@ impl Station {
         }
         drop(record);
         if was_told && entry.event != Event::Pass {
-            // It was told that the pack has passed.
+            // The program got PASS.
             self.hand_over(&mut entry);
         }
         let has_passed = entry.event == Event::Pass;
@@ -608,8 +600,8 @@ impl Station {
         entry
     }
 
-    /// Gives an outcome to the program that the station's file names. An outcome that it does not take is a failure.
-    /// Returns whether it has taken a PASS.
+    /// Passes an outcome to the program of `exec`. An outcome that it refuses is a failure. Returns whether it took a
+    /// PASS.
     fn hand_over(&self, entry: &mut Entry) -> bool {
         let has_passed = entry.event == Event::Pass;
         let known = || Some(self.told_serial(entry.serial.as_ref()?));
@@ -624,19 +616,17 @@ impl Station {
         false
     }
 
-    /// Prints what the run comes to.
     fn sum_up(&self) {
         for line in self.tally().totals.lines() {
             self.desk.tell(&line);
         }
     }
 
-    /// Whether no pack has failed.
     fn all_passed(&self) -> bool {
         self.failures.load(Ordering::SeqCst) == 0
     }
 
-    /// Programs pack after pack, until there are no more.
+    /// Programs packs until there are no more.
     fn run(&self, bench: &Bench, slot: &mut dyn Slot) {
         self.packs(bench, slot);
         if let Some(error) = slot.error() {
@@ -696,9 +686,9 @@ impl Station {
         false
     }
 
-    /// Asks whether the first pack of the run is right. Returns whether the station may go on.
+    /// Asks whether the run's first pack is right. Returns whether the station may go on.
     fn confirm(&self, entry: &Entry) -> bool {
-        // There is nothing to go on with.
+        // No pack is left.
         if !self.plan.setup.options.confirm_first || self.left.load(Ordering::SeqCst) == 0 {
             return true;
         }
@@ -722,7 +712,7 @@ impl Station {
         is_right
     }
 
-    /// Waits until a pack is there, or none, and says what is to do for that. Returns whether that will ever be so.
+    /// Waits until a pack is there, or not, and asks for that. Returns whether it can ever happen.
     fn wait(&self, bench: &Bench, slot: &mut dyn Slot, there: bool, what: &str) -> bool {
         let (mut steady, mut told) = (0, false);
         loop {
@@ -730,7 +720,7 @@ impl Station {
                 None => return false,
                 Some(found) if found == there => steady += 1,
                 Some(_) => {
-                    // Whoever exchanges packs quickly must not take the outcome of the first one for the second one's.
+                    // After a quick exchange the first pack's outcome must not show for the second one.
                     if !there && std::mem::take(&mut steady) > 0 {
                         self.prompt(&bench.name, MAYBE_ANOTHER);
                         self.desk.sign(&bench.name, Sign::Look, MAYBE_ANOTHER);
@@ -755,7 +745,7 @@ impl Station {
     }
 }
 
-/// Takes one of those that are left.
+/// Takes one of the remaining packs.
 fn take(left: &AtomicU64) -> bool {
     let mut now = left.load(Ordering::SeqCst);
     while let Some(less) = now.checked_sub(1) {

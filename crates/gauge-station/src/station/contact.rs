@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! Whether somebody could have put another pack in place of the one that is there: nothing has answered for a while.
+//! Watches the contact to a pack: a long silence means that somebody could have exchanged it.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
@@ -8,21 +8,18 @@ use std::time::Duration;
 use gauge_bus::clock::Clock;
 use gauge_bus::{Bus, BusError};
 
-/// Nobody exchanges a pack in less time; a gauge that is busy may be silent for as long.
+/// No exchange is quicker; a busy gauge may be silent for as long.
 const QUICK: Duration = Duration::from_millis(250);
 
-/// What is known of the contact to a pack.
 #[derive(Debug, Default)]
 struct Contact {
-    /// How often it was broken.
     breaks: u64,
-    /// When something has answered last.
+    /// Time of the last answer.
     answered: Duration,
-    /// The last transfer has failed.
     has_failed: bool,
 }
 
-/// A bus that is watched. Clones watch the same contact.
+/// A watched bus. Clones watch the same contact.
 #[derive(Clone)]
 pub(super) struct Watch {
     clock: Arc<dyn Clock>,
@@ -38,18 +35,17 @@ impl Watch {
         self.contact.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// How often the contact was broken so far, the present moment included.
+    /// Breaks of the contact so far, including a present one.
     pub(super) fn breaks(&self) -> u64 {
         let contact = self.contact();
         contact.breaks + u64::from(contact.has_failed)
     }
 
-    /// Whether nothing was sent, or has answered, for so long that somebody could have exchanged the pack.
+    /// Whether the silence, or the lack of transfers, was long enough for an exchange of the pack.
     pub(super) fn may_be_exchanged(&self) -> bool {
         self.clock.now() >= self.contact().answered + QUICK
     }
 
-    /// A bus to the pack.
     pub(super) fn over(&self, bus: Box<dyn Bus>) -> Watched {
         Watched { bus, watch: self.clone() }
     }
@@ -66,7 +62,6 @@ impl Watch {
     }
 }
 
-/// A bus whose answers are seen.
 pub(super) struct Watched {
     bus: Box<dyn Bus>,
     watch: Watch,

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT
 
-//! The people at a station: what they are told, and what they scan. Only one thing is asked for at a time, and while it is,
-//! other slots' prompts wait: the operator who has read one has the scanner in the hand for it.
+//! The people at a station: prompts and scans. There is one question at a time, and other slots' prompts wait
+//! meanwhile: the operator has the scanner in the hand for the prompt that was read.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -11,13 +11,12 @@ use ti_gauge::text;
 use super::{Progress, Scanner, Screen, Sign, Totals};
 use crate::error::{Cause, Error, Result};
 
-/// What is shown to people, and where they answer.
+/// The display for people, and the source of their answers.
 pub(super) struct Desk {
     screen: Box<dyn Screen>,
     pub(super) scanner: Mutex<Box<dyn Scanner>>,
-    /// The last prompt of each slot since something was asked for; `None` while nothing is.
+    /// Each slot's last prompt since a question began; `None` without a question.
     held: Mutex<Option<Vec<(String, String)>>>,
-    /// The names of all slots.
     slots: Vec<String>,
     /// Nobody answers any more.
     has_ended: AtomicBool,
@@ -34,7 +33,7 @@ impl Desk {
         }
     }
 
-    /// Whether a question was met by the end of the input.
+    /// Whether the input ended at a question.
     pub(super) fn has_ended(&self) -> bool {
         self.has_ended.load(Ordering::SeqCst)
     }
@@ -43,7 +42,6 @@ impl Desk {
         self.held.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Tells somebody what to do at a slot.
     pub(super) fn prompt(&self, slot: &str, what: &str) {
         let mut held = self.held();
         match &mut *held {
@@ -59,7 +57,6 @@ impl Desk {
         self.screen.prompt(&text::printable(&format!("{slot}: {what}")));
     }
 
-    /// Tells something about the station as a whole.
     pub(super) fn tell(&self, line: &str) {
         self.screen.prompt(&text::printable(line));
     }
@@ -79,7 +76,7 @@ impl Desk {
         self.screen.totals(totals);
     }
 
-    /// Asks for a line for a slot, again until it is accepted. The end of the input is an error.
+    /// Asks for a line for a slot until one is accepted. The end of the input is an error.
     pub(super) fn ask<T>(
         &self,
         slot: &str,
@@ -116,7 +113,7 @@ impl Desk {
         answer
     }
 
-    /// A line that may begin with the name of the slot that it is for, such as the code on the slot itself.
+    /// A line that may begin with its slot's name, such as the code on the slot itself.
     fn own<'a>(&self, slot: &str, line: &'a str) -> std::result::Result<&'a str, String> {
         let named = self.slots.iter().find_map(|name| {
             let rest = line.strip_prefix(name.as_str())?;

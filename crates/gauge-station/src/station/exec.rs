@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! The program that gets every outcome: a label printer, or the manufacturing execution system (MES) of a factory.
+//! The program that gets every outcome: a label printer, or a factory's manufacturing execution system (MES).
 
 use std::io::{BufReader, Write};
 use std::os::unix::process::CommandExt;
@@ -18,14 +18,14 @@ use ti_gauge::text;
 use super::record::{Entry, Event};
 use crate::error::{Cause, Error, Result};
 
-/// Its step, and the key of the station's file.
+/// Its step, and its key in the station's file.
 pub(super) const EXEC: &str = "exec";
-/// How long it may take, and the time between two looks.
+/// Its time limit, and the interval of looks.
 const PATIENCE: Duration = Duration::from_secs(60);
 const LOOK: Duration = Duration::from_millis(20);
-/// How long its last words are waited for after its end: a process that it has left behind may keep them open.
+/// How long its last output is awaited after its end: a process that it left behind may keep the pipe open.
 const LAST_WORDS: Duration = Duration::from_secs(1);
-/// Longest line of its last words, in bytes.
+/// Longest line of its last output, in bytes.
 const MOST: u64 = 64 << 10;
 
 /// Runs the program with an outcome as JSON on its standard input, and waits for its end. `serial` is for people.
@@ -51,13 +51,13 @@ fn run_within(patience: Duration, words: &[String], entry: &Entry, serial: Optio
         .stdin(Stdio::piped())
         .stdout(Stdio::null())
         .stderr(Stdio::piped())
-        // Ctrl-C ends the station after its packs, and not their label.
+        // Ctrl-C ends the station after its packs, but not their labels.
         .process_group(0)
         .spawn()
         .map_err(|error| failed(&error))?;
     let line = serde_json::to_string(entry).expect("keys are strings, so it cannot fail") + "\n";
     if let Some(mut input) = child.stdin.take() {
-        // A program that does not read it may be right all the same.
+        // A program may succeed without reading it.
         thread::spawn(move || drop(input.write_all(line.as_bytes())));
     }
     let (sender, last_words) = mpsc::channel();
@@ -78,7 +78,7 @@ fn run_within(patience: Duration, words: &[String], entry: &Entry, serial: Optio
     Err(Error::new(EXEC, Cause::NotPermitted, format!("{program} has failed: {why}{said}")))
 }
 
-/// Waits for its end. `None` if it took too long and was killed, with all that it has started.
+/// Waits for its end. `None` if it took too long and was killed with all that it has started.
 fn wait(child: &mut Child, patience: Duration) -> std::io::Result<Option<ExitStatus>> {
     let (clock, since) = (RealClock::new(), Instant::now());
     loop {

@@ -1,21 +1,19 @@
 // SPDX-License-Identifier: MIT
 
-//! The first pack of a run, which somebody may have to confirm before there is another one.
+//! The first pack of a run, which a person may have to confirm before the next one.
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-/// How far it is.
 #[derive(Debug, Default)]
 enum State {
-    /// None was begun.
     #[default]
     None,
-    /// It is being programmed, or nobody has confirmed it yet.
+    /// It is being programmed, or not yet confirmed.
     UnderWay,
     Confirmed,
 }
 
-/// The first pack of a run, whichever slot it comes to.
+/// The first pack of a run, in any slot.
 #[derive(Debug, Default)]
 pub(super) struct First(Mutex<State>);
 
@@ -24,7 +22,6 @@ impl First {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Whether the caller may begin a pack.
     pub(super) fn may_begin(&self) -> bool {
         let mut state = self.state();
         match *state {
@@ -37,7 +34,6 @@ impl First {
         }
     }
 
-    /// The next pack is the first one.
     pub(super) fn begin_again(&self) {
         *self.state() = State::None;
     }

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: MIT
 
-//! One pack: from the first look at it to the line of the record.
+//! A pack, from the first look to the record's line.
 //!
-//! Everything is asked of the gauge's owner, as a mount does it, so checks, journal, backup and the way back are those
-//! of any other write. Until `begun` is on disk nothing is changed. Only a complete reading at the very end, compared
-//! bit by bit, makes a pack pass.
+//! Everything is asked of the gauge's owner, as in a mount, so checks, journal, backup and the way back are those of
+//! any other write. Nothing is changed before `begun` is on disk. Only a complete final reading, compared bit by bit,
+//! makes a pack pass.
 
 use std::time::Duration;
 
@@ -30,46 +30,40 @@ use crate::options::{Date, Seen, Unsettled};
 use gauge_owner::{Direct, Run, Seal, operations as op};
 use gaugefs_host::chemistry;
 
-/// How often a pack that was just connected is tried, or one whose contact breaks is read. The time between the former.
+/// Tries for a newly connected pack, and readings with a breaking contact; the pause is for the former.
 const TRIES: usize = 4;
 const AGAIN: Duration = Duration::from_secs(1);
-/// How long a gauge may take to pay what a failed access has left.
+/// Limit for a gauge to settle what a failed access has left.
 const PATIENCE: Duration = Duration::from_secs(20);
-/// How long a calibration waits for its load, or until it is off, and the time between two looks.
+/// How long a calibration waits for its load to be on or off, and the interval of looks.
 const LOAD_PATIENCE: Duration = Duration::from_secs(120);
 const LOAD_LOOK: Duration = Duration::from_secs(1);
-/// The largest current, in mA, that counts as none.
+/// Largest current, in mA, that counts as no load.
 const NO_LOAD_MA: f64 = 10.0;
-/// The year of the first gaugefs: no clock that is set shows an earlier day.
+/// Year of the first gaugefs: a clock that was set cannot show an earlier day.
 const FIRST_DAY: &str = "2026-01-01";
-/// How much of a load may be missing.
+/// Share of a load that may be missing.
 const LOAD_TOLERANCE: f64 = 0.25;
 
-/// Longest label, in characters.
 const LONGEST_LABEL: usize = 64;
 
-/// A pack on its way.
 struct Task<'a> {
     station: &'a Station,
     bench: &'a Bench,
     gauge: Direct,
     watch: Watch,
     entry: Entry,
-    /// It may have been changed.
     begun: bool,
-    /// Transfers by an owner before this one.
+    /// Transfers of an earlier owner.
     transfers: u64,
-    /// The gauge was opened with the new keys.
     has_new_keys: bool,
-    /// The present step.
     step: Step,
-    /// Those at which the pack must not be removed.
+    /// Steps at which the pack must not be removed.
     busy: Vec<Step>,
-    /// What the pack has that may pass.
+    /// The pack's data flash, if it may pass.
     last: Option<Flash>,
 }
 
-/// A step on the way of a pack.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Step {
     Identify,
@@ -86,7 +80,7 @@ enum Step {
 }
 
 impl Step {
-    /// Its name, which is also that of a failure there.
+    /// Name of the step, and of a failure in it.
     fn name(self) -> &'static str {
         match self {
             Self::Identify => "identification",
@@ -107,15 +101,14 @@ impl Step {
 /// What a pack gets besides the image.
 #[derive(Default)]
 struct Given {
-    /// The serial number that somebody has scanned.
     serial: Option<Value>,
-    /// The label, where the pack keeps it.
+    /// For the parameter with the label.
     label: Option<Value>,
-    /// The one that it keeps.
+    /// The number that the pack keeps.
     own: Option<String>,
 }
 
-/// Programs the pack that is connected, and records the outcome, which is returned.
+/// Programs the connected pack. Returns the recorded outcome.
 pub(super) fn program(station: &Station, bench: &Bench, slot: &mut dyn Slot) -> Entry {
     let clock = slot.clock();
     let since = clock.now();
@@ -192,20 +185,20 @@ impl Task<'_> {
         self.at(Step::Check);
         let is_new_board = self.needs_bring_up(&before)?;
         self.busy = self.busy_steps(is_new_board);
-        // The first record of this pack, so that nothing is touched on a full disk.
+        // This pack's first record: a full disk must be noticed before anything is touched.
         self.entry.before = Some(self.save(&before.image(), "before")?);
         let mut asked = None;
         let is_unsealed = self.gauge.handle.published().seal == Seal::Unsealed;
         if is_new_board || is_unsealed {
-            // No write can be checked before it is brought up, or before its key has been tried. It has no serial number
-            // until then.
+            // Writes cannot be checked before the bring-up, or before its key has been tried. Until then it has no
+            // serial number.
             target::changes(&self.wanted(&before, &given)?, &before, self.gauge.handle.allows_unproven())?;
             self.record_begun(|_, _| Ok(()))?;
         } else {
             asked = Some(self.begin(&before, &given)?);
         }
         if is_unsealed {
-            // A write may end with a reset, which seals it: the key has to be tried before.
+            // A write may end with a reset, which seals the pack, so its key has to be tried first.
             self.seal()?;
         }
         let mut now = None;
@@ -223,7 +216,7 @@ impl Task<'_> {
         };
         self.at(Step::Image);
         self.write(&asked, now)?;
-        // A complete reading takes longer than the write. It is made before something else is changed, and at the end.
+        // A complete reading takes longer than the write. It is made before other changes, and at the end.
         let mut expected = None;
         if !self.station.jobs().is_empty() || self.bench.new_keys.is_some() {
             let programmed = self.look()?;
@@ -269,8 +262,7 @@ impl Task<'_> {
         Ok(())
     }
 
-    /// Goes to a step, and shows it where the pack must not be removed. Who has to scan something is shown when it is asked
-    /// for.
+    /// Goes to a step, and shows it if the pack must not be removed. A wait for a scan shows when it is asked for.
     fn at(&mut self, step: Step) {
         self.step = step;
         if step == Step::Scan {
@@ -286,7 +278,7 @@ impl Task<'_> {
         }
     }
 
-    /// The steps at which this pack must not be removed.
+    /// Steps at which this pack must not be removed.
     fn busy_steps(&self, is_new_board: bool) -> Vec<Step> {
         let steps = [
             (Step::BringUp, is_new_board),
@@ -299,7 +291,6 @@ impl Task<'_> {
         steps.into_iter().filter(|(_, is_there)| *is_there).map(|(step, _)| step).collect()
     }
 
-    /// Identifies the pack.
     fn open(&mut self, slot: &mut dyn Slot) -> Result<()> {
         let mut outcome = self.gauge.open();
         for _ in 1..TRIES {
@@ -321,14 +312,14 @@ impl Task<'_> {
         }
     }
 
-    /// What an earlier pack, or a station that was stopped, has left is settled first. Returns whether there was nothing.
+    /// Settles what an earlier pack, or a stopped station, has left. Returns whether there was nothing.
     fn settle_before(&mut self, slot: &mut dyn Slot) -> Result<bool> {
         let Some(mut left) = self.gauge.settle(PATIENCE) else {
             self.keep_journals();
             return Ok(true);
         };
         if self.finish_keys(slot).is_ok() {
-            // Another key may have been lost with the one that was changed.
+            // Another key may have been lost with the changed one.
             match self.gauge.settle(PATIENCE) {
                 Some(other) => left = other,
                 None => return Ok(false),
@@ -349,8 +340,8 @@ impl Task<'_> {
         Ok(false)
     }
 
-    /// Finishes a change of keys that was interrupted, if this station knows both keys. Keys are changed in the order of
-    /// their names, so those before have been changed already.
+    /// Completes an interrupted change of keys if this station knows both keys. Keys change in the order of their
+    /// names, so earlier ones have changed already.
     fn finish_keys(&mut self, slot: &mut dyn Slot) -> Result<()> {
         let names = self.gauge.owed_keys();
         let unknown = || refuse("keys", "the keys of the interrupted change are not known".into());
@@ -373,7 +364,7 @@ impl Task<'_> {
         Ok(())
     }
 
-    /// Puts journals that were dismissed beside the images. They replace nothing there.
+    /// Moves dismissed journals beside the images, where they replace nothing.
     fn keep_journals(&self) {
         for (number, dismissed) in self.bench.journals(&self.station.disk).dismissed().iter().enumerate() {
             let number = if number == 0 { String::new() } else { format!("-{number}") };
@@ -386,8 +377,8 @@ impl Task<'_> {
         }
     }
 
-    /// Reads the pack, and refuses one that was programmed before. Of one that nothing was sent to since it was opened, the
-    /// registers are not read again: a gauge allows that twice a second only.
+    /// Reads the pack, and refuses one that was programmed before. Without a transfer since the opening, registers are
+    /// not read again: a gauge allows that only twice a second.
     fn first_look(&mut self, slot: &mut dyn Slot, is_new: bool) -> Result<Flash> {
         let is_new = is_new && self.watch.breaks() == 0 && !self.watch.may_be_exchanged();
         let look = if is_new { Flash::of_new(&mut self.gauge) } else { self.look() };
@@ -396,7 +387,7 @@ impl Task<'_> {
                 let found = self.look_with_new_keys(slot);
                 let found = found.or_else(|| self.look_with_erased_key(slot));
                 found.ok_or_else(|| {
-                    // Its serial number is not one of the registers that were read first.
+                    // Its serial number is not among the registers read first.
                     let _ = self.gauge.ask(&op::REFRESH, ());
                     self.with_number(&error)
                 })?
@@ -439,7 +430,7 @@ impl Task<'_> {
         Ok(flash)
     }
 
-    /// A pack that was programmed before has the new keys.
+    /// Opens a pack that was programmed before with the new keys.
     fn look_with_new_keys(&mut self, slot: &mut dyn Slot) -> Option<Flash> {
         let new = self.bench.new_keys.as_ref()?;
         let mut run = self.bench.run(self.station).ok()?;
@@ -455,7 +446,7 @@ impl Task<'_> {
         self.look().ok()
     }
 
-    /// A pack whose keys were erased by a loss of power can still be opened, and gets its keys again.
+    /// Opens a pack whose keys a loss of power has erased; it gets its keys again.
     fn look_with_erased_key(&mut self, slot: &mut dyn Slot) -> Option<Flash> {
         self.bench.new_keys.as_ref()?.secret(Name::Unseal)?;
         let mut run = self.bench.run(self.station).ok()?;
@@ -467,7 +458,7 @@ impl Task<'_> {
         self.look().ok()
     }
 
-    /// An error about keys, with what the record knows of a pack that shows its serial number.
+    /// An error about keys, with the record's facts about a pack that shows its serial number.
     fn with_number(&self, error: &Error) -> Error {
         let chip = self.chip();
         let number = || {
@@ -488,7 +479,7 @@ impl Task<'_> {
         }
     }
 
-    /// Asks for what somebody has to scan.
+    /// Asks for the scans.
     fn scan(&mut self, before: &Flash) -> Result<Given> {
         let station = self.station;
         let own = self.entry.seen.and_then(|_| self.entry.serial_before.clone());
@@ -498,7 +489,7 @@ impl Task<'_> {
         }
         let row = station.plan.serial_row.filter(|_| station.serials.are_scanned());
         let Some(row) = row else {
-            // The pack may have been exchanged while the operator scanned.
+            // The pack may have been exchanged during the scan.
             return match self.entry.label.clone() {
                 None => Ok(given),
                 Some(label) => self.assure_not_exchanged(before, &label).map(|()| given),
@@ -526,7 +517,7 @@ impl Task<'_> {
         self.assure_not_exchanged(before, &shown).map(|()| given)
     }
 
-    /// Makes sure that the pack has not been exchanged while somebody scanned something for it.
+    /// Checks that the pack was not exchanged during a scan.
     fn assure_not_exchanged(&mut self, before: &Flash, scanned: &str) -> Result<()> {
         self.look().and_then(|now| now.check_same(before, &[])).map_err(|error| {
             refuse("pack", format!("it is not the one for which {scanned} was scanned: {error}"))
@@ -552,7 +543,7 @@ impl Task<'_> {
         Ok(value)
     }
 
-    /// What the pack is asked to have, without a serial number that nobody has scanned.
+    /// The wanted values, without a serial number that nobody has scanned.
     fn wanted(&self, now: &Flash, given: &Given) -> Result<Image> {
         let station = self.station;
         let mut asked = station.plan.image.clone();
@@ -573,8 +564,8 @@ impl Task<'_> {
         Ok(asked)
     }
 
-    /// Makes every check of what is going to be written, then gives the pack its serial number and records that. Returns
-    /// what the pack is asked to have.
+    /// Makes every check of the writes, then gives the pack its serial number and records it. Returns the wanted
+    /// values.
     fn begin(&mut self, now: &Flash, given: &Given) -> Result<Image> {
         let station = self.station;
         let mut asked = self.wanted(now, given)?;
@@ -600,13 +591,13 @@ impl Task<'_> {
             }
             asked.set(row.0, row.1, value);
             entry.serial = Some(shown);
-            // What cannot be written is refused before anything is.
+            // Writes that are not possible are refused first.
             target::changes(&asked, now, also_unproven).map(drop)
         })?;
         Ok(asked)
     }
 
-    /// Records that the pack is begun, with what is given to it while the record is this pack's alone.
+    /// Records that the pack is begun. `give` runs while the record is this pack's alone.
     fn record_begun(&mut self, give: impl FnOnce(&mut Entry, &Record) -> Result<()>) -> Result<()> {
         let mut record = self.station.record();
         if let Some(label) = &self.entry.label
@@ -626,7 +617,7 @@ impl Task<'_> {
         Ok(())
     }
 
-    /// Whether a new board of several cells has to be set up.
+    /// Whether a new board of several cells needs the bring-up.
     fn needs_bring_up(&self, before: &Flash) -> Result<bool> {
         let station = &self.station.plan.setup.options;
         let (Some(cells), Some(_)) = (station.cells, station.divider) else { return Ok(false) };
@@ -640,7 +631,7 @@ impl Task<'_> {
         Ok(!is_set || before.number(cells_at) != Some(cells.into()))
     }
 
-    /// Sets up a new board of several cells. Returns what it then has.
+    /// Sets up a new board of several cells. Returns its data flash.
     fn bring_up(&mut self) -> Result<Flash> {
         let station = &self.station.plan.setup.options;
         let (cells, divider) = (station.cells.unwrap_or(1), station.divider.unwrap_or_default());
@@ -654,13 +645,13 @@ impl Task<'_> {
         Ok(flash)
     }
 
-    /// Writes what the pack has not yet.
+    /// Writes the differences.
     fn write(&mut self, asked: &Image, now: &Flash) -> Result<()> {
         let changes: Vec<Change> = target::changes(asked, now, self.gauge.handle.allows_unproven())?;
         if changes.is_empty() { Ok(()) } else { self.gauge.ask(&op::WRITE, changes) }
     }
 
-    /// Calibrates the pack. Returns the places of what was measured.
+    /// Calibrates the pack. Returns the places of the results.
     fn calibrate(&mut self, slot: &mut dyn Slot) -> Result<Vec<Place>> {
         let mut places = Vec::new();
         let Some(calibration) = self.chip().calibration else { return Ok(places) };
@@ -679,7 +670,7 @@ impl Task<'_> {
         Ok(places)
     }
 
-    /// Carries out a calibration, and records what it has reached.
+    /// Carries out a calibration, and records its result.
     fn measure(&mut self, job: Job) -> Result<()> {
         let limits = self.limits(&job);
         let outcome = self.gauge.ask(&op::CALIBRATE, job);
@@ -687,7 +678,7 @@ impl Task<'_> {
         self.entry.calibration.extend(published.calibration.lines().next_back().map(String::from));
         outcome?;
         for found in published.measured.iter() {
-            // An offset has a register, too, which has to show 0.
+            // An offset's register has to show 0.
             let (wanted, tolerance) = if found.wanted.is_some() { limits } else { (None, None) };
             let bound =
                 |sign: f64| wanted.zip(tolerance).map(|(wanted, tolerance)| wanted + sign * tolerance);
@@ -707,7 +698,7 @@ impl Task<'_> {
         Ok(())
     }
 
-    /// What the register of a calibration has to show, and how much it may be off.
+    /// The wanted reading of a calibration's register, and its tolerance.
     fn limits(&self, job: &Job) -> (Option<f64>, Option<f64>) {
         let station = &self.station.plan.setup.options;
         match *job {
@@ -720,7 +711,6 @@ impl Task<'_> {
         }
     }
 
-    /// What the gauge shows now.
     fn readings(&self) -> Vec<(&'static str, &'static str, f64)> {
         let published = self.gauge.handle.published();
         let value = |role| published.snapshot.as_ref()?.value(self.chip().register(role)?);
@@ -733,7 +723,7 @@ impl Task<'_> {
         shown.into_iter().filter_map(|(name, unit, value)| Some((name, unit, value?))).collect()
     }
 
-    /// Records what the gauge has shown at the beginning and shows now, of what no calibration has measured.
+    /// Records first and present readings of quantities without a calibration.
     fn note_readings(&mut self, before: Vec<(&str, &str, f64)>) {
         let now = self.readings();
         for (name, unit, before) in before {
@@ -747,7 +737,7 @@ impl Task<'_> {
         }
     }
 
-    /// Waits until the current is near a load, or until none flows.
+    /// Waits for a load, or for its end.
     fn wait_for_load(&mut self, slot: &mut dyn Slot, load: Option<f64>) -> Result<()> {
         let Some(wanted) = load else { return Ok(()) };
         let clock = slot.clock();
@@ -781,12 +771,12 @@ impl Task<'_> {
         }
     }
 
-    /// Gives the pack its own keys, each of which is tried.
+    /// Gives the pack its own keys, and tries each.
     fn change_keys(&mut self) -> Result<()> {
         let Some(new) = &self.bench.new_keys else { return Ok(()) };
         for name in Name::ALL {
             let Some(key) = new.secret(name) else { continue };
-            // A key that stays must still be shown to work.
+            // An unchanged key must still be shown to work.
             let may_have = self.has_new_keys || self.gauge.key(name).as_ref() == Some(&key);
             if may_have && self.has_key(name)? {
                 continue;
@@ -804,7 +794,7 @@ impl Task<'_> {
         Ok(())
     }
 
-    /// Whether a pack has the new key, which is sent to it.
+    /// Tries the new key on the pack.
     fn has_key(&mut self, name: Name) -> Result<bool> {
         match name {
             Name::Unseal => Ok(true),
@@ -831,8 +821,8 @@ impl Task<'_> {
         self.gauge.ask(&op::SEAL, Seal::Sealed)
     }
 
-    /// Reads everything once more: what is sealed has to have all of it. If nothing has answered for a while until the
-    /// end, another pack may be there, and it is read again.
+    /// Reads everything again: a sealed pack must have all of it. After a silence until the end, another pack may be
+    /// there, and it is read again.
     fn verify(&mut self, check: impl Fn(&Flash) -> Result<()>) -> Result<Flash> {
         for _ in 0..TRIES {
             let breaks = self.watch.breaks();
@@ -844,13 +834,13 @@ impl Task<'_> {
                 return Ok(last);
             }
         }
-        let why =
-            "the contact was broken each time that all of it was read, so another pack may be there now";
+        let why = "contact was lost during every full read, so the pack may have been swapped; hold it still and \
+                   connect it again";
         Err(Error::new("pack", Cause::StateUnknown, why))
     }
 
-    /// Makes sure that the pack was not swapped while the program of `exec` ran, which may take a minute: PASS would be shown
-    /// over another one. A program that took less time than a swap needs no look.
+    /// Checks that the pack was not swapped during the program of `exec`, which may take a minute: PASS would show over
+    /// another pack. A program quicker than any swap needs no look.
     fn assure_not_swapped(&mut self) -> Result<()> {
         match self.last.take().filter(|_| self.watch.may_be_exchanged()) {
             Some(last) => self.verify(|now| now.check_same(&last, &[])).map(drop).map_err(|error| {
@@ -861,7 +851,7 @@ impl Task<'_> {
         }
     }
 
-    /// Nothing is left to do, and the pack is sealed.
+    /// Checks that nothing is left to do, and that the pack is sealed.
     fn assure_settled(&mut self) -> Result<()> {
         if let Some((why, _)) = self.gauge.settle(PATIENCE) {
             return Err(Error::new("pack", Cause::StateUnknown, why));
@@ -871,7 +861,7 @@ impl Task<'_> {
             return Err(Error::new("journal", Cause::StateUnknown, why));
         }
         if self.station.seals() {
-            // Asked once more: the last reading has unsealed it meanwhile.
+            // The last reading may have unsealed it.
             self.seal()?;
             if self.gauge.handle.published().seal != Seal::Sealed {
                 return Err(Error::new("seal", Cause::StateUnknown, "the pack is not sealed"));
@@ -880,7 +870,6 @@ impl Task<'_> {
         Ok(())
     }
 
-    /// Reads all of the pack anew.
     fn look(&mut self) -> Result<Flash> {
         Flash::read(&mut self.gauge)
     }
@@ -889,7 +878,6 @@ impl Task<'_> {
         format!("{:06}-{}-{what}", self.entry.number, self.bench.name)
     }
 
-    /// Saves an image, and returns its name.
     fn save(&self, image: &Image, what: &str) -> Result<String> {
         let name = format!("{}.toml", self.name(what));
         let path = self.station.plan.setup.images.join(&name);
@@ -899,7 +887,7 @@ impl Task<'_> {
         Ok(name)
     }
 
-    /// Records why the pack has failed, and in which state it is.
+    /// Records the failure, and the pack's state.
     fn failed(&mut self, error: &Error) {
         let mut reason = error.to_string();
         if !self.begun {
@@ -919,7 +907,7 @@ impl Task<'_> {
     }
 }
 
-/// A measured value without what no gauge resolves.
+/// Rounds away what no gauge resolves.
 fn round(value: f64) -> f64 {
     (value * 10.0).round() / 10.0
 }
@@ -932,13 +920,12 @@ fn taken_by(serial: &str, pack: u64) -> String {
     format!("{serial} is the serial number of pack number {pack} of the record")
 }
 
-/// Today's date in UTC, by this machine's clock.
 pub(super) fn today() -> String {
     Timestamp::now().strftime("%F").to_string()
 }
 
-/// A date as data flash has it. A clock that nobody has set shows a date before the first of gaugefs, or before the last
-/// line of the record, which begins with a date.
+/// A date in data flash's format. A clock that was never set shows a date before the first gaugefs, or before the
+/// record's last line, which begins with a date.
 pub(super) fn day(date: Date, today: &str, last: &str) -> Result<i64> {
     if let Date::Day(stored) = date {
         return Ok(stored);

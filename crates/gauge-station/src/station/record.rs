@@ -2,11 +2,10 @@
 
 //! The record of a station: a file with a line of JSON when a pack is begun, and one with the outcome.
 //!
-//! The first is on disk before the pack is changed, so a pack that is neither finished nor on record does not exist:
-//! a station that starts finds each pack that was begun and has no outcome, and records that it has failed. Serial
-//! numbers are given by the record as well, so none is given twice. That holds only while it is one file with one
-//! writer: it is locked, and before each pack and each line its name must still lead to the file that was locked, as
-//! long as this station has made it.
+//! The first is on disk before the pack is changed, so every changed pack is finished or on record: a station that
+//! starts records each pack without an outcome as failed. The record also gives the serial numbers, so none is given
+//! twice. That requires one file with one writer: it is locked, and before each pack and line its name must still lead
+//! to the locked file with only this station's lines.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -25,12 +24,11 @@ use crate::error::{Cause, Error, Result};
 
 /// Follows a line that a loss of power has cut short.
 const TORN: &str = "#torn";
-/// Room on disk for the outcomes of packs that are begun.
+/// Room on disk for the outcomes of begun packs.
 const ROOM: u64 = 256 * 1024;
-/// The largest number of a pack: the last whole number that every reader of JSON has exactly.
+/// Largest number of a pack: the last whole number that every JSON reader has exactly.
 const MOST: u64 = (1 << 53) - 1;
 
-/// The event of a line.
 #[derive(Clone, Copy, Debug, Default, Deserialize, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub(super) enum Event {
@@ -38,12 +36,12 @@ pub(super) enum Event {
     Begun,
     /// The pack has everything that was asked for.
     Pass,
-    /// It has not, or it may have not.
+    /// It has not, or may not have.
     #[default]
     Fail,
 }
 
-/// A parameter that has another value than before.
+/// A changed parameter.
 #[derive(Clone, Debug, Deserialize, PartialEq, Eq, Serialize)]
 pub(super) struct Changed {
     pub(super) name: String,
@@ -55,12 +53,11 @@ pub(super) struct Changed {
 #[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
 pub(super) struct Measured {
     pub(super) name: String,
-    /// Empty for none.
     pub(super) unit: String,
-    /// What it has to be.
+    /// The target value.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) wanted: Option<f64>,
-    /// What it has to be at least and at most, after.
+    /// Limits of the second value.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) low: Option<f64>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -69,42 +66,37 @@ pub(super) struct Measured {
     pub(super) after: f64,
 }
 
-/// A line of the record.
 #[derive(Clone, Debug, Default, Deserialize, Serialize)]
 pub(super) struct Entry {
     pub(super) event: Event,
-    /// Number of the pack in this record.
     pub(super) number: u64,
     pub(super) time: String,
     pub(super) station: String,
     pub(super) gauge: String,
-    /// User and host.
     pub(super) who: String,
     pub(super) chip: String,
     pub(super) image: String,
     pub(super) image_sha256: String,
-    /// The serial number that the pack gets.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) serial: Option<String>,
-    /// What was scanned as the pack's label.
+    /// The pack's scanned label.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) label: Option<String>,
-    /// As it was scanned, if that differs.
+    /// The scanned text, if it differs.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) scanned: Option<String>,
-    /// The one that it was found with.
+    /// The serial number that the pack came with.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) serial_before: Option<String>,
-    /// The number under which the record has it already.
+    /// Its earlier number in the record.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) seen: Option<u64>,
     /// SHA-256 of all values that the gauge does not rewrite itself.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) fingerprint: Option<String>,
-    /// What it was found with: that sum.
+    /// That sum as the pack came.
     #[serde(skip)]
     pub(super) found: Option<String>,
-    /// The step that has failed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) step: Option<String>,
     /// The reason of the failure.
@@ -112,7 +104,6 @@ pub(super) struct Entry {
     pub(super) reason: Option<String>,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub(super) changes: Vec<Changed>,
-    /// The result of each calibration, with the errors before and after.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub(super) calibration: Vec<String>,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -128,31 +119,29 @@ pub(super) struct Entry {
     pub(super) transfers: Option<u64>,
 }
 
-/// The record of a station, and what it says of earlier packs.
+/// The record, with its facts about earlier packs.
 #[derive(Debug)]
 pub(super) struct Record {
     path: PathBuf,
     file: Box<dyn File>,
-    /// The file that is locked.
+    /// The locked file.
     held: Flock<fs::File>,
     length: u64,
     next: u64,
-    /// The serial numbers of packs that were begun, in text form.
+    /// Serial numbers of begun packs, as text.
     given: BTreeSet<String>,
-    /// Those of packs that have passed, each with the number of the pack.
+    /// Serial numbers of passed packs, with their numbers in the record.
     passed: BTreeMap<String, u64>,
-    /// The labels of packs that have passed or are being programmed, each with the number of the pack.
+    /// Labels of passed packs and of those in progress, with their numbers in the record.
     labels: BTreeMap<String, u64>,
-    /// Packs that have passed, by their fingerprints.
+    /// Passed packs by fingerprint.
     seen: BTreeMap<String, Entry>,
-    /// Packs that were begun and have no outcome.
+    /// Packs without an outcome.
     open: BTreeMap<u64, Entry>,
-    /// The time of the last line.
     last: String,
     broken: bool,
 }
 
-/// Checks what a line of the record says.
 fn checked(entry: Entry) -> Result<Entry, String> {
     if entry.number > MOST {
         return Err(format!("number: above {MOST}"));
@@ -176,7 +165,7 @@ fn checked(entry: Entry) -> Result<Entry, String> {
     Ok(entry)
 }
 
-/// Opens the record, or creates it, and keeps other stations from using it: two would give the same serial numbers.
+/// Opens or creates the record, and keeps other stations out: two would give the same serial numbers.
 fn lock(path: &Path) -> Result<Flock<fs::File>> {
     let name = path.display().to_string();
     let mut options = fs::File::options();
@@ -188,15 +177,15 @@ fn lock(path: &Path) -> Result<Flock<fs::File>> {
     })
 }
 
-/// A line that is none of a record.
+/// A line that does not belong in a record.
 pub(super) enum Bad {
     /// A loss of power has cut the last one short.
     CutShort,
-    /// Its number, and the reason.
+    /// Line number and reason.
     Not(usize, String),
 }
 
-/// What the lines of a record say. What was never on disk as a whole announces nothing that was begun, or is over.
+/// The entries of a record. An incomplete line was never on disk as a whole, so it says nothing about a pack.
 pub(super) fn lines(text: &str) -> impl Iterator<Item = Result<Entry, Bad>> + '_ {
     let lines: Vec<&str> = text.split_inclusive('\n').collect();
     let count = lines.len();
@@ -215,14 +204,14 @@ pub(super) fn lines(text: &str) -> impl Iterator<Item = Result<Entry, Bad>> + '_
     (0..count).filter_map(entry)
 }
 
-/// The error for a line that is none of a record.
+/// The error for a line that does not belong in a record.
 pub(super) fn not_a_line(name: &str, number: usize, error: &str) -> Error {
     let why = format!("not a line of a station's record: {error}; correct it, or move the file away");
     Error::new(format!("{name}: line {number}"), Cause::Invalid, why)
 }
 
 impl Record {
-    /// Opens the record, or begins it. A last line that was cut short is marked as such.
+    /// Opens or begins the record. Marks an incomplete last line.
     pub(super) fn open(disk: &dyn Disk, path: &Path) -> Result<Self> {
         let name = path.display().to_string();
         let failed = |error| Error::io(&name, "the record cannot be used", &error);
@@ -275,7 +264,7 @@ impl Record {
         if let Some(label) = &entry.label {
             match entry.event {
                 Event::Begun | Event::Pass => drop(self.labels.insert(label.clone(), entry.number)),
-                // Once it is off the line, it may be scanned again.
+                // Once off the line, it may be scanned again.
                 Event::Fail => {
                     if self.labels.get(label) == Some(&entry.number) {
                         self.labels.remove(label);
@@ -301,8 +290,8 @@ impl Record {
         Ok(())
     }
 
-    /// Makes sure that the record is the file that was locked, under its name, and that nobody else has written to it:
-    /// a number that is given now would not be on record. After an error nothing more is recorded.
+    /// Checks that the record is the locked file, under its name, and that nobody else has written to it: a number
+    /// given now would not be on record. After an error nothing more is recorded.
     pub(super) fn check(&mut self) -> Result<()> {
         let what = match (self.path.symlink_metadata(), self.held.metadata()) {
             (Err(error), _) if error.kind() == ErrorKind::NotFound => "removed or renamed".to_string(),
@@ -322,7 +311,7 @@ impl Record {
         Err(Error::new(self.path.display().to_string(), Cause::Gone, why))
     }
 
-    /// Adds a line. On return it is on disk. Of a pack that is begun, there is room for the outcome, too.
+    /// Adds a line. On return it is on disk, and after a begun pack there is room for the outcome too.
     pub(super) fn append(&mut self, entry: &Entry) -> Result<()> {
         let name = self.path.display().to_string();
         if self.broken {
@@ -338,7 +327,7 @@ impl Record {
         }
         if let Err(error) = self.write(&line) {
             self.broken = true;
-            // It may be in the file although it is not on disk. Whoever reads it must not believe it.
+            // It may be in the file without being on disk. No reader may believe it.
             let _ = self.file.truncate(self.length);
             return Err(Error::io(name, "the record cannot be written", &error));
         }
@@ -346,21 +335,19 @@ impl Record {
         Ok(())
     }
 
-    /// Adds a line after one that could not be written, so that the file says what people were told. Returns why it
-    /// may not say so.
+    /// Adds a line after a failed one, so that the file agrees with what people were told. Returns why it may not.
     pub(super) fn supersede(&mut self, entry: &Entry) -> Result<()> {
         let length = self.path.symlink_metadata().map(|named| named.len());
         let is_same = length.is_ok_and(|length| length == self.length);
         let failed = |error| Error::io(self.path.display().to_string(), "its outcome is not on disk", &error);
         if !is_same {
-            // What is there, if anything, is not of this station.
+            // What may be there is not this station's.
             return Err(failed(ErrorKind::NotFound.into()));
         }
         let written = self.file.append(to_line(entry).as_bytes()).and_then(|()| self.file.sync());
         written.map_err(failed)
     }
 
-    /// The number of the next pack.
     pub(super) fn number(&mut self) -> u64 {
         self.next += 1;
         self.next - 1
@@ -371,22 +358,21 @@ impl Record {
         self.given.contains(serial)
     }
 
-    /// The serial numbers of packs that were begun.
     pub(super) fn given(&self) -> impl Iterator<Item = &str> {
         self.given.iter().map(String::as_str)
     }
 
-    /// The number of the pack that has passed with that serial number.
+    /// Number in the record of the passed pack with that serial number.
     pub(super) fn passed(&self, serial: &str) -> Option<u64> {
         self.passed.get(serial).copied()
     }
 
-    /// The number of the pack that has passed with that label, or is being programmed.
+    /// Number in the record of the pack with that label that has passed or is in progress.
     pub(super) fn labelled(&self, label: &str) -> Option<u64> {
         self.labels.get(label).copied()
     }
 
-    /// The number of the pack that has passed with that serial number, or is being programmed.
+    /// Number in the record of the pack with that serial number that has passed or is in progress.
     pub(super) fn taken(&self, serial: &str) -> Option<u64> {
         let mut open = self.open.values();
         let under_way =
@@ -394,27 +380,24 @@ impl Record {
         self.passed(serial).or_else(under_way)
     }
 
-    /// The pack that has passed and has that fingerprint, which covers its serial number.
+    /// The passed pack with that fingerprint, which covers its serial number.
     pub(super) fn seen(&self, fingerprint: &str) -> Option<&Entry> {
         self.seen.get(fingerprint)
     }
 
-    /// The packs that were begun and have no outcome.
     pub(super) fn unfinished(&self) -> Vec<Entry> {
         self.open.values().cloned().collect()
     }
 
-    /// The time of the last line; empty if there is none.
+    /// The last line's time, or an empty text.
     pub(super) fn last(&self) -> &str {
         &self.last
     }
 
-    /// Whether nothing was recorded yet.
     pub(super) fn is_new(&self) -> bool {
         self.length == 0
     }
 
-    /// Whether nothing more can be recorded.
     pub(super) fn is_broken(&self) -> bool {
         self.broken
     }

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! What a record says of its packs: a table for a spreadsheet, or counts by day or by reason. The record is only read, also
+//! What a record says about its packs: a spreadsheet's table, or counts by day or reason. The record is only read, even
 //! while a station writes to it.
 
 use std::collections::BTreeMap;
@@ -12,7 +12,7 @@ use super::record::{self, Bad, Entry, Event, Measured};
 use super::tally::{Tally, Totals};
 use crate::error::{Error, Result};
 
-/// Largest record that is read, in bytes: hundreds of thousands of packs.
+/// Largest record in bytes: hundreds of thousands of packs.
 const LONGEST: u64 = 1 << 30;
 
 /// The outcomes in a record.
@@ -24,24 +24,24 @@ pub struct Records {
 /// A row of counts.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Group {
-    /// The day or the slot that it is about.
+    /// Its day, slot or image.
     pub name: String,
     /// Its outcomes.
     pub totals: Totals,
 }
 
-/// Failures that have the reason in common.
+/// Failures with a common reason.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Failures {
     /// How many there are.
     pub count: u64,
-    /// The step that has failed; empty where an older record does not say it.
+    /// The failed step; empty in older records.
     pub step: String,
-    /// What the reasons begin with.
+    /// Common start of the reasons.
     pub reason: String,
 }
 
-/// What counts are for.
+/// The subject of counts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum By {
     /// A day, in UTC.
@@ -58,7 +58,7 @@ impl Records {
         let name = input::name(path);
         let read = input::read_file(path, LONGEST);
         let text = read.map_err(|error| Error::io(&name, "the record cannot be read", &error))?;
-        // A line with something else than text is none of a record.
+        // A line with anything but text does not belong in a record.
         let text = String::from_utf8_lossy(&text);
         let (mut outcomes, mut begun) = (Vec::new(), BTreeMap::new());
         for line in record::lines(&text) {
@@ -76,7 +76,7 @@ impl Records {
         Ok(Self { outcomes, unfinished: begun.len() })
     }
 
-    /// Packs that were begun and have no outcome.
+    /// Number of packs without an outcome.
     pub fn unfinished(&self) -> usize {
         self.unfinished
     }
@@ -88,7 +88,7 @@ impl Records {
         tally.totals
     }
 
-    /// The outcomes of each day, slot or image. A first try is one in the whole record.
+    /// The outcomes of each day, slot or image. The whole record decides what is a first try.
     pub fn groups(&self, by: By) -> Vec<Group> {
         let name = |entry: &Entry| match by {
             By::Day => entry.time.get(..10).unwrap_or(&entry.time).to_string(),
@@ -117,7 +117,7 @@ impl Records {
         for entry in self.outcomes.iter().filter(|entry| entry.event != Event::Pass) {
             let reason = entry.reason.as_deref().unwrap_or("unknown");
             let reason = reason.split("; ").next().unwrap_or_default();
-            // What follows differs from pack to pack.
+            // The rest differs from pack to pack.
             let end = reason.match_indices(": ").nth(2).map_or(reason.len(), |(at, _)| at);
             let words: Vec<&str> = reason[..end].split(' ').collect();
             let kind = words.iter().map(|word| alike(word).then_some(*word)).collect();
@@ -139,8 +139,7 @@ impl Records {
         list
     }
 
-    /// A row for each outcome, as CSV with a header: what it is, and of each quantity what it had to be, the limits, and
-    /// what was measured before and after.
+    /// A row per outcome, as CSV with a header. Each quantity has its target, limits, and values before and after.
     pub fn csv(&self) -> Vec<u8> {
         let mut quantities: Vec<(&str, &str)> = Vec::new();
         for measured in self.outcomes.iter().flat_map(|entry| &entry.measured) {
@@ -163,7 +162,7 @@ impl Records {
         for entry in &self.outcomes {
             let mut cells: Vec<String> = FIELDS.iter().map(|(_, of)| of(entry)).collect();
             for (name, unit) in &quantities {
-                // The last one counts: a voltage is measured by the bring-up, and perhaps calibrated later.
+                // The last one counts: the bring-up measures a voltage that may be calibrated later.
                 let found = entry.measured.iter().rfind(|one| one.name == *name && one.unit == *unit);
                 let value = |of: &Value| found.and_then(of).map_or(String::new(), |value| value.to_string());
                 cells.extend(VALUES.iter().map(|(_, of)| value(of)));
@@ -204,7 +203,7 @@ const FIELDS: [(&str, Text); 15] = [
     ("transfers", |entry| entry.transfers.map_or(String::new(), |count| count.to_string())),
 ];
 
-/// A row of CSV (RFC 4180). A cell that a spreadsheet would take for a formula begins with an apostrophe.
+/// A row of CSV (RFC 4180). An apostrophe precedes a cell that a spreadsheet would take for a formula.
 fn row(cells: Vec<String>) -> String {
     let cell = |cell: String| {
         let is_formula =

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! Serial numbers: from a counter, a list, or whoever types or scans them. None is given twice: what was given is in
-//! the record.
+//! Serial numbers, from a counter, a list or a person. None is given twice: the record has the given ones.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -17,7 +16,6 @@ use crate::options::{Options, SerialFrom};
 use gauge_bus::regular;
 use ti_gauge::notation;
 
-/// The source of serial numbers.
 pub(super) enum Serials {
     /// The packs keep theirs.
     None,
@@ -28,24 +26,23 @@ pub(super) enum Serials {
     },
     /// Each with its text in the list.
     List(Vec<(Value, String)>),
-    /// Somebody types or scans them.
+    /// Typed or scanned.
     Input,
 }
 
-/// The parameter of that name, as `df/by-name` has it.
+/// The parameter with that name in `df/by-name`.
 pub(super) fn named(chip: &'static Chip, name: &str) -> Option<Row> {
     let all = chip.subclasses.iter().flat_map(|row| row.parameters.iter().map(move |found| (row, found)));
     let is_it = |(row, found): &Row| format!("{}/{}", chip.class_dir(row), kebab_case(found.name)) == name;
     all.into_iter().find(is_it)
 }
 
-/// The parameter of that name of TI's.
+/// The parameter with that name of TI's.
 pub(super) fn called(chip: &'static Chip, name: &str) -> Option<Row> {
     let all = chip.subclasses.iter().flat_map(|row| row.parameters.iter().map(move |found| (row, found)));
     all.into_iter().find(|(_, found)| found.name == name)
 }
 
-/// The parameter that holds the serial number.
 pub(super) fn row(chip: &'static Chip, station: &Options) -> Result<Option<Row>> {
     let refuse = |key: &str, why: String| Err(Error::new(key, Cause::Invalid, why));
     match &station.serial_parameter {
@@ -67,7 +64,6 @@ pub(super) fn row(chip: &'static Chip, station: &Options) -> Result<Option<Row>>
     }
 }
 
-/// The parameter that holds the label.
 pub(super) fn label_row(chip: &'static Chip, station: &Options) -> Result<Option<Row>> {
     let Some(name) = &station.label_parameter else { return Ok(None) };
     let refuse = |why: String| Err(Error::new("label-parameter", Cause::Invalid, why));
@@ -78,13 +74,13 @@ pub(super) fn label_row(chip: &'static Chip, station: &Options) -> Result<Option
     }
 }
 
-/// A serial number as the record has it, and as it is compared.
+/// A serial number in the record's form, which is the form for comparisons.
 pub(super) fn shown(row: Row, value: &Value) -> String {
     notation::render(row.1.kind, value)
 }
 
 impl Serials {
-    /// The source that a station's file names.
+    /// The source in a station's file.
     pub(super) fn of(station: &Options, row: Option<Row>) -> Result<Self> {
         let (Some(from), Some(row)) = (station.serial, row) else { return Ok(Self::None) };
         let refuse = |key: &str, why: &'static str| Err(Error::new(key, Cause::Invalid, why));
@@ -110,17 +106,16 @@ impl Serials {
         }
     }
 
-    /// Whether somebody types or scans them.
     pub(super) fn are_scanned(&self) -> bool {
         matches!(self, Self::Input)
     }
 
-    /// The number that somebody has scanned.
+    /// The number in a scanned line.
     pub(super) fn scanned(row: Row, line: &str) -> std::result::Result<Value, String> {
         notation::parse(row.1, line.as_bytes()).map_err(|error| error.to_string())
     }
 
-    /// The next serial number that was not given yet.
+    /// The next unused serial number.
     pub(super) fn next(&self, row: Row, record: &Record) -> Result<Option<Value>> {
         let used_up = |what: &str| {
             let why = format!("{what}: all serial numbers were given");
@@ -146,7 +141,7 @@ impl Serials {
         }
     }
 
-    /// A serial number of the record as the station's file or its list writes it, which is what people look for.
+    /// A serial number of the record, written as in the station's file or list, where people look for it.
     pub(super) fn as_written(&self, row: Row, recorded: &str) -> String {
         let value = notation::parse_stored(row.1, recorded.as_bytes()).ok();
         let text = match (self, &value) {
@@ -163,10 +158,10 @@ impl Serials {
     }
 }
 
-/// Longer than a list of all serial numbers that fit.
+/// Larger than a list of all serial numbers that fit.
 const LONGEST: u64 = 16 << 20;
 
-/// The serial numbers of a file, one a line.
+/// The serial numbers of a file, one per line.
 fn list(path: &Path, row: Row) -> Result<Vec<(Value, String)>> {
     let name = path.display().to_string();
     let text = regular::read_text(path, LONGEST)

@@ -15,19 +15,18 @@ use gauge_owner::lock::{self, Lock};
 use gauge_sim::{Level, Sim};
 use ti_gauge::chip::{Chip, Role};
 
-/// How long a pack stays away that was taken off, in ms.
+/// Absence of a removed pack, in ms.
 const FOR_EVER_MS: u32 = 1_000_000_000;
-/// The unseal key of a pack of which the station knows none.
+/// An unseal key that the station does not know.
 const OTHER_KEY: [u16; 2] = [0x5ca1, 0xab1e];
 
-/// A place for packs, held by this process.
+/// A place for packs, locked by this process.
 pub(super) struct Place {
     pub(super) bench: Bench,
     pub(super) slot: Box<dyn Slot>,
 }
 
 impl Place {
-    /// All places of a station.
     pub(super) fn all(plan: &Plan, clock: &Arc<dyn Clock>) -> Result<Vec<Self>> {
         let mut places = Vec::new();
         for (at, (name, gauge)) in plan.setup.gauges.iter().enumerate() {
@@ -56,7 +55,7 @@ impl Place {
             };
             return Ok(Self { bench: plan.bench(at, subject, false, key)?, slot: Box::new(slot) });
         }
-        // The image says what the packs are, so none is asked before its registers read like that part's.
+        // The image tells the part, so no device is asked before its registers read like that part's.
         if let Source::Bus { chip, .. } = &mut source {
             *chip = Some(chip_of_packs);
         }
@@ -68,7 +67,7 @@ impl Place {
     }
 }
 
-/// One bus for the owners of all packs on it, of which only one is at work.
+/// A bus shared by the owners of all its packs; one works at a time.
 #[derive(Clone)]
 struct Shared(Arc<Mutex<Box<dyn Bus>>>);
 
@@ -122,8 +121,8 @@ impl Slot for Wired {
     }
 }
 
-/// Looks for a device. Each reads another register, because the watchdog of a gauge allows each of them twice a second.
-/// A read is harmless to any device.
+/// Looks for a device. Each look reads another register, because a gauge's watchdog allows each only twice a second. A
+/// read is harmless to any device.
 struct Looks {
     codes: Vec<u8>,
     next: usize,
@@ -136,7 +135,6 @@ impl Looks {
         Self { codes: codes.collect(), next: 0 }
     }
 
-    /// Whether something acknowledges a read.
     fn find(&mut self, bus: &mut dyn Bus) -> bool {
         let code = self.codes.get(self.next % self.codes.len().max(1)).copied().unwrap_or(0x08);
         self.next += 1;
@@ -145,21 +143,21 @@ impl Looks {
     }
 }
 
-/// Simulated packs, each of which comes when the one before has gone.
+/// Simulated packs. The next one comes after the previous one has gone.
 struct Simulated {
     source: Source,
-    /// What they are like, from the first one on and then again.
+    /// Their events, repeated from the first.
     rehearsed: Vec<Rehearsed>,
     clock: Arc<dyn Clock>,
     left: u32,
     pack: Option<Pack>,
     number: u32,
-    /// Looks since the pack before has gone: the next one comes when that was seen.
+    /// Looks since the previous pack has gone. The next one comes after that was noticed.
     looks: u32,
     error: Option<Error>,
 }
 
-/// A simulated pack, and the lock of its file.
+/// A simulated pack, and its file's lock.
 struct Pack {
     looks: Looks,
     bus: Shared,
@@ -170,7 +168,7 @@ impl Simulated {
     fn connect(&mut self) -> Result<Pack> {
         let mut source = self.source.clone();
         if let Source::Sim { state: Some(state), .. } = &mut source {
-            // `%` in the name of the file stands for the number of the pack.
+            // `%` in the file's name stands for the pack's number.
             *state = state.to_string_lossy().replace('%', &self.number.to_string()).into();
         }
         self.rehearse(&mut source);
@@ -181,7 +179,7 @@ impl Simulated {
 }
 
 impl Simulated {
-    /// Makes the next pack what the rehearsal says.
+    /// Applies the rehearsal's event to the next pack.
     fn rehearse(&self, of: &mut Source) {
         let at = (self.number as usize).saturating_sub(1) % self.rehearsed.len().max(1);
         let Some(rehearsed) = self.rehearsed.get(at) else { return };
@@ -192,7 +190,7 @@ impl Simulated {
             Rehearsed::Pulled(transfer) => turn("fault", &format!("silence {transfer} {FOR_EVER_MS}")),
             Rehearsed::OtherPart => {
                 let other = Chip::all().filter(|other| Sim::knows(other.name) && other.model != chip.model);
-                // Its flash is another part's, and what is set there may be unknown to it.
+                // Its flash is another part's, which may not know those settings.
                 (*scenario, *seal, *state) = (None, None, None);
                 knobs.clear();
                 if let Some(other) = other.into_iter().next() {
@@ -243,7 +241,6 @@ impl Slot for Simulated {
     }
 }
 
-/// A bus without a device.
 struct Nothing;
 
 impl Bus for Nothing {

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! The outcomes of a run, counted for the people at the line.
+//! Outcomes of a run, counted for the people at the line.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -11,36 +11,35 @@ use super::record::{Entry, Event};
 pub struct Totals {
     /// Packs that have passed.
     pub passed: u64,
-    /// Packs that have not, by the step that has failed.
+    /// Failed packs by step.
     pub failed: BTreeMap<String, u64>,
-    /// Packs that were tried for the first time in this run, as far as that can be seen, and how many of those have
-    /// passed.
+    /// First tries of packs in this run, as far as known.
     pub first_tries: u64,
     /// How many of those have passed.
     pub first_passes: u64,
-    /// The seconds of packs that have passed: the sum, the least and the most.
+    /// Seconds of passed packs: sum, least and most.
     pub seconds: (f64, f64, f64),
     /// Failures since the last pack that has passed.
     pub in_a_row: u64,
 }
 
 impl Totals {
-    /// Packs that have not passed.
+    /// Number of failed packs.
     pub fn failures(&self) -> u64 {
         self.failed.values().sum()
     }
 
-    /// The share of packs that have passed at their first try, in percent.
+    /// Share of passed packs among first tries, in percent.
     pub fn first_pass_yield(&self) -> Option<f64> {
         (self.first_tries > 0).then(|| self.first_passes as f64 / self.first_tries as f64 * 100.0)
     }
 
-    /// The seconds of a pack that has passed, on average.
+    /// Mean seconds of a passed pack.
     pub fn mean_seconds(&self) -> Option<f64> {
         (self.passed > 0).then(|| self.seconds.0 / self.passed as f64)
     }
 
-    /// What they come to, as lines; none before the first outcome.
+    /// The totals as lines; empty before the first outcome.
     pub fn lines(&self) -> Vec<String> {
         let packs = self.passed + self.failures();
         if packs == 0 {
@@ -59,7 +58,7 @@ impl Totals {
     }
 }
 
-/// The totals, and what tells a second try from a first one.
+/// The totals, and the data to recognise second tries.
 #[derive(Debug, Default)]
 pub(super) struct Tally {
     pub(super) totals: Totals,
@@ -67,7 +66,6 @@ pub(super) struct Tally {
 }
 
 impl Tally {
-    /// Counts an outcome.
     pub(super) fn count(&mut self, entry: &Entry) {
         let Self { totals, tried } = self;
         let label = entry.label.iter().map(|label| format!("label {label}"));

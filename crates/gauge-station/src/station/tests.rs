@@ -1594,9 +1594,11 @@ fn what_is_rehearsed_goes_wrong_as_it_is_called() {
     check_record(&folder);
     let told = said.all();
     assert!(told.iter().any(|line| line.starts_with("? packs: 5, passed: 1, failed: 4,")), "{told:?}");
-    for (word, why) in
-        [("'bad'", "is none of: good"), ("'pulled'", "is none of"), ("'pulled 0'", "expected a transfer")]
-    {
+    for (word, why) in [
+        ("'bad'", "use good, pulled N"),
+        ("'pulled'", "is not an event"),
+        ("'pulled 0'", "expected a transfer"),
+    ] {
         let error =
             folder.try_plan(&format!("{PLAIN}\nrehearse = [{word}]")).err().expect("refused").to_string();
         assert!(error.contains("rehearse") && error.contains(why), "{error}");
