@@ -16,6 +16,7 @@ use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 use ti_gauge::chip::{Chip, FLAT, Kind, Parameter, Range, kebab_case};
 
+use crate::drawn::one_in;
 use crate::room::{
     CHIP, Folder, Foreground, Ran, as_nobody, can_mount, command, gaugefs, gaugefs_station, read, run,
     same_as_golden, shown, stop, users_can_mount, within,
@@ -282,7 +283,7 @@ fn check_exports(chip: &Chip) {
     let at = folder.file("m");
     gaugefs(&["mount", "--sim", chip.name, &at]).done();
     let gauge = format!("{at}/BAT0");
-    for format in ["toml", "gg.csv", "flashstream"] {
+    for format in one_in(3, ["toml", "gg.csv", "flashstream"]) {
         let file = folder.file(format);
         gaugefs(&["export", &gauge, "--format", format, "-o", &file]).done();
         gaugefs(&["lint", &file]).done();

@@ -105,11 +105,12 @@ fn a_program_follows_changes_and_orders_a_poll() {
     gauge.send("sim/temperature", b"650\n").expect("a knob");
     let begun = Instant::now();
     loop {
-        let texts = follow.next(Some(LONG)).expect("a poll").expect("a gauge");
-        if hot.holds(Some(&texts)) == Some(true) {
+        let texts = follow.next(Some(LONG)).expect("a poll");
+        // On a busy machine the daemon may be silent for a while.
+        if texts.as_ref().is_ok_and(|texts| hot.holds(Some(texts)) == Some(true)) {
             break;
         }
-        assert!(begun.elapsed() < LONG, "{}", hot.values(Some(&texts)));
+        assert!(begun.elapsed() < LONG, "{texts:?}");
     }
 
     let watch = Watch::start(Some(gauge.folder()), None).expect("a thread");

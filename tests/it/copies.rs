@@ -8,6 +8,7 @@ use std::process::{Command, Stdio};
 
 use ti_gauge::keys::Keys;
 
+use crate::drawn::one_in;
 use crate::room::{Folder, Swift, swift, within};
 
 /// Copiers: what each needs, and its script, with the file and the copy as arguments. `cp -a` copies a link as a link.
@@ -78,7 +79,7 @@ fn copies(
         }
         let folder = Folder::new();
         state();
-        for (at, name) in files.iter().enumerate() {
+        for (at, name) in one_in(2, files.iter().enumerate()) {
             let path = mount.root.join(name);
             // A poll may change it; to read data flash would be to read it for the copier.
             let before = fs::read(&path).ok().filter(|_| !is_flash(name));

@@ -20,7 +20,8 @@ use nix::sys::time::{TimeVal, TimeValLike};
 use nix::unistd::{Pid, geteuid};
 
 use crate::room::{
-    Folder, Foreground, LONG, as_nobody, can_mount, command, drop_copied_mounts, gaugefs, run, stop, within,
+    Folder, Foreground, LONG, as_nobody, can_mount, command, drop_copied_mounts, gaugefs, impatient, run,
+    stop, within,
 };
 
 const SUPPLIES: &str = "/sys/class/power_supply";
@@ -147,6 +148,7 @@ fn listeners_hear_of_changes_and_of_each_way_in_which_a_mount_ends() {
     if !is_apart("events::listeners_hear_of_changes_and_of_each_way_in_which_a_mount_ends") {
         return;
     }
+    impatient();
     let listener = Listener::new();
     let events = Events::new();
     events.says("waiting");
@@ -208,6 +210,7 @@ fn regression_a_mount_that_had_hung_was_not_looked_at_for_nine_times_as_long() {
     if !is_apart("events::regression_a_mount_that_had_hung_was_not_looked_at_for_nine_times_as_long") {
         return;
     }
+    impatient();
     let listener = Listener::new();
     let daemon = mounted();
     let _events = Events::new();

@@ -11,6 +11,9 @@ mod config;
 mod copies;
 mod doctor;
 mod documents;
+#[allow(dead_code, reason = "the tests of the engine use the rest")]
+#[path = "../../crates/ti-gauge/tests/it/room/drawn.rs"]
+mod drawn;
 mod ends;
 mod endurance;
 #[cfg(feature = "screen")]

@@ -4,7 +4,7 @@
 
 use std::path::Path;
 use std::sync::mpsc::{self, Sender};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
 
 use gauge_bus::clock::{Clock, RealClock};
@@ -15,6 +15,16 @@ use crate::error::{Error, Result};
 
 /// A daemon hangs if it does not answer for this long.
 pub const PATIENCE: Duration = Duration::from_secs(5);
+
+/// [`PATIENCE`], or as many seconds as the variable `GAUGEFS_PATIENCE` says: on a machine that is far too busy, as under test, a
+/// daemon may be slow and not hang.
+fn patience() -> Duration {
+    static SET: OnceLock<Duration> = OnceLock::new();
+    *SET.get_or_init(|| {
+        let seconds = std::env::var("GAUGEFS_PATIENCE").ok().and_then(|text| text.parse().ok());
+        seconds.map_or(PATIENCE, Duration::from_secs)
+    })
+}
 
 /// The error for a daemon that hangs.
 pub const SILENT: &str = "its daemon does not answer";
@@ -46,7 +56,7 @@ impl Calling {
     /// Whether the daemon has been silent for [`PATIENCE`]: true once per such time.
     pub fn is_silent(&self) -> bool {
         let mut since = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        let is_silent = since.is_some_and(|since| since.elapsed() >= PATIENCE);
+        let is_silent = since.is_some_and(|since| since.elapsed() >= patience());
         if is_silent {
             *since = Some(Instant::now());
         }

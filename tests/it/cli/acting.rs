@@ -15,7 +15,8 @@ use nix::sys::signal::{Signal, kill};
 use nix::unistd::{Pid, geteuid};
 
 use crate::room::{
-    CHIP, Folder, Foreground, LONG, as_nobody, can_mount, command, gaugefs, read, run, stop, within,
+    CHIP, Folder, Foreground, LONG, as_nobody, can_mount, command, gaugefs, impatient, read, run, stop,
+    within,
 };
 
 /// A simulated gauge that is polled often, with this state of charge.
@@ -127,6 +128,7 @@ fn wait_for_a_gauge_that_is_missing() {
 
 #[test]
 fn a_daemon_that_hangs_makes_a_gauge_missing_and_holds_up_nobody() {
+    impatient();
     if !can_mount() {
         return;
     }

@@ -16,7 +16,9 @@ use nix::unistd::Pid;
 use serde_json::{Value, json};
 
 use super::golden;
-use crate::room::{CHIP, Folder, Foreground, LONG, can_mount, command, gaugefs, read, stop, within};
+use crate::room::{
+    CHIP, Folder, Foreground, LONG, can_mount, command, gaugefs, impatient, read, stop, within,
+};
 
 /// `gaugefs top` on a terminal of its own.
 struct Screen {
@@ -167,6 +169,7 @@ fn top_can_be_used_and_quit() {
 
 #[test]
 fn top_reports_a_mount_that_hangs_and_one_that_ends() {
+    impatient();
     if !can_mount() {
         return;
     }

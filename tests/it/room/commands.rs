@@ -2,6 +2,7 @@
 
 //! gaugefs as a command: what it prints, and mounts that it serves.
 
+use std::cell::Cell;
 use std::fs;
 use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::path::Path;
@@ -24,6 +25,16 @@ pub(crate) struct Ran {
     pub(crate) gauges: Vec<String>,
 }
 
+thread_local! {
+    static IMPATIENT: Cell<bool> = const { Cell::new(false) };
+}
+
+/// The commands of this test from now on take a daemon that does not answer for some seconds for one that hangs, as they do
+/// outside of tests. Otherwise the machine may only be busy.
+pub(crate) fn impatient() {
+    IMPATIENT.set(true);
+}
+
 /// The program `gaugefs-station`.
 pub(crate) const STATION: &str = env!("CARGO_BIN_EXE_gaugefs-station");
 
@@ -39,6 +50,9 @@ pub(crate) fn command_of(program: &str, arguments: &[&str]) -> Command {
         .env("COLUMNS", "100")
         .env_remove("RUST_LOG")
         .stdin(Stdio::null());
+    if !IMPATIENT.get() {
+        command.env("GAUGEFS_PATIENCE", LONG.as_secs().to_string());
+    }
     command
 }
 
@@ -175,6 +189,7 @@ pub(crate) fn within(what: &str, is_so: impl Fn() -> bool) {
 /// Stops a daemon while it has no request: whoever waits for the answer to one that a daemon has taken cannot be ended,
 /// not even by SIGKILL. Without root, where the kernel's list of connections is not mounted, that is left to chance.
 pub(crate) fn stop(daemon: u32, at: &str) {
+    impatient();
     let pid = Pid::from_raw(daemon as i32);
     let device = fs::metadata(at).expect("a mount").dev();
     let connections = Connections::mount().ok();

@@ -157,6 +157,13 @@ pub(crate) fn alike(printed: &str, shown: &str) -> bool {
     same && printed.is_empty()
 }
 
+/// The seconds after which somebody ends a program that has shown something: more on a machine that is busy.
+fn a_while() -> u64 {
+    let start = Instant::now();
+    super::gaugefs(&["--version"]).done();
+    2 + 50 * start.elapsed().as_millis() as u64 / 1000
+}
+
 /// Whether a command is, or runs, a program that this machine lacks.
 fn lacks(line: &str) -> bool {
     let words = line.split(|letter: char| !letter.is_ascii_alphanumeric());
@@ -220,7 +227,11 @@ impl Session {
     fn run(&self, line: &str, ended: bool, is_it: impl Fn(&str) -> bool) -> (i32, String) {
         let here = self.here(line);
         let (printed, place) = (self.file(".printed"), self.file(".place"));
-        let words = if ended { "timeout --signal=INT --kill-after=10 2 " } else { "" };
+        let words = if ended {
+            format!("timeout --signal=INT --kill-after=60 {} ", a_while())
+        } else {
+            String::new()
+        };
         let script = format!(
             "exec >\"$FOLDER/.printed\" 2>&1; [ ! -e \"$FOLDER/.place\" ] || . \"$FOLDER/.place\"\n{words}{here}\n\
              code=$?; printf 'cd %q; cd %q' \"${{OLDPWD:-$PWD}}\" \"$PWD\" >\"$FOLDER/.place\"; exit $code"
@@ -237,6 +248,7 @@ impl Session {
                 .envs(["AUTHOR", "COMMITTER"].map(|who| (format!("GIT_{who}_NAME"), "line 1")))
                 .envs(["AUTHOR", "COMMITTER"].map(|who| (format!("GIT_{who}_EMAIL"), "line1@example.org")))
                 .env_remove("RUST_LOG")
+                .env("GAUGEFS_PATIENCE", LONG.as_secs().to_string())
                 .stdin(Stdio::null())
                 .stdout(Stdio::null())
                 .stderr(Stdio::null())
