@@ -260,7 +260,7 @@ fn programs_only_call_the_library() {
 
 #[test]
 fn no_test_file_uses_another_one() {
-    const SHARED: [&str; 4] = ["room", "rig", "bench", "firmware"];
+    const SHARED: [&str; 5] = ["room", "rig", "bench", "firmware", "drawn"];
     for folder in crates().iter().map(|folder| folder.join("tests/it")).filter(|folder| folder.is_dir()) {
         for (user, used) in uses(&modules(&folder)).get(&Module::new()).into_iter().flatten() {
             let others: Vec<_> = used.iter().filter(|used| !SHARED.contains(&used.as_str())).collect();
