@@ -148,7 +148,7 @@ impl Source {
             (Some(file), _) => Ok(Self::Recording(file.clone())),
             (None, Some(bus)) => Ok(Self::Bus {
                 bus: bus.clone(),
-                address: options.address.unwrap_or(GAUGE_ADDRESS),
+                address: options.address.unwrap_or(options.chip.map_or(GAUGE_ADDRESS, |chip| chip.address)),
                 chip: options.chip,
                 single: options.is_single(),
             }),
