@@ -181,6 +181,16 @@ pub(super) fn lasting(timer: &mut f64, met: bool, seconds: f64) -> f64 {
     *timer
 }
 
+/// Minutes to empty and to full at a current in mA; the second allows for the taper.
+pub(super) fn times(battery: &Battery, current_ma: f64) -> (u16, u16) {
+    let minutes = |mah: f64| whole((mah / current_ma.abs() * 60.0).min(65534.0));
+    match current_ma {
+        ..0.0 => (minutes(battery.charge_mah), NO_TIME),
+        0.0 => (NO_TIME, NO_TIME),
+        _ => (NO_TIME, minutes((battery.capacity_mah - battery.charge_mah) * 1.1)),
+    }
+}
+
 pub(super) fn whole(value: f64) -> u16 {
     value.round().clamp(0.0, 65535.0) as u16
 }

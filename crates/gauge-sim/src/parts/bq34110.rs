@@ -10,8 +10,8 @@ use super::battery::Battery;
 use super::flash::{Flash, Image};
 use super::flat::{BASE, DATA_FLASH, PRIVATE, SIZE, i16_at, image, offset, u8_at, u16_at};
 use super::model::{
-    AVERAGE_S, Calibration, FREEZING, Kept, MacModel, Model, NO_TIME, Registers, Reply, bits, registers,
-    signed, whole,
+    AVERAGE_S, Calibration, FREEZING, Kept, MacModel, Model, Registers, Reply, bits, registers, signed,
+    times, whole,
 };
 use super::part::{MacPart, Part, Scheme};
 use super::seal::Level;
@@ -263,18 +263,6 @@ impl Cedv {
         self.flag(CHGINH, inhibited, true);
     }
 
-    /// Minutes to empty and to full at the average current; the second allows for the taper.
-    fn times(&self) -> (u16, u16) {
-        let average = self.average_ma.round();
-        let minutes = |mah: f64| whole((mah / average.abs() * 60.0).min(65534.0));
-        let (charge, room) = (self.battery.charge_mah, self.battery.capacity_mah - self.battery.charge_mah);
-        match average {
-            ..0.0 => (minutes(charge), NO_TIME),
-            0.0 => (NO_TIME, NO_TIME),
-            _ => (NO_TIME, minutes(room * 1.1)),
-        }
-    }
-
     /// OperationStatus().
     fn operation(&self, level: Level) -> u16 {
         let security = match level {
@@ -374,7 +362,7 @@ impl MacModel for Cedv {
 
     fn registers(&self, level: Level, voltage_mv: u16) -> Registers {
         let (s, b, ram) = (&self.settings, &self.battery, &self.ram);
-        let (to_empty, to_full) = self.times();
+        let (to_empty, to_full) = times(&self.battery, self.average_ma.round());
         let kelvin = whole(b.temperature() * 10.0 + FREEZING);
         let health = (100.0 * b.capacity_mah / s.design_mah.max(1.0)).min(100.0);
         let power = self.average_ma * f64::from(voltage_mv) / 1000.0;
