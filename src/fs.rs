@@ -294,7 +294,7 @@ fn not_writable() -> Error {
 /// The tree.
 pub struct Fs {
     supplies: Vec<Arc<Supply>>,
-    /// In place of supplies: simulated gauges of which only the knobs are shown, by the names of their folders.
+    /// In place of supplies: folders with only the knobs of simulated gauges, by their names.
     knobs: Vec<(String, Box<dyn Knobs>)>,
     access: Access,
     /// Folder name of the Mains supply.
@@ -361,7 +361,7 @@ impl Fs {
         }
     }
 
-    /// A gauge of which more is shown than its knobs.
+    /// A gauge that shows more than its knobs.
     fn handle(&self, gauge: u16) -> Option<&Handle> {
         self.supplies.get(usize::from(gauge)).map(|supply| &supply.handle)
     }

@@ -145,7 +145,7 @@ impl Report {
 }
 
 impl Batch {
-    /// Runs `work` for each gauge, which returns that gauge's exit code. A failed gauge has the exit code `failure`.
+    /// Runs `act` for each gauge, which returns that gauge's exit code. A failed gauge has the exit code `failure`.
     pub(super) fn run(
         self,
         gauges: &[PathBuf],

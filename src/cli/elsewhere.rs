@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! The commands that another program has, or another build. Whoever types one is told which.
+//! Commands of another program or build, which the error names.
 
 use std::ffi::OsString;
 use std::process::ExitCode;

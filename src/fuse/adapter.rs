@@ -41,7 +41,7 @@ const CLOSES: Duration = Duration::from_secs(1);
 /// An extended attribute that the kernel asks for before each write, and removes if the file has it. Only then it copies
 /// what is written to the page cache, where everybody sees it before gaugefs gets it. A file that nobody may write
 /// pretends to have the attribute and does not let it be removed, so that not even root's writes get to the page cache.
-/// Whoever reads the attribute is told that there is none.
+/// A reader of the attribute gets the answer that it does not exist.
 const CAPABILITY: &str = "security.capability";
 /// The size of that attribute; any but 0 will do.
 const CAPABILITY_SIZE: u32 = 20;
@@ -249,8 +249,7 @@ impl Adapter {
     }
 }
 
-/// An unread value that was asked for. Whoever waits for it gets an answer, even if the gauge's owner ends
-/// without reading it.
+/// A requested unread value. Its waiters get an answer, even if the gauge's owner ends without reading it.
 struct Arrival {
     adapter: Adapter,
     number: u64,
@@ -573,7 +572,7 @@ impl Filesystem for Adapter {
     }
 
     /// SEEK_DATA and SEEK_HOLE. No file has a hole, and a gauge is not asked: an ENXIO of it would mean that the file ends
-    /// here. Whoever reads what this promises gets the errno then.
+    /// here. A read of what this promises gets the errno.
     fn lseek(&self, _: &Request, ino: INodeNo, _: FileHandle, offset: i64, whence: i32, reply: ReplyLseek) {
         self.guard(ino, || {
             let inodes = self.using(ino.into());

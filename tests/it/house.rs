@@ -455,6 +455,88 @@ fn files(folder: &Path, found: &mut Vec<std::path::PathBuf>) {
     }
 }
 
+/// The blocks of doc comments in a text, each on one line.
+fn doc_comments(text: &str) -> Vec<String> {
+    let mut found = vec![String::new()];
+    for line in text.lines().map(str::trim_start) {
+        match line.strip_prefix("///").or_else(|| line.strip_prefix("//!")) {
+            Some(comment) => found.last_mut().expect("it begins with one").push_str(comment),
+            None => found.push(String::new()),
+        }
+    }
+    found.retain(|comment| !comment.is_empty());
+    found
+}
+
+/// The words of a comment that an engineer reads twice.
+fn hard_words(comment: &str) -> Option<&'static str> {
+    const HARD: [&str; 4] = ["of which", "whoever", "is none", "likewise"];
+    let comment = comment.to_lowercase();
+    HARD.into_iter().find(|hard| {
+        let is_end = |letter: Option<char>| letter.is_none_or(|letter| !letter.is_alphanumeric());
+        comment.match_indices(hard).any(|(at, _)| {
+            is_end(comment[..at].chars().next_back()) && is_end(comment[at + hard.len()..].chars().next())
+        })
+    })
+}
+
+#[test]
+fn doc_comments_are_understood_at_the_first_reading() {
+    // Not read again yet: a name that is rewritten leaves the list.
+    const LEFT: [&str; 4] = [
+        "crates/gauge-owner/",
+        "crates/ti-gauge/src/chip.rs",
+        "crates/ti-gauge/src/dataflash",
+        "crates/ti-gauge/src/gauge",
+    ];
+    let top = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let (mut paths, mut found) = (Vec::new(), Vec::new());
+    crates().iter().for_each(|folder| files(&folder.join("src"), &mut paths));
+    for path in paths {
+        let name = path.strip_prefix(top).expect("below the checkout").to_string_lossy().into_owned();
+        if LEFT.iter().any(|left| name.starts_with(left)) || name.contains("/tests") {
+            continue;
+        }
+        let text = fs::read_to_string(&path).expect("a file of the checkout");
+        let product = text.split("\n#[cfg(test)]\nmod ").next().unwrap_or_default();
+        let comments = doc_comments(product);
+        found.extend(
+            comments
+                .iter()
+                .filter_map(|comment| Some(format!("{name}: {}: {comment}", hard_words(comment)?))),
+        );
+    }
+    assert!(found.is_empty(), "{}", found.join("\n"));
+}
+
+#[test]
+fn a_hard_word_is_found() {
+    let text =
+        "/// Two bytes, of\n/// which one is 0.\nlet likewise = 1; // whoever\n//! This is nonetheless fine.";
+    let comments = doc_comments(text);
+    assert_eq!(comments.len(), 2, "{comments:?}");
+    assert_eq!(comments.iter().map(|one| hard_words(one)).collect::<Vec<_>>(), [Some("of which"), None]);
+}
+
+/// A module of tests that is longer hides the code before it, and has a file of its own.
+#[test]
+fn test_modules_within_a_file_are_short() {
+    const LONGEST: usize = 300;
+    // Not moved yet.
+    const LEFT: [&str; 3] = ["owner/arrival.rs", "owner/learned.rs", "owner/memory.rs"];
+    let (mut paths, mut found) = (Vec::new(), Vec::new());
+    crates().iter().for_each(|folder| files(&folder.join("src"), &mut paths));
+    for path in paths.iter().filter(|path| !LEFT.iter().any(|left| path.ends_with(left))) {
+        let text = fs::read_to_string(path).expect("a file of the checkout");
+        let tests =
+            text.split_once("\n#[cfg(test)]\nmod tests {\n").map_or(0, |(_, tests)| tests.lines().count());
+        if tests > LONGEST {
+            found.push(format!("{}: {tests} lines of tests", path.display()));
+        }
+    }
+    assert!(found.is_empty(), "{}", found.join("\n"));
+}
+
 /// Whether a file is a program or a part of one, by its name and its first lines. What data there is, `REUSE.toml` covers.
 fn is_source(path: &Path, text: &[u8]) -> bool {
     const SOURCE: [&str; 7] = ["asl", "awk", "conf", "rs", "rules", "service", "sh"];

@@ -3,8 +3,8 @@
 //! A [`Bus`] that gives up waiting for a transfer after a limited time.
 //!
 //! A transfer is a system call, and the driver of an adapter may hang in it for good; no signal ends such a call. So
-//! each bus has a thread of its own for its transfers, and whoever has asked for one can give up waiting. Until the
-//! transfer has returned, nothing else is sent on that adapter, for this target or another one.
+//! each bus has a thread of its own for its transfers, and its caller can give up waiting. Until the transfer has
+//! returned, nothing else is sent on that adapter, for this target or another one.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::panic::{self, AssertUnwindSafe};

@@ -82,7 +82,7 @@ impl Clock for SimClock {
 }
 
 /// Real time, except that a sleep ends at once and counts as slept: a write takes seconds of a simulated gauge and
-/// microseconds of whoever waits for it.
+/// microseconds of the caller.
 #[derive(Debug, Default)]
 pub struct HurriedClock {
     real: RealClock,

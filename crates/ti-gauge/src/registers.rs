@@ -81,7 +81,7 @@ impl Registers {
         Ok(())
     }
 
-    /// Takes the registers of which all bytes are among these, which begin at an address.
+    /// Takes the registers whose bytes are all among these, from an address on.
     pub(crate) fn fill(&mut self, start: u8, bytes: &[u8]) {
         for (row, cell) in self.rows.iter().zip(&mut self.cells) {
             // What Control() and the window show is no reading.
