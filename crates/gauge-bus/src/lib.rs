@@ -7,8 +7,8 @@
 //! a recorder around another bus ([`trace`]), or a bus that gives up on a driver that hangs ([`bounded`]). The layers
 //! above measure time and wait with [`clock`], so that tests need not wait.
 //!
-//! The only thing that this crate knows of fuel gauges is their address: no registers, no keys, no data flash. The
-//! exception is [`replay`], which has to know which writes select the answer to a read.
+//! The only thing that this crate knows of fuel gauges is their address: no registers, no keys, no data flash. What
+//! [`replay`] has to know, which writes select the answer to a read, it is told.
 //!
 //! ```
 //! use gauge_bus::{Bus, BusError};

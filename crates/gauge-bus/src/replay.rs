@@ -2,7 +2,7 @@
 
 //! A [`Bus`] that answers from a file that [`super::trace`] wrote: a recorded gauge that can be read.
 //!
-//! The answer of a gauge at a register depends on what was written before: the subcommand for Control(), the
+//! The answer of a target at a register depends on what was written before: the subcommand for its answer, the
 //! selected block for the data window, and the seal state for both. So a read gets the answers that were recorded
 //! at the same register after the same writes, in their order; after the last one, the last that was not a
 //! failure is repeated. Writes that only select an answer are accepted, because they change nothing. All other
@@ -16,8 +16,6 @@ use crate::{Bus, BusError, regular};
 
 /// Longer than a trace of days.
 const LONGEST: u64 = 256 << 20;
-/// Control(RESET), which seals as well.
-const RESET: u16 = 0x0041;
 
 /// The contents of a recording.
 pub struct Recording {
@@ -38,12 +36,30 @@ enum Event {
 
 type Answer = Result<Vec<u8>, BusError>;
 
-/// How to recognise whether a gauge is sealed.
+/// What a byte of a write touches in a target, as far as the answers to later reads depend on it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Touch {
+    /// A subcommand: the byte of that index, the least significant one first.
+    Subcommand(usize),
+    /// What a window shows: the byte of that index of the selection.
+    Selects(usize),
+    /// The buffer of the window, at that index.
+    Fills(usize),
+    /// What the buffer holds is stored.
+    Commits,
+    /// Something else of the window, without an effect of its own.
+    Beside,
+}
+
+/// What each byte of a write touches, in its order; the first byte of a write is the register.
+pub type Touches = Box<dyn Fn(&[u8]) -> Vec<(Touch, u8)> + Send>;
+
+/// How to recognise whether a target is sealed.
 #[derive(Clone, Copy, Debug)]
 pub struct Seals {
-    /// The subcommand that seals.
-    pub command: u16,
-    /// The register that shows the seal state, if it is not Control().
+    /// The subcommands that seal.
+    pub commands: [u16; 2],
+    /// The register that shows the seal state, if it is not that of subcommands.
     pub status: Option<u8>,
 }
 
@@ -144,59 +160,69 @@ fn outcome(line: &str) -> Option<Answer> {
 struct Context {
     /// Keys were sent since the gauge was last sealed.
     open: bool,
-    /// The word that selected the answer, and the register to which it was written.
-    about: Option<(u8, [u8; 2])>,
+    /// The word that selected the answer, and whether that is a selection; otherwise it is a subcommand.
+    about: Option<(bool, [u8; 2])>,
 }
 
 /// The writes on which later answers depend.
-#[derive(Clone, Copy)]
 struct Written {
     seals: Seals,
+    touches: Touches,
     open: bool,
-    control: [u8; 2],
+    command: [u8; 2],
     selection: [u8; 2],
-    /// The register of the one that was written last.
-    last: u8,
+    /// The selection was written last.
+    selected_last: bool,
 }
 
-/// ManufacturerAccessControl(), or DataFlashClass() and DataFlashBlock(); the window follows.
-const SELECTION: u8 = 0x3e;
-/// BlockDataControl(), the end of the window.
-const WINDOW_END: u8 = 0x61;
-
 impl Written {
-    fn new(seals: Seals) -> Self {
-        Self { seals, open: false, control: [0; 2], selection: [0; 2], last: 0 }
+    fn new(seals: Seals, touches: Touches) -> Self {
+        Self { seals, touches, open: false, command: [0; 2], selection: [0; 2], selected_last: false }
     }
 
-    fn note(&mut self, register: u8, data: &[u8]) {
-        for (at, &byte) in (register..=0x7f).zip(data) {
-            match at {
-                0x00 | 0x01 => (self.control[usize::from(at)], self.last) = (byte, 0),
-                SELECTION | 0x3f => {
-                    (self.selection[usize::from(at - SELECTION)], self.last) = (byte, SELECTION);
+    /// As it was before the first write.
+    fn begin(&mut self) {
+        (self.open, self.command, self.selection, self.selected_last) = (false, [0; 2], [0; 2], false);
+    }
+
+    fn note(&mut self, write: &[u8]) {
+        for (touch, byte) in (self.touches)(write) {
+            match touch {
+                Touch::Subcommand(at) => {
+                    (self.command[at], self.selected_last) = (byte, false);
+                    if at == 1 && self.seals.commands.contains(&u16::from_le_bytes(self.command)) {
+                        self.open = false;
+                    }
                 }
-                _ => {}
-            }
-            let word = u16::from_le_bytes(self.control);
-            if at == 0x01 && (word == self.seals.command || word == RESET) {
-                self.open = false;
+                Touch::Selects(at) => (self.selection[at], self.selected_last) = (byte, true),
+                Touch::Fills(_) | Touch::Commits | Touch::Beside => {}
             }
         }
+    }
+
+    /// Whether a write selects the answer to a read, and does nothing else.
+    fn selects(&self, write: &[u8]) -> bool {
+        let touches = (self.touches)(write);
+        let only = |touch: &Touch| matches!(touch, Touch::Subcommand(_) | Touch::Selects(_) | Touch::Beside);
+        touches.len() + 1 == write.len() && touches.iter().all(|(touch, _)| only(touch))
+    }
+
+    fn touch(&self, register: u8) -> Option<Touch> {
+        (self.touches)(&[register, 0]).first().map(|(touch, _)| *touch)
     }
 
     /// The value last written to a register that selects a block, which a gauge shows there; `None` for other
     /// registers.
     fn selected(&self, register: u8) -> Option<u8> {
-        self.selection.get(usize::from(register.checked_sub(SELECTION)?)).copied()
+        if let Some(Touch::Selects(at)) = self.touch(register) { Some(self.selection[at]) } else { None }
     }
 
     fn context(&self, register: u8) -> Context {
-        let word = if self.last == SELECTION { self.selection } else { self.control };
-        match register {
-            0x00 | 0x01 => Context { open: self.open, about: Some((0, self.control)) },
-            SELECTION..=WINDOW_END => Context { open: self.open, about: Some((self.last, word)) },
-            _ => Context { open: self.open && self.seals.status == Some(register), about: None },
+        let word = if self.selected_last { self.selection } else { self.command };
+        match self.touch(register) {
+            Some(Touch::Subcommand(_)) => Context { open: self.open, about: Some((false, self.command)) },
+            Some(_) => Context { open: self.open, about: Some((self.selected_last, word)) },
+            None => Context { open: self.open && self.seals.status == Some(register), about: None },
         }
     }
 }
@@ -231,29 +257,29 @@ pub struct Replay {
 }
 
 impl Replay {
-    /// Replays a recording.
-    pub fn new(recording: &Recording, seals: Seals) -> Self {
-        let mut written = Written::new(seals);
-        let mut replay =
-            Self { series: HashMap::new(), bytes: HashMap::new(), opened: false, written, secret: false };
+    /// Replays a recording. `touches` knows the registers of its target.
+    pub fn new(recording: &Recording, seals: Seals, touches: Touches) -> Self {
+        let (mut series, mut bytes) = (HashMap::<_, Series>::new(), HashMap::new());
+        let (mut written, mut opened) = (Written::new(seals, touches), false);
         for event in &recording.events {
             let Event::Transfer { write, read, answer } = event else {
-                (written.open, replay.opened) = (true, true);
+                (written.open, opened) = (true, true);
                 continue;
             };
             let Some((&register, data)) = write.split_first() else { continue };
-            written.note(register, data);
+            written.note(write);
             if *read == 0 {
                 continue;
             }
             let register = register.wrapping_add(data.len() as u8);
             let key = (written.context(register), register, *read);
-            replay.series.entry(key).or_default().answers.push(answer.clone());
+            series.entry(key).or_default().answers.push(answer.clone());
             for (at, &byte) in (register..=0x7f).zip(answer.iter().flatten()) {
-                replay.bytes.insert((written.context(at), at), byte);
+                bytes.insert((written.context(at), at), byte);
             }
         }
-        replay
+        written.begin();
+        Self { series, bytes, opened, written, secret: false }
     }
 
     /// Whether these bytes can be read without a write that selects them first.
@@ -287,12 +313,10 @@ impl Bus for Replay {
             return if read.is_empty() { Ok(()) } else { Err(BusError::NoAck) };
         };
         // These registers only select an answer; a recording executes no subcommand.
-        let selects =
-            (register..=0x7f).zip(data).all(|(at, _)| matches!(at, 0x00 | 0x01 | 0x3e | 0x3f | WINDOW_END));
-        if !selects {
+        if !self.written.selects(write) {
             return Err(BusError::ReadOnly);
         }
-        self.written.note(register, data);
+        self.written.note(write);
         if read.is_empty() {
             return Ok(());
         }
@@ -314,7 +338,21 @@ mod tests {
     fn replay(lines: &str) -> Replay {
         let recording = Recording::parse(&format!("{HEAD}{lines}")).expect("a recording");
         assert_eq!(recording.chip, "bq34z100-g1");
-        Replay::new(&recording, Seals { command: 0x20, status: None })
+        Replay::new(&recording, Seals { commands: [0x20, 0x41], status: None }, Box::new(touches))
+    }
+
+    /// What a target with subcommands at 0 and a window of 32 bytes from 0x40 on is touched by.
+    fn touches(write: &[u8]) -> Vec<(Touch, u8)> {
+        let touch = |at: u8| match at {
+            0..2 => Some(Touch::Subcommand(at.into())),
+            0x3e..0x40 => Some(Touch::Selects(usize::from(at) - 0x3e)),
+            0x40..0x60 => Some(Touch::Fills(usize::from(at) - 0x40)),
+            0x60 => Some(Touch::Commits),
+            0x61 => Some(Touch::Beside),
+            _ => None,
+        };
+        let (start, data) = write.split_first().expect("a register");
+        (*start..).zip(data).filter_map(|(at, &byte)| Some((touch(at)?, byte))).collect()
     }
 
     fn ask(bus: &mut Replay, write: &[u8], count: usize) -> Answer {

@@ -14,12 +14,12 @@ use crate::lock::{self, Lock};
 use crate::options::GaugeOptions;
 use gauge_bus::clock::Clock;
 use gauge_bus::linux::{Adapter, LinuxBus};
-use gauge_bus::replay::{Recording, Replay, Seals};
+use gauge_bus::replay::{Recording, Replay};
 use gauge_bus::{Bus, GAUGE_ADDRESS};
 use gauge_sim::scenario::Scenario;
 use gauge_sim::{self, Level, Sim, SimBus};
 use gaugefs_client::mounts;
-use ti_gauge::chip::{Chip, SealStatus, Tier};
+use ti_gauge::chip::{Chip, Tier};
 use ti_gauge::probe::{self, Target};
 use ti_gauge::registers::bursts;
 
@@ -379,11 +379,7 @@ pub fn recorded(path: &Path) -> Result<(&'static Chip, Replay)> {
     let chip = Chip::by_name(&recording.chip).ok_or_else(|| {
         refuse(format!("unknown chip `{}`; `gaugefs chips` lists the known ones", recording.chip))
     })?;
-    let status = match chip.security.status {
-        SealStatus::Field { word, .. } => word.command(),
-        SealStatus::Bits { .. } | SealStatus::None => None,
-    };
-    let replay = Replay::new(&recording, Seals { command: chip.security.seal, status });
+    let replay = ti_gauge::gauge::replay(chip, &recording);
     for tier in [Tier::Poll, Tier::Static, Tier::Slow] {
         let mut read = bursts(chip.registers, |found| found == tier).into_iter();
         if !read.all(|(register, length)| replay.covers(register, length)) {

@@ -19,15 +19,6 @@ use crate::error::{Cause, Error, Result};
 use crate::gauge::{Gauge, Seal, Statistics};
 use crate::text;
 
-/// DataFlashBlock(): 0 selects challenge and digest.
-const DATA_FLASH_BLOCK: u8 = 0x3f;
-/// AuthenticateData().
-const AUTHENTICATE_DATA: u8 = 0x40;
-/// AuthenticateChecksum(), which starts the computation.
-const AUTHENTICATE_CHECKSUM: u8 = 0x54;
-/// BlockDataControl(): 1 lets an unsealed gauge show what a sealed one shows.
-const BLOCK_DATA_CONTROL: u8 = 0x61;
-
 /// Bytes of a challenge, and of a digest.
 pub const LENGTH: usize = 20;
 /// A challenge or a digest, most significant byte first, as in SHA-1.
@@ -128,26 +119,28 @@ fn exchange_twice(
 fn attempt(gauge: &mut Gauge, waits: &Authentication, sent: &Message) -> Result<Message> {
     // A sealed gauge has no BlockDataControl() (Table 7-8) and needs none.
     let open = gauge.seal()? != Seal::Sealed;
+    let view = gauge.challenge().view;
     if open {
-        gauge.write(BLOCK_DATA_CONTROL, &[1])?;
+        gauge.write(view, &[1])?;
     }
     let digest = exchange(gauge, waits, sent);
     // The window does not show data flash until this is 0 again.
-    let closed = if open { gauge.write(BLOCK_DATA_CONTROL, &[0]) } else { Ok(()) };
+    let closed = if open { gauge.write(view, &[0]) } else { Ok(()) };
     digest.and_then(|digest| closed.map(|()| digest))
 }
 
 fn exchange(gauge: &mut Gauge, waits: &Authentication, sent: &Message) -> Result<Message> {
-    gauge.write(DATA_FLASH_BLOCK, &[0])?;
+    let at = gauge.challenge();
+    gauge.write(at.select, &[0])?;
     gauge.wait(gauge.chip.access.select.max(SELECTED));
-    gauge.write(AUTHENTICATE_DATA, sent)?;
+    gauge.write(at.data, sent)?;
     gauge.wait(waits.challenge.max(SETTLED));
     // A corrupted challenge starts no computation and stays in the buffer. So neither the challenge nor the buffer's
     // present content must be taken for the digest.
     let mut echo = [0; LENGTH];
-    gauge.read(AUTHENTICATE_DATA, &mut echo)?;
+    gauge.read(at.data, &mut echo)?;
     // Sent once: a second checksum would apply to the digest.
-    let started = gauge.write_once(AUTHENTICATE_CHECKSUM, &[checksum(sent)]);
+    let started = gauge.write_once(at.sum, &[checksum(sent)]);
     started.map_err(|bus| Error::bus("AuthenticateChecksum()", bus))?;
     // I2C has no error detection, and the gauge's computing time is not documented, so two readings of the digest must
     // agree.
@@ -155,7 +148,7 @@ fn exchange(gauge: &mut Gauge, waits: &Authentication, sent: &Message) -> Result
     for _ in 0..DIGEST_READS {
         gauge.wait(waits.digest.max(SETTLED));
         let mut digest = [0; LENGTH];
-        gauge.read(AUTHENTICATE_DATA, &mut digest)?;
+        gauge.read(at.data, &mut digest)?;
         let is_blank = digest.iter().all(|&byte| byte == digest[0]);
         let is_new = digest != echo && digest != *sent && !is_blank;
         if is_new && before == Some(digest) {

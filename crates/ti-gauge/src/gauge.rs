@@ -3,11 +3,10 @@
 //! A gauge on a bus, driven by its chip's table: registers, Control() subcommands, seal states.
 //!
 //! Its rooms, each above the next: `access` (keys, from one seal state to another), `seal` (looks at it), `control`
-//! (subcommands and their answers), `wire` (transfers, retries, time), and below these what is kept of them: `presence`
+//! (registers, subcommands and their answers), `dialect` (what these are on the wire), `wire` (transfers, retries, time), and below these what is kept of them: `presence`
 //! (is it still the same gauge), `effects` (how long it takes), `statistics`, `state`.
 
 use std::sync::Arc;
-use std::time::Duration;
 
 pub use crate::chip::Answers;
 use crate::chip::Chip;
@@ -18,6 +17,7 @@ use gauge_bus::clock::Clock;
 
 mod access;
 mod control;
+pub(crate) mod dialect;
 mod effects;
 mod presence;
 mod seal;
@@ -27,6 +27,8 @@ mod wire;
 
 use access::Access;
 pub use access::DEFAULT_FULL_ACCESS;
+use dialect::Dialect;
+pub use dialect::replay;
 pub use effects::Effects;
 use effects::Watch;
 pub(crate) use presence::Moment;
@@ -34,12 +36,10 @@ use presence::Presence;
 use seal::Looks;
 pub(crate) use seal::SEAL_LAG;
 pub(crate) use state::Look;
-pub use state::{BEHIND, Seal};
+pub use state::{ALONG, Seal};
 pub use statistics::{Progress, Statistics};
 use wire::Wire;
 
-/// Address of Control().
-const CONTROL: u8 = 0x00;
 /// Control(CONTROL_STATUS).
 const CONTROL_STATUS: u16 = 0x0000;
 /// Control(DEVICE_TYPE).
@@ -48,19 +48,8 @@ const DEVICE_TYPE: u16 = 0x0001;
 const FW_VERSION: u16 = 0x0002;
 /// Control(RESET).
 const RESET: u16 = 0x0041;
-/// What Control() of a part that answers in MACData() reads once after DEVICE_TYPE or FW_VERSION, in place
-/// of CONTROL_STATUS.
-const ANSWERED_ELSEWHERE: u16 = 0xffa5;
-
-/// MACDataLen(), what it counts besides the data, and the longest answer to FW_VERSION that any part is known to have.
-const MAC_DATA_LENGTH: u8 = 0x61;
-const MAC_OVERHEAD: usize = 4;
-const LONGEST_VERSION: usize = 12;
-
 /// Further looks at a state until two agree.
 const TRIES: u32 = 4;
-/// From a subcommand until MACData() must show its answer; the blocks of data flash take as long.
-const ANSWER: Duration = Duration::from_millis(55);
 
 /// One gauge at one address.
 pub struct Gauge {
@@ -72,6 +61,7 @@ pub struct Gauge {
     pub clock: Arc<dyn Clock>,
     /// Where its keys are to be put, for messages.
     pub key_file: String,
+    dialect: &'static dyn Dialect,
     presence: Presence,
     effects: Watch,
     wire: Wire,
@@ -94,6 +84,7 @@ impl Gauge {
             statistics,
             clock,
             key_file: "a file named with --key-file".into(),
+            dialect: dialect::of(chip),
             presence: Presence::default(),
             effects: Watch::default(),
             wire: Wire::new(bus, byte_writes),

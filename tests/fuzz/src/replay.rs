@@ -6,9 +6,9 @@ use std::sync::Arc;
 
 use gauge_bus::Bus;
 use gauge_bus::clock::SimClock;
-use gauge_bus::replay::{Recording, Replay, Seals};
+use gauge_bus::replay::Recording;
 use ti_gauge::chip::{CHIPS, Chip, Tier};
-use ti_gauge::gauge::Gauge;
+use ti_gauge::gauge::{self, Gauge};
 use ti_gauge::keys::Keys;
 use ti_gauge::registers::Registers;
 
@@ -18,8 +18,7 @@ pub(crate) fn run(input: &[u8]) {
     let file = Scratch::new("replay", input);
     let Ok(recording) = Recording::open(file.path()) else { return };
     let chip = Chip::by_name(&recording.chip).unwrap_or(CHIPS[0]);
-    let seals = Seals { command: chip.security.seal, status: None };
-    let mut replay = Replay::new(&recording, seals);
+    let mut replay = gauge::replay(chip, &recording);
     for register in 0..=0x7f {
         replay.covers(register, 2);
         let mut into = [0; 32];

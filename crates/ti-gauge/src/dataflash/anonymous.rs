@@ -11,15 +11,11 @@ use super::window::Window;
 use super::window::holds_keys;
 use crate::chip::{Chip, FLAT, Kind, Scheme, Subclass};
 use crate::codec::WINDOW;
+use crate::gauge::dialect;
 use crate::value::Type;
+use gauge_bus::replay::Touch;
 use gauge_bus::trace::Event;
 
-/// DataFlashClass() and DataFlashBlock(), or ManufacturerAccessControl(): what is in the window.
-const SELECTION: u8 = 0x3e;
-/// First byte of the window.
-const DATA: u8 = 0x40;
-/// The registers of block access.
-const ACCESS: Range<u8> = SELECTION..0x62;
 /// Bytes that two readings have at least in common if they show the same block.
 const ALIKE: usize = 8;
 
@@ -86,13 +82,11 @@ struct Selected<'a> {
 }
 
 impl Selected<'_> {
-    fn note(&mut self, start: u8, data: &[u8]) {
-        for (at, &byte) in (start..=u8::MAX).zip(data) {
-            match at {
-                0x00 | 0x01 => self.is_answer = self.chip.access.scheme.is_flat(),
-                SELECTION | 0x3f => {
-                    (self.bytes[usize::from(at - SELECTION)], self.is_answer) = (byte, false);
-                }
+    fn note(&mut self, write: &[u8]) {
+        for (touch, byte) in dialect::of(self.chip).touches(write) {
+            match touch {
+                Touch::Subcommand(_) => self.is_answer = self.chip.access.scheme.is_flat(),
+                Touch::Selects(at) => (self.bytes[at], self.is_answer) = (byte, false),
                 _ => {}
             }
         }
@@ -103,18 +97,18 @@ impl Selected<'_> {
         let Event::Transfer { write, read, answer, .. } = event else { return None };
         // A read without a register shows the one that was read before.
         let Some((&start, written)) = write.split_first() else { return Some(&[]) };
-        self.note(start, written);
-        let end = usize::from(start) + written.len() + read;
-        if start >= ACCESS.end || end <= usize::from(ACCESS.start) {
+        self.note(write);
+        let dialect = dialect::of(self.chip);
+        if !dialect.is_of_window(start, written.len() + read) {
             return None;
         }
         let echo = match answer {
-            Ok(bytes) if start == SELECTION && written.is_empty() => bytes.first_chunk(),
+            Ok(bytes) if written.is_empty() => dialect.shows(start, bytes).selection,
             _ => None,
         };
         let is_private = !self.is_answer && self.shows_private(self.bytes)
-            || echo.is_some_and(|&echo| self.shows_private(echo));
-        is_private.then(|| window(event))
+            || echo.is_some_and(|echo| self.shows_private(echo));
+        is_private.then(|| window(self.chip, event))
     }
 
     /// Whether the block of that selection, or of that echo, is private.
@@ -139,7 +133,7 @@ pub fn anonymous(chip: &Chip, mut events: Vec<Event>) -> Vec<Event> {
         }
         None => true,
     });
-    events.retain(|event| !private.iter().any(|block| alike(block, window(event))));
+    events.retain(|event| !private.iter().any(|block| alike(block, window(chip, event))));
     if let Some(serial) = chip.serial_register().and_then(|register| register.source.command()) {
         events.iter_mut().for_each(|event| hide(serial..serial + 2, event));
     }
@@ -147,10 +141,13 @@ pub fn anonymous(chip: &Chip, mut events: Vec<Event>) -> Vec<Event> {
 }
 
 /// What a read shows of the window, from its first byte on.
-fn window(event: &Event) -> &[u8] {
+fn window<'a>(chip: &Chip, event: &'a Event) -> &'a [u8] {
     let Event::Transfer { write, answer: Ok(bytes), .. } = event else { return &[] };
     match write[..] {
-        [start] if start <= DATA => bytes.get(usize::from(DATA - start)..).unwrap_or_default(),
+        [start] => {
+            let shown = dialect::of(chip).shows(start, bytes);
+            if shown.at == 0 { shown.window } else { &[] }
+        }
         _ => &[],
     }
 }

@@ -14,7 +14,6 @@ use crate::chip::{Chip, Kind, Learning, Mode, Role, Source};
 use crate::error::{Cause, Error, Reason, Result, Step};
 use crate::gauge::{Answers, Gauge, Look, Moment, Seal, Statistics, agreed};
 use crate::journal::Identity;
-use crate::registers;
 
 /// Control(ROM_MODE), after which a gauge is a flash programmer at another address.
 const ROM_MODE: u16 = 0x0F00;
@@ -192,9 +191,9 @@ impl DataFlash {
         first: &Found,
         changes: &[Change],
     ) -> Result<Found> {
-        gauge.also_read(behind(gauge.chip));
+        gauge.also_read(along(gauge.chip));
         let opened = session.open(gauge);
-        gauge.also_read(0);
+        gauge.also_read(Vec::new());
         opened?;
         let second = Found { seal: first.seal, ..Found::of(gauge.chip, gauge.last_look(), first.moment) };
         self.agree(gauge, first, second, changes)
@@ -388,14 +387,7 @@ impl Found {
 
     /// A word that the look has shown; `None` for an answer to a subcommand, which takes a question of its own.
     fn word(&self, source: Source) -> Option<u32> {
-        match source {
-            Source::Status => Some(self.status),
-            Source::Command(code) => {
-                let at = usize::from(code).checked_sub(2)?;
-                self.look.behind.get(at..at + 2).map(|word| registers::number(word) as u32)
-            }
-            Source::Answer(_) => None,
-        }
+        self.look.word(source)
     }
 
     /// Whether a later look shows all that decides about a write as this one does. A voltage moves; one with a wrong bit
@@ -443,12 +435,12 @@ fn voltage(chip: &Chip) -> Source {
     chip.register(Role::VoltageNow).expect("the tables' tests ask for Voltage()").source
 }
 
-/// How many bytes behind CONTROL_STATUS show the state of a gauge.
-fn behind(chip: &Chip) -> usize {
+/// What shows the state of a gauge along with CONTROL_STATUS.
+fn along(chip: &Chip) -> Vec<Source> {
     let modes = chip.preflight.modes.iter().map(|mode| mode.word);
     let flags = chip.register(Role::Flags).filter(|_| chip.volatile.is_some()).map(|flags| flags.source);
     let all = modes.chain(flags).chain([voltage(chip)]);
-    all.filter_map(Source::command).fold(0, u8::max).into()
+    all.filter(|source| source.command().is_some()).collect()
 }
 
 /// Whether the voltage decides about a write. Restoring a saved configuration to a gauge with RAM that lost power is
@@ -459,10 +451,10 @@ fn needs_voltage(chip: &Chip, changes: &[Change]) -> bool {
 
 /// Seal, voltage and flags, in the one read that the seal needs.
 fn read_state(gauge: &mut Gauge) -> Result<Found> {
-    gauge.also_read(behind(gauge.chip));
+    gauge.also_read(along(gauge.chip));
     let moment = gauge.moment();
     let look = gauge.look_at_status();
-    gauge.also_read(0);
+    gauge.also_read(Vec::new());
     look.map(|look| Found::of(gauge.chip, look, moment))
 }
 

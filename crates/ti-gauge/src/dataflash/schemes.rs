@@ -13,6 +13,9 @@ use crate::gauge::Gauge;
 mod block;
 mod cfgupdate;
 mod mac;
+mod sealed;
+
+pub(super) use sealed::shown_sealed;
 
 /// From selecting a block until the first look at it, and until the look that counts. The gauge has it within
 /// 50 ms (drivers wait 10 to 30 ms, and some have read only zeros). Until then the window still shows the block
@@ -79,7 +82,7 @@ fn wait_until(gauge: &Gauge, begun: Duration, time: Duration) {
 
 /// Looks at a selected block until two looks agree. The first look is at the checksum only, which is another one
 /// if the window still showed something else; it costs an eighth of a whole one.
-pub(super) fn look_twice<T: PartialEq>(
+fn look_twice<T: PartialEq>(
     gauge: &mut Gauge,
     sum: impl Fn(&mut Gauge) -> Result<u8>,
     whole: impl Fn(&mut Gauge) -> Result<(T, u8)>,

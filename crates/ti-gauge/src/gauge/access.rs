@@ -6,7 +6,7 @@ use super::presence::Moment;
 use super::seal::SEAL_POLL;
 use super::state::Seal;
 use super::statistics::Statistics;
-use super::{CONTROL, Gauge, RESET};
+use super::{Gauge, RESET};
 use crate::chip::Scheme;
 use crate::error::{Cause, Error, Reason, Result, Step};
 use crate::keys::{Keys, Name, Secret, wipe_words};
@@ -142,7 +142,9 @@ impl Gauge {
         let moment = self.moment();
         self.set_secret(true);
         // A word that was not acknowledged is sent again at once: nothing may come between the two.
-        let mut send = |word: &[u8]| self.again(|gauge| gauge.write_once(CONTROL, &[word[1], word[0]]));
+        let dialect = self.dialect;
+        let word = |bytes: &[u8]| u16::from_be_bytes([bytes[0], bytes[1]]);
+        let mut send = |bytes: &[u8]| self.again(|gauge| dialect.subcommand(gauge, word(bytes)));
         let sent = key.bytes().chunks_exact(2).try_for_each(&mut send);
         wipe_words();
         self.set_secret(false);

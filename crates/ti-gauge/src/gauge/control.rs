@@ -1,26 +1,68 @@
 // SPDX-License-Identifier: MIT
 
-//! Control(): subcommands and their answers, and the part that answers.
+//! Registers, subcommands and their answers, and the part that answers.
 
+use super::dialect::Challenge;
+use super::dialect::map::CONTROL;
 use super::presence::Moment;
-use super::{
-    ANSWER, ANSWERED_ELSEWHERE, Answers, BEHIND, CONTROL, CONTROL_STATUS, DEVICE_TYPE, FW_VERSION, Gauge,
-    LONGEST_VERSION, MAC_DATA_LENGTH, MAC_OVERHEAD, TRIES,
-};
+use super::{Answers, DEVICE_TYPE, FW_VERSION, Gauge};
+use crate::chip::Source;
 use crate::error::{Cause, Error, Reason, Result, Step};
 use gauge_bus::BusError;
 
 impl Gauge {
+    /// Fills `into` with the bytes starting at an address.
+    pub fn read(&mut self, code: u8, into: &mut [u8]) -> Result<()> {
+        self.dialect
+            .fetch(self, code, into)
+            .map_err(|bus| Error::bus(self.name_of(code), bus).of_register().at(Step::Read))
+    }
+
+    /// Reads a register of two bytes.
+    pub fn word(&mut self, code: u8) -> Result<u16> {
+        let mut bytes = [0; 2];
+        self.read(code, &mut bytes)?;
+        Ok(u16::from_le_bytes(bytes))
+    }
+
+    /// Writes bytes that may be written twice without harm: a pointer, a selection, the window's buffer.
+    pub fn write(&mut self, code: u8, data: &[u8]) -> Result<()> {
+        self.refuse_without_table()?;
+        self.again(|gauge| gauge.write_once(code, data))
+            .map_err(|bus| Error::bus(self.name_of(code), bus).of_register())
+    }
+
+    /// Writes bytes whose effect must not happen twice.
+    pub fn write_once(&mut self, code: u8, data: &[u8]) -> Result<(), BusError> {
+        self.dialect.put(self, code, data)
+    }
+
+    fn name_of(&self, code: u8) -> String {
+        self.chip
+            .register_at(Source::Command(code))
+            .map_or_else(|| format!("register 0x{code:02x}"), |register| format!("{}()", register.name))
+    }
+
+    /// The registers of the SHA-1 authentication.
+    pub(crate) fn challenge(&self) -> &'static Challenge {
+        self.dialect.challenge()
+    }
+
     /// Sends a subcommand without reading an answer.
     pub fn command(&mut self, code: u16) -> Result<()> {
         let subject = self.subcommand_name(code);
-        self.write(CONTROL, &code.to_le_bytes()).map_err(|error| error.about(subject).at(Step::Control))
+        let dialect = self.dialect;
+        let sent = self.refuse_without_table().and_then(|()| {
+            let sent = self.again(|gauge| dialect.subcommand(gauge, code));
+            sent.map_err(|bus| Error::bus(self.name_of(CONTROL), bus).of_register())
+        });
+        sent.map_err(|error| error.about(subject).at(Step::Control))
     }
 
     /// Sends a subcommand whose effect must not happen twice.
     pub fn command_once(&mut self, code: u16) -> Result<()> {
         self.refuse_without_table()?;
-        let sent = self.write_once(CONTROL, &code.to_le_bytes());
+        let sent = self.dialect.subcommand(self, code);
         sent.map_err(|bus| Error::bus(self.subcommand_name(code), bus).at(Step::Control))
     }
 
@@ -33,7 +75,7 @@ impl Gauge {
         let sent = self.again(|gauge| {
             gauge.make_ready()?;
             is_same = gauge.is_unbroken_since(moment);
-            if is_same { gauge.write_once(CONTROL, &code.to_le_bytes()) } else { Err(BusError::Gone) }
+            if is_same { gauge.dialect.subcommand(gauge, code) } else { Err(BusError::Gone) }
         });
         if !is_same {
             let why =
@@ -45,82 +87,17 @@ impl Gauge {
 
     /// Sends a subcommand and reads the word that it answers with.
     pub fn ask(&mut self, code: u16) -> Result<u16> {
-        if code == FW_VERSION && self.chip.identity.answers_in_mac_data() {
-            return self.firmware_in_mac_data();
-        }
-        self.command(code)?;
-        // CONTROL_STATUS answers at Control() itself on every part.
-        if code != CONTROL_STATUS {
-            return self.answer(code, self.chip.identity.answer, &mut []);
-        }
-        self.status_word(&mut [])
+        self.dialect.answer(self, code)
     }
 
     /// Sends a subcommand and reads the bytes that it answers with, two or more.
     pub(crate) fn ask_bytes(&mut self, code: u16, into: &mut [u8]) -> Result<()> {
-        self.command(code)?;
-        let (word, behind) = into.split_at_mut(2);
-        let first = self.answer(code, self.chip.identity.answer, behind)?;
-        word.copy_from_slice(&first.to_le_bytes());
-        Ok(())
-    }
-
-    /// The version of the firmware, which follows the device number.
-    fn firmware_in_mac_data(&mut self) -> Result<u16> {
-        let (identity, mut word) = (&self.chip.identity, 0);
-        // MACData() may still show an older answer.
-        for _ in 0..TRIES {
-            let mut version = [0; 2];
-            self.command(FW_VERSION)?;
-            word = self.answer(FW_VERSION, identity.answer, &mut version)?;
-            if word.swap_bytes() == identity.device_type {
-                return Ok(u16::from_be_bytes(version));
-            }
-        }
-        // No document has such an answer; it tells this part from others all the same.
-        Ok(word)
+        self.dialect.answer_bytes(self, code, into)
     }
 
     /// All bytes that FW_VERSION answers with in MACData(); none on a part that answers with a word.
     pub fn whole_firmware_answer(&mut self) -> Result<Vec<u8>> {
-        if !self.chip.identity.answers_in_mac_data() {
-            return Ok(Vec::new());
-        }
-        self.command(FW_VERSION)?;
-        self.wait(ANSWER.max(self.chip.access.select));
-        let mut length = [0];
-        self.read(MAC_DATA_LENGTH, &mut length)?;
-        // What follows the answer in the buffer may be of a block that was read before.
-        let count = usize::from(length[0]).saturating_sub(MAC_OVERHEAD).min(LONGEST_VERSION);
-        let mut bytes = vec![0; count];
-        if count > 0 {
-            self.read(self.chip.identity.answer, &mut bytes)?;
-        }
-        Ok(bytes)
-    }
-
-    /// Reads the answer to CONTROL_STATUS, and with it the registers following Control().
-    pub(super) fn status_word(&mut self, behind: &mut [u8]) -> Result<u16> {
-        match self.answer(CONTROL_STATUS, CONTROL, behind)? {
-            ANSWERED_ELSEWHERE if self.chip.identity.answer != CONTROL => {
-                self.answer(CONTROL_STATUS, CONTROL, behind)
-            }
-            status => Ok(status),
-        }
-    }
-
-    /// Reads the answer to a subcommand and the bytes that follow it.
-    fn answer(&mut self, code: u16, at: u8, behind: &mut [u8]) -> Result<u16> {
-        // MACData() shows the previous answer until the gauge has stored the new one.
-        if at != CONTROL {
-            self.wait(ANSWER.max(self.chip.access.select));
-        }
-        let mut bytes = [0; 2 + BEHIND];
-        let subject = self.subcommand_name(code);
-        let wanted = &mut bytes[..2 + behind.len()];
-        self.read(at, wanted).map_err(|error| error.about(subject).at(Step::Control))?;
-        behind.copy_from_slice(&wanted[2..]);
-        Ok(u16::from_le_bytes([bytes[0], bytes[1]]))
+        self.dialect.version(self)
     }
 
     pub(crate) fn subcommand_name(&self, code: u16) -> String {

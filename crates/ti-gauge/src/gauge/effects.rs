@@ -6,23 +6,15 @@
 //! Only transfers that happen anyway are looked at, none is added. So a time lies between two looks: the last one that did
 //! not show it, or failed, and the first one that did. What a table waits before the first look is in the later one.
 
-use std::ops::Range;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
-use super::{CONTROL, Seal};
+use super::state::{Seal, Shown};
 use crate::chip::Chip;
 use crate::codec::WINDOW;
 use gauge_bus::BusError;
+use gauge_bus::replay::Touch;
 
-/// DataFlashClass() and DataFlashBlock(), or ManufacturerAccessControl(): which block is in the window.
-const SELECTION: u8 = 0x3e;
-/// The window.
-const DATA: Range<u8> = 0x40..0x60;
-/// BlockDataChecksum(), which commits the window, or MACDataSum().
-const SUM: u8 = 0x60;
-/// MACDataLen(), which commits what was written to MACData().
-const LENGTH: u8 = 0x61;
 /// What takes longer was not done, or something else has changed it since.
 const LIMIT: Duration = Duration::from_secs(5);
 
@@ -101,8 +93,10 @@ struct Committed {
 pub(super) struct Seen<'a> {
     pub(super) begun: Duration,
     pub(super) ended: Duration,
-    pub(super) write: &'a [u8],
-    pub(super) read: &'a [u8],
+    /// What its bytes touch, if it is a write.
+    pub(super) touches: &'a [(Touch, u8)],
+    /// What it shows, if it is a read.
+    pub(super) shown: Option<Shown<'a>>,
     pub(super) outcome: Result<(), BusError>,
 }
 
@@ -134,9 +128,9 @@ impl Watch {
             self.reset.iter_mut().for_each(|reset| reset.note_unseen(seen.begun));
             self.commit.iter_mut().for_each(|commit| commit.note_unseen(seen.begun));
         }
-        match seen.write.split_first() {
-            Some((&start, [])) => self.reads(start, seen, is_flat, commits),
-            Some((&CONTROL, &[low, high])) => {
+        match (seen.shown, seen.touches) {
+            (Some(shown), _) => self.reads(&shown, seen, is_flat, commits),
+            (None, &[(Touch::Subcommand(0), low), (Touch::Subcommand(1), high)]) => {
                 let code = u16::from_le_bytes([low, high]);
                 let mut offsets = chip.calibration.iter().flat_map(|all| [&all.board_offset, &all.cc_offset]);
                 let begun = offsets.find(|offset| offset.start == code);
@@ -144,38 +138,38 @@ impl Watch {
                     self.offset = Some(Awaited::new(offset.running, seen.ended));
                 }
             }
-            Some((&start, data)) => self.writes(start, data, seen, is_flat),
-            None => {}
+            (None, touches) => self.writes(touches, seen),
         }
     }
 
-    fn writes(&mut self, start: u8, data: &[u8], seen: &Seen<'_>, is_flat: bool) {
+    fn writes(&mut self, touches: &[(Touch, u8)], seen: &Seen<'_>) {
         let is_taken = seen.outcome.is_ok();
-        for (at, &byte) in (start..=u8::MAX).zip(data) {
-            // A sum may take effect although its acknowledgement was lost; all else is sent again.
-            if !is_taken && at < DATA.end {
-                continue;
-            }
-            if (SELECTION..DATA.start).contains(&at) {
-                self.selection[usize::from(at - SELECTION)] = byte;
-                self.sent = Sent::default();
-                self.commit.iter_mut().for_each(|commit| commit.what.is_selected = true);
-            } else if DATA.contains(&at) {
-                self.sent[usize::from(at - DATA.start)] = Some(byte);
-            } else if at == if is_flat { LENGTH } else { SUM } {
-                let sent = std::mem::take(&mut self.sent);
-                let what = Committed { selection: self.selection, sent, is_selected: false };
-                self.commit = sent.iter().any(Option::is_some).then(|| Awaited::new(what, seen.ended));
+        for &(touch, byte) in touches {
+            match touch {
+                Touch::Selects(at) if is_taken => {
+                    self.selection[at] = byte;
+                    self.sent = Sent::default();
+                    self.commit.iter_mut().for_each(|commit| commit.what.is_selected = true);
+                }
+                Touch::Fills(at) if is_taken => self.sent[at] = Some(byte),
+                // It may take effect although its acknowledgement was lost; all else is sent again.
+                Touch::Commits => {
+                    let sent = std::mem::take(&mut self.sent);
+                    let what = Committed { selection: self.selection, sent, is_selected: false };
+                    self.commit = sent.iter().any(Option::is_some).then(|| Awaited::new(what, seen.ended));
+                }
+                _ => {}
             }
         }
     }
 
-    fn reads(&mut self, start: u8, seen: &Seen<'_>, is_flat: bool, commits: &Effects) {
+    fn reads(&mut self, shown: &Shown<'_>, seen: &Seen<'_>, is_flat: bool, commits: &Effects) {
         let Some(commit) = self.commit.as_mut().filter(|commit| commit.what.is_selected) else { return };
-        if seen.outcome.is_err() || start != SELECTION || seen.read.len() < 2 + WINDOW {
+        let (Some(echo), Some(window)) = (shown.selection, shown.window.first_chunk()) else { return };
+        if seen.outcome.is_err() {
             return;
         }
-        match commit.what.is_shown(seen.read, is_flat) {
+        match commit.what.is_shown(echo, window, is_flat) {
             Some(true) => {
                 commit.note_seen(seen.ended, commits);
                 self.commit = None;
@@ -229,18 +223,17 @@ fn see<T>(
 
 impl Committed {
     /// Whether a selection and a window show it; `None` if it is another block.
-    fn is_shown(&self, read: &[u8], is_flat: bool) -> Option<bool> {
-        let (echo, window) = read.split_first_chunk::<2>()?;
+    fn is_shown(&self, echo: [u8; 2], window: &[u8; WINDOW], is_flat: bool) -> Option<bool> {
         let shift = match is_flat {
             // Each run of bytes has an address of its own.
-            true => u16::from_le_bytes(self.selection).checked_sub(u16::from_le_bytes(*echo))?,
-            false if *echo == self.selection => 0,
+            true => u16::from_le_bytes(self.selection).checked_sub(u16::from_le_bytes(echo))?,
+            false if echo == self.selection => 0,
             false => return None,
         };
         let mut sent = (usize::from(shift)..).zip(self.sent).filter_map(|(at, byte)| Some((at, byte?)));
         // A window that ends before it shows nothing of it.
         sent.try_fold(true, |so_far, (at, byte)| {
-            let found = window[..WINDOW].get(at)?;
+            let found = window.get(at)?;
             Some(so_far && *found == byte)
         })
     }
@@ -250,6 +243,12 @@ impl Committed {
 mod tests {
     use super::*;
 
+    /// Control().
+    const CONTROL: u8 = 0x00;
+    /// DataFlashClass() and DataFlashBlock(), or ManufacturerAccessControl().
+    const SELECTION: u8 = 0x3e;
+    /// BlockDataChecksum(), or MACDataSum().
+    const SUM: u8 = 0x60;
     const BLOCK: &str = "bq34z100-g1";
     const MAC: &str = "bq34110";
 
@@ -260,7 +259,22 @@ mod tests {
     fn goes(watch: &mut Watch, at: u64, write: &[u8], read: &[u8], chip: &str, commits: &Effects) {
         let (begun, ended) = (ms(at), ms(at + 1));
         let chip = Chip::by_name(chip).expect("a table");
-        watch.transfer(&Seen { begun, ended, write, read, outcome: Ok(()) }, chip, commits);
+        passes(watch, (begun, ended), write, read, Ok(()), chip, commits);
+    }
+
+    fn passes(
+        watch: &mut Watch,
+        (begun, ended): (Duration, Duration),
+        write: &[u8],
+        read: &[u8],
+        outcome: Result<(), BusError>,
+        chip: &Chip,
+        commits: &Effects,
+    ) {
+        let dialect = crate::gauge::dialect::of(chip);
+        let touches = dialect.touches(write);
+        let shown = if let [start] = write { Some(dialect.shows(*start, read)) } else { None };
+        watch.transfer(&Seen { begun, ended, touches: &touches, shown, outcome }, chip, commits);
     }
 
     fn window(selection: [u8; 2], at: usize, bytes: [u8; 2]) -> Vec<u8> {
@@ -301,7 +315,7 @@ mod tests {
         let mut goes = |at, write: &[u8], read: &[u8], outcome| {
             let (begun, ended) = (ms(at), ms(at + 1));
             let chip = Chip::by_name(BLOCK).expect("a table");
-            watch.transfer(&Seen { begun, ended, write, read, outcome }, chip, &commits);
+            passes(&mut watch, (begun, ended), write, read, outcome, chip, &commits);
         };
         goes(0, &[SELECTION, 80, 1], &[], Ok(()));
         goes(1, &[0x55, 0x0c], &[], Ok(()));
@@ -340,8 +354,7 @@ mod tests {
         watch.reset(ms(100));
         watch.look(&look(110, 0, Seal::Unsealed), &resets, &offsets);
         let outcome = Err(BusError::NoAck);
-        let deaf = Seen { begun: ms(200), ended: ms(201), write: &[0], read: &[], outcome };
-        watch.transfer(&deaf, chip, &Effects::default());
+        passes(&mut watch, (ms(200), ms(201)), &[0], &[], outcome, chip, &Effects::default());
         watch.look(&look(318, 0, Seal::Sealed), &resets, &offsets);
         assert_eq!((resets.count(), resets.unseen_ms(), resets.seen_ms()), (1, 100, 220));
         watch.reset(ms(1000));

@@ -9,16 +9,22 @@
 
 use std::time::Duration;
 
-use super::CONTROL;
+use gauge_bus::replay::Touch;
 
-/// DataFlashClass() and DataFlashBlock(), or ManufacturerAccessControl(), which show what was selected last.
-pub(super) const SELECTION: u8 = 0x3e;
 /// The selection that an access leaves behind.
-pub(super) const NOTHING: [u8; 2] = [0, 0];
+const NOTHING: [u8; 2] = [0, 0];
 /// A pause without a transfer in which a pack can be exchanged without a trace.
 pub(super) const PAUSE: Duration = Duration::from_secs(1);
 /// Failed looks at the selection in a row before it cannot be known.
 const FAILED_LOOKS: u32 = 6;
+
+/// What a write selects, if it does nothing else.
+fn selection(touches: &[(Touch, u8)]) -> Option<[u8; 2]> {
+    match *touches {
+        [(Touch::Selects(0), first), (Touch::Selects(1), second)] => Some([first, second]),
+        _ => None,
+    }
+}
 
 /// A moment in the presence of a gauge.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -51,8 +57,8 @@ impl Presence {
     }
 
     /// Bytes are about to be sent.
-    pub(super) fn sends(&mut self, code: u8, data: &[u8]) {
-        if let (SELECTION, &[first, second], true) = (code, data, self.attended) {
+    pub(super) fn sends(&mut self, touches: &[(Touch, u8)]) {
+        if let (Some([first, second]), true) = (selection(touches), self.attended) {
             let half: Vec<_> = self.selected.iter().map(|&[_, other]| [first, other]).collect();
             self.selected.extend(half);
             self.selected.push([first, second]);
@@ -60,11 +66,11 @@ impl Presence {
     }
 
     /// Bytes were acknowledged. A gauge with a flat address space shows a subcommand in place of its selection.
-    pub(super) fn sent(&mut self, code: u8, data: &[u8], is_flat: bool) {
-        match (code, data) {
-            (SELECTION, &[first, second]) if self.attended => self.selected = vec![[first, second]],
-            (SELECTION, _) => self.selected.clear(),
-            (CONTROL, _) if is_flat => self.selected.clear(),
+    pub(super) fn sent(&mut self, touches: &[(Touch, u8)], is_flat: bool) {
+        match (selection(touches), touches) {
+            (Some(selection), _) if self.attended => self.selected = vec![selection],
+            (_, [(Touch::Selects(0), _), ..]) => self.selected.clear(),
+            (_, [(Touch::Subcommand(0), _), ..]) if is_flat => self.selected.clear(),
             _ => {}
         }
     }

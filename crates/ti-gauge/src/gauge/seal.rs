@@ -5,9 +5,9 @@
 use std::time::Duration;
 
 use super::effects::Status;
-use super::presence::{Moment, NOTHING, SELECTION};
-use super::state::{BEHIND, Look, Seal};
-use super::{CONTROL, CONTROL_STATUS, Gauge, TRIES};
+use super::presence::Moment;
+use super::state::{Look, Seal};
+use super::{Gauge, TRIES};
 use crate::chip::{SealStatus, Source};
 use crate::error::{Cause, Error, Result, Step};
 use gauge_bus::BusError;
@@ -30,19 +30,19 @@ pub(super) struct Looks {
     commanded: Option<(Seal, Duration)>,
     /// When the seal state was last agreed on.
     agreed: Option<Moment>,
-    /// The last look, and how many bytes behind CONTROL_STATUS each look reads.
+    /// The last look, and which rows each look reads along with CONTROL_STATUS.
     look: Look,
-    also: usize,
+    also: Vec<Source>,
 }
 
 impl Looks {
     pub(super) fn new() -> Self {
-        Self { seen: None, commanded: None, agreed: None, look: Look::NONE, also: 0 }
+        Self { seen: None, commanded: None, agreed: None, look: Look::NONE, also: Vec::new() }
     }
 
     /// Forgets what an access that was not brought to its end expected.
     pub(super) fn start_over(&mut self) {
-        (self.seen, self.commanded, self.also) = (None, None, 0);
+        (self.seen, self.commanded, self.also) = (None, None, Vec::new());
     }
 
     /// When the seal state was last agreed on.
@@ -84,7 +84,7 @@ impl Gauge {
         Ok((look.seal, look.status))
     }
 
-    /// Reads CONTROL_STATUS and the registers behind it, as many as [`Self::also_read`] says.
+    /// Reads CONTROL_STATUS, and the rows that [`Self::also_read`] names.
     pub(crate) fn look_at_status(&mut self) -> Result<Look> {
         let mut differ = 0;
         loop {
@@ -113,10 +113,9 @@ impl Gauge {
         }
     }
 
-    /// From now on each look at CONTROL_STATUS reads, in the same transfer, that many bytes of the registers from
-    /// 0x02 on.
-    pub(crate) fn also_read(&mut self, count: usize) {
-        self.looks.also = count.min(BEHIND);
+    /// From now on each look at CONTROL_STATUS also reads these rows, in the same transfer if the bus can.
+    pub(crate) fn also_read(&mut self, rows: Vec<Source>) {
+        self.looks.also = rows;
     }
 
     /// The last look at CONTROL_STATUS.
@@ -126,10 +125,11 @@ impl Gauge {
 
     fn control_status_once(&mut self) -> Result<Seal> {
         let begun = self.clock.now();
-        self.command(CONTROL_STATUS)?;
-        let mut behind = [0; BEHIND];
-        let also = self.looks.also;
-        let status = u32::from(self.status_word(&mut behind[..also])?);
+        let also = std::mem::take(&mut self.looks.also);
+        let looked = self.dialect.look(self, &also);
+        self.looks.also = also;
+        let (word, rows) = looked?;
+        let status = u32::from(word);
         let seal = match self.chip.security.status {
             SealStatus::Bits { sealed, .. } if status & sealed != 0 => Seal::Sealed,
             SealStatus::Bits { not_full_access, .. } => {
@@ -146,11 +146,7 @@ impl Gauge {
                 let word = match word {
                     Source::Status => status,
                     Source::Answer(code) => self.ask(code)?.into(),
-                    Source::Command(code) => {
-                        let mut word = [0; 2];
-                        self.read(code, &mut word)?;
-                        u16::from_le_bytes(word).into()
-                    }
+                    Source::Command(code) => self.word(code)?.into(),
                 };
                 match word >> shift & 3 {
                     3 => Seal::Sealed,
@@ -163,7 +159,7 @@ impl Gauge {
                 }
             }
         };
-        self.looks.look = Look { seal, status, behind };
+        self.looks.look = Look { seal, status, rows };
         let look = Status { begun, ended: self.clock.now(), status, seal };
         self.effects.look(&look, &self.statistics.reset_seals, &self.statistics.offsets);
         Ok(seal)
@@ -177,10 +173,7 @@ impl Gauge {
     pub(crate) fn attend(&mut self, attended: bool) {
         if !attended && self.presence.is_marked() && self.looks.seen != Some(Seal::Sealed) {
             // A gauge that is left open is not to be taken for another one on which the same was done.
-            let _ = match self.chip.access.scheme.is_flat() {
-                true => self.write_once(CONTROL, &[0, 0]),
-                false => self.write_once(SELECTION, &NOTHING),
-            };
+            let _ = self.dialect.deselect(self);
         }
         self.presence.attend(attended);
         self.rest();

@@ -2,8 +2,10 @@
 
 //! What is known of a gauge's state: its seal, and a look at CONTROL_STATUS. Types only.
 
-/// Most bytes following Control() that can be read in the same transfer.
-pub const BEHIND: usize = 0x3A;
+use crate::chip::Source;
+
+/// Most rows that can be read along with CONTROL_STATUS.
+pub const ALONG: usize = 8;
 
 /// The seal state of a gauge.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -16,18 +18,54 @@ pub enum Seal {
     FullAccess,
 }
 
+/// Words that were read along with CONTROL_STATUS.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Rows([Option<(Source, u32)>; ALONG]);
+
+impl Rows {
+    const NONE: Self = Self([None; ALONG]);
+
+    /// The rows with a value.
+    pub(super) fn of(rows: &[Source], value: impl Fn(&Source) -> Option<u16>) -> Self {
+        let mut found = Self::NONE;
+        let values = rows.iter().filter_map(|row| Some((*row, value(row)?.into())));
+        for (place, row) in found.0.iter_mut().zip(values) {
+            *place = Some(row);
+        }
+        found
+    }
+}
+
 /// A look at CONTROL_STATUS.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Look {
     pub(crate) seal: Seal,
     /// The word.
     pub(crate) status: u32,
-    /// The registers from 0x02 on, as far as they were read with it.
-    pub(crate) behind: [u8; BEHIND],
+    /// What was read along with it.
+    pub(super) rows: Rows,
 }
 
 impl Look {
-    pub(super) const NONE: Self = Self { seal: Seal::Sealed, status: 0, behind: [0; BEHIND] };
+    pub(super) const NONE: Self = Self { seal: Seal::Sealed, status: 0, rows: Rows::NONE };
+
+    /// A word that the look has shown; `None` if it was not asked for.
+    pub(crate) fn word(&self, row: Source) -> Option<u32> {
+        if row == Source::Status {
+            return Some(self.status);
+        }
+        self.rows.0.iter().flatten().find(|(found, _)| *found == row).map(|(_, word)| *word)
+    }
+}
+
+/// What a read shows of the window of data flash.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Shown<'a> {
+    /// Which block is selected.
+    pub(crate) selection: Option<[u8; 2]>,
+    /// The bytes from there on; what follows the window may be among them.
+    pub(crate) at: usize,
+    pub(crate) window: &'a [u8],
 }
 
 impl Seal {

@@ -8,10 +8,9 @@ use std::cell::Cell;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
+use super::Gauge;
 use super::effects::Seen;
 use super::statistics::Statistics;
-use super::{CONTROL, Gauge};
-use crate::chip::Source;
 use crate::error::{Cause, Error, Result, Step};
 use gauge_bus::trace::Event;
 use gauge_bus::{Bus, BusError, wire_bytes};
@@ -136,7 +135,12 @@ impl Gauge {
         if self.wire.secrets > 0 {
             self.effects.forget();
         } else {
-            let seen = Seen { begun, ended: stopped, write, read, outcome };
+            let touches = self.dialect.touches(write);
+            let shown = match write {
+                [start] => Some(self.dialect.shows(*start, read)),
+                _ => None,
+            };
+            let seen = Seen { begun, ended: stopped, touches: &touches, shown, outcome };
             self.effects.transfer(&seen, self.chip, &self.statistics.commits);
         }
         match outcome {
@@ -210,47 +214,23 @@ impl Gauge {
         Err(Error::new(self.chip.name, Cause::NotPermitted, why))
     }
 
-    /// Fills `into` with the bytes starting at an address.
-    pub fn read(&mut self, code: u8, into: &mut [u8]) -> Result<()> {
-        self.again(|gauge| gauge.transfer(&[code], into))
-            .map_err(|bus| Error::bus(self.name_of(code), bus).of_register().at(Step::Read))
-    }
-
-    /// Writes bytes that may be written twice without harm: a pointer, a selection, the window's buffer.
-    pub fn write(&mut self, code: u8, data: &[u8]) -> Result<()> {
-        self.refuse_without_table()?;
-        self.again(|gauge| gauge.write_once(code, data))
-            .map_err(|bus| Error::bus(self.name_of(code), bus).of_register())
-    }
-
-    /// Writes bytes whose effect must not happen twice.
-    pub fn write_once(&mut self, code: u8, data: &[u8]) -> Result<(), BusError> {
+    /// Sends what changes the gauge, and keeps track of what it shows as its selection then.
+    pub(super) fn tell(
+        &mut self,
+        message: &[u8],
+        send: impl FnOnce(&mut Self) -> Result<(), BusError>,
+    ) -> Result<(), BusError> {
         self.make_ready()?;
-        self.presence.sends(code, data);
-        self.send(code, data)?;
-        self.presence.sent(code, data, self.chip.access.scheme.is_flat());
+        let touches = self.dialect.touches(message);
+        self.presence.sends(&touches);
+        send(self)?;
+        self.presence.sent(&touches, self.chip.access.scheme.is_flat());
         Ok(())
     }
 
-    fn send(&mut self, code: u8, data: &[u8]) -> Result<(), BusError> {
-        // Where the manual has the rule it is for Control() as well (SLUSBH1C 9.5.4.3); elsewhere Control()
-        // is only ever written as a word.
-        if self.wire.byte_writes && (code != CONTROL || self.chip.byte_writes_above_hz.is_some()) {
-            for (at, &byte) in (code..).zip(data) {
-                self.transfer(&[at, byte], &mut [])?;
-            }
-            return Ok(());
-        }
-        let mut message = [0; 1 + crate::codec::WINDOW];
-        message[0] = code;
-        message[1..=data.len()].copy_from_slice(data);
-        self.transfer(&message[..=data.len()], &mut [])
-    }
-
-    pub(super) fn name_of(&self, code: u8) -> String {
-        self.chip
-            .register_at(Source::Command(code))
-            .map_or_else(|| format!("register 0x{code:02x}"), |register| format!("{}()", register.name))
+    /// Whether the bus takes one byte a write.
+    pub(super) fn writes_bytes(&self) -> bool {
+        self.wire.byte_writes
     }
 
     /// Makes sure that no kernel driver has taken the address.
@@ -273,6 +253,7 @@ impl Gauge {
         self.wire.secrets = if secret { self.wire.secrets + 1 } else { self.wire.secrets.saturating_sub(1) };
         self.wire.bus.set_secret(self.wire.secrets > 0);
     }
+
     /// Forgets the secrets and the recording of an access that was not brought to its end.
     pub(super) fn hide_nothing(&mut self) {
         (self.wire.secrets, self.wire.recording) = (0, None);

@@ -9,7 +9,7 @@ use gauge_bus::{Bus, BusError};
 use ti_gauge::chip::{CHIPS, FLAT, Register, Role, Source};
 use ti_gauge::dataflash::{DataFlash, Limits, Outcome};
 use ti_gauge::error::Result;
-use ti_gauge::gauge::{BEHIND, Gauge, Seal};
+use ti_gauge::gauge::{ALONG, Gauge, Seal};
 use ti_gauge::keys::Keys;
 
 use crate::rig::{Rig, cause, without_old};
@@ -468,10 +468,11 @@ fn the_tables_have_what_the_checks_need() {
             near(chip.register(Role::Flags).expect("flags"));
         }
         assert!(chip.gate.is_some() != chip.preflight.voltage_mv.is_some(), "{name}: one of them watches");
+        assert!(chip.preflight.modes.len() + 2 <= ALONG, "{name}: voltage, flags and modes are one look");
         for mode in chip.preflight.modes {
             match mode.word {
                 // OperationStatus() has the modes of the bq27220, and one read reaches it.
-                Source::Command(code) => within(BEHIND as u8, code),
+                Source::Command(code) => within(0x3A, code),
                 Source::Status => {
                     let bit = chip.control_status.iter().find(|bit| bit.mask == mode.mask).expect("a bit");
                     assert_eq!(mode.name, format!("CONTROL_STATUS [{}]", bit.name), "{name}");

@@ -3,7 +3,7 @@
 //! Looks at the selection, which show whether it is still the same gauge that answers.
 
 use crate::gauge::Gauge;
-use crate::gauge::presence::{Moment, PAUSE, SELECTION};
+use crate::gauge::presence::{Moment, PAUSE};
 use gauge_bus::BusError;
 
 /// Looks at the selection before another one counts.
@@ -25,7 +25,7 @@ impl Gauge {
         let Some(selected) = self.presence.mark() else { return false };
         let mut seen = [[0; 2]; 2];
         for seen in &mut seen {
-            if self.again(|gauge| gauge.transfer(&[SELECTION], seen)).is_err() {
+            if self.again(|gauge| gauge.transfer(gauge.dialect.selection(), seen)).is_err() {
                 return false;
             }
         }
@@ -35,7 +35,8 @@ impl Gauge {
     /// Learns what the gauge shows as its selection, so that it is known again from now on.
     pub(crate) fn learn_selection(&mut self) {
         let mut seen = [0; 2];
-        if self.again(|gauge| gauge.transfer(&[SELECTION], &mut seen)).is_ok() && !self.presence.is_doubted()
+        if self.again(|gauge| gauge.transfer(gauge.dialect.selection(), &mut seen)).is_ok()
+            && !self.presence.is_doubted()
         {
             self.presence.learn(seen);
         }
@@ -76,7 +77,7 @@ impl Gauge {
         for _ in 0..LOOKS {
             let mut seen = [0; 2];
             self.presence.look();
-            match self.pass(&[SELECTION], &mut seen) {
+            match self.pass(self.dialect.selection(), &mut seen) {
                 // The host was asleep in this very transfer.
                 Ok(()) if self.presence.is_doubted() => {}
                 Ok(()) if self.presence.knows_again(seen) => return Ok(()),

@@ -1,0 +1,76 @@
+// SPDX-License-Identifier: MIT
+
+//! What is on the wire: how registers, subcommands, selections and blocks of a family of gauges are addressed.
+
+use super::Gauge;
+use super::state::{Rows, Shown};
+use crate::chip::{Chip, Scheme, SealStatus, Source};
+use crate::error::Result;
+use gauge_bus::BusError;
+use gauge_bus::replay::{Recording, Replay, Seals, Touch};
+
+pub(in crate::gauge) mod map;
+
+/// A byte of a write, and what it touches.
+pub(crate) type Touches = Vec<(Touch, u8)>;
+
+/// The registers of a challenge and its digest.
+pub(crate) struct Challenge {
+    /// 0 selects challenge and digest.
+    pub(crate) select: u8,
+    /// The buffer for both.
+    pub(crate) data: u8,
+    /// The checksum of a challenge, which starts the computation.
+    pub(crate) sum: u8,
+    /// 1 lets an unsealed gauge show what a sealed one shows.
+    pub(crate) view: u8,
+}
+
+/// The ways in which families of gauges differ on the wire.
+pub(crate) trait Dialect: Sync {
+    /// Reads the bytes of registers from that one on.
+    fn fetch(&self, gauge: &mut Gauge, code: u8, into: &mut [u8]) -> Result<(), BusError>;
+    /// Writes the bytes of registers from that one on, once.
+    fn put(&self, gauge: &mut Gauge, code: u8, data: &[u8]) -> Result<(), BusError>;
+    /// Sends a subcommand, once.
+    fn subcommand(&self, gauge: &mut Gauge, code: u16) -> Result<(), BusError>;
+    /// Sends a subcommand and reads the word that it answers with.
+    fn answer(&self, gauge: &mut Gauge, code: u16) -> Result<u16>;
+    /// Sends a subcommand and reads the bytes that it answers with, two or more.
+    fn answer_bytes(&self, gauge: &mut Gauge, code: u16, into: &mut [u8]) -> Result<()>;
+    /// All bytes of the answer to FW_VERSION; none where that is a word.
+    fn version(&self, gauge: &mut Gauge) -> Result<Vec<u8>>;
+    /// Reads CONTROL_STATUS, and rows of the table along with it.
+    fn look(&self, gauge: &mut Gauge, also: &[Source]) -> Result<(u16, Rows)>;
+    /// The message that a gauge answers with what was selected last, in two bytes.
+    fn selection(&self) -> &'static [u8];
+    /// Selects what no access leaves selected.
+    fn deselect(&self, gauge: &mut Gauge) -> Result<(), BusError>;
+    /// What each byte of a write touches; without those that touch nothing of this.
+    fn touches(&self, write: &[u8]) -> Touches;
+    /// What a read shows of the window, and of the selection.
+    fn shows<'a>(&self, register: u8, bytes: &'a [u8]) -> Shown<'a>;
+    /// Whether so many bytes from a register on belong to selection and window, all or in part.
+    fn is_of_window(&self, register: u8, length: usize) -> bool;
+    /// The registers of the SHA-1 authentication.
+    fn challenge(&self) -> &'static Challenge;
+}
+
+/// The dialect of a part.
+pub(crate) fn of(chip: &Chip) -> &'static dyn Dialect {
+    match chip.access.scheme {
+        Scheme::Block | Scheme::CfgUpdate | Scheme::None => &map::BLOCK,
+        Scheme::Mac | Scheme::MacUpdate => &map::MAC,
+    }
+}
+
+/// The gauge of a recording, as a bus.
+pub fn replay(chip: &Chip, recording: &Recording) -> Replay {
+    let status = match chip.security.status {
+        SealStatus::Field { word, .. } => word.command(),
+        SealStatus::Bits { .. } | SealStatus::None => None,
+    };
+    let dialect = of(chip);
+    let seals = Seals { commands: [chip.security.seal, super::RESET], status };
+    Replay::new(recording, seals, Box::new(|write| dialect.touches(write)))
+}

@@ -1,0 +1,213 @@
+// SPDX-License-Identifier: MIT
+
+//! A map of registers, least significant byte first: Control() at 0x00, the selection and the window of data flash from
+//! 0x3E to 0x61 (SLUSBZ5D 7.3.1, SLUUBH1C 12.1).
+
+use std::ops::Range;
+use std::time::Duration;
+
+use super::{Challenge, Dialect, Touches};
+use crate::chip::Source;
+use crate::codec::WINDOW;
+use crate::error::Result;
+use crate::error::Step;
+use crate::gauge::state::{Rows, Shown};
+use crate::gauge::{CONTROL_STATUS, FW_VERSION, Gauge, TRIES};
+use gauge_bus::BusError;
+use gauge_bus::replay::Touch;
+
+/// Control(), whose word is a subcommand.
+pub(in crate::gauge) const CONTROL: u8 = 0x00;
+/// The end of that word.
+const CONTROL_END: u8 = 0x02;
+/// DataFlashClass() and DataFlashBlock(), or ManufacturerAccessControl(): what is in the window.
+const SELECTION: Range<u8> = 0x3e..0x40;
+/// BlockData(), or MACData().
+const DATA: Range<u8> = 0x40..0x60;
+/// BlockDataChecksum(), which commits the window, or MACDataSum().
+const SUM: u8 = 0x60;
+/// BlockDataControl(), or MACDataLen(), which commits what was written to MACData().
+const LENGTH: u8 = 0x61;
+/// All of them.
+const ACCESS: Range<u8> = 0x3e..0x62;
+
+/// What MACDataLen() counts besides the data, and the longest answer to FW_VERSION that any part is known to have.
+const MAC_OVERHEAD: usize = 4;
+const LONGEST_VERSION: usize = 12;
+/// From a subcommand until MACData() must show its answer; the blocks of data flash take as long.
+const ANSWER: Duration = Duration::from_millis(55);
+/// What Control() of a part that answers in MACData() reads once after DEVICE_TYPE or FW_VERSION, in place
+/// of CONTROL_STATUS.
+const ANSWERED_ELSEWHERE: u16 = 0xffa5;
+
+/// AuthenticateData(), AuthenticateChecksum() and what selects them.
+static CHALLENGE: Challenge = Challenge { select: 0x3f, data: 0x40, sum: 0x54, view: 0x61 };
+
+pub(super) struct Map {
+    /// Data flash is selected by an address, which a gauge shows where it shows a subcommand.
+    is_flat: bool,
+}
+
+pub(super) static BLOCK: Map = Map { is_flat: false };
+pub(super) static MAC: Map = Map { is_flat: true };
+
+impl Dialect for Map {
+    fn fetch(&self, gauge: &mut Gauge, code: u8, into: &mut [u8]) -> Result<(), BusError> {
+        gauge.again(|gauge| gauge.transfer(&[code], into))
+    }
+
+    fn put(&self, gauge: &mut Gauge, code: u8, data: &[u8]) -> Result<(), BusError> {
+        let mut message = [0; 1 + WINDOW];
+        message[0] = code;
+        message[1..=data.len()].copy_from_slice(data);
+        let message = &message[..=data.len()];
+        gauge.tell(message, |gauge| {
+            // Where the manual has the rule it is for Control() as well (SLUSBH1C 9.5.4.3); elsewhere Control()
+            // is only ever written as a word.
+            if gauge.writes_bytes() && (code != CONTROL || gauge.chip.byte_writes_above_hz.is_some()) {
+                return (code..).zip(data).try_for_each(|(at, &byte)| gauge.transfer(&[at, byte], &mut []));
+            }
+            gauge.transfer(message, &mut [])
+        })
+    }
+
+    fn subcommand(&self, gauge: &mut Gauge, code: u16) -> Result<(), BusError> {
+        self.put(gauge, CONTROL, &code.to_le_bytes())
+    }
+
+    fn answer(&self, gauge: &mut Gauge, code: u16) -> Result<u16> {
+        let at = gauge.chip.identity.answer;
+        if code == FW_VERSION && at != CONTROL {
+            return firmware(gauge, at);
+        }
+        gauge.command(code)?;
+        // CONTROL_STATUS answers at Control() itself on every part.
+        if code != CONTROL_STATUS {
+            return answer(gauge, code, at, &mut []);
+        }
+        status(gauge, &mut [])
+    }
+
+    fn answer_bytes(&self, gauge: &mut Gauge, code: u16, into: &mut [u8]) -> Result<()> {
+        gauge.command(code)?;
+        let (word, behind) = into.split_at_mut(2);
+        let first = answer(gauge, code, gauge.chip.identity.answer, behind)?;
+        word.copy_from_slice(&first.to_le_bytes());
+        Ok(())
+    }
+
+    fn version(&self, gauge: &mut Gauge) -> Result<Vec<u8>> {
+        let at = gauge.chip.identity.answer;
+        if at == CONTROL {
+            return Ok(Vec::new());
+        }
+        gauge.command(FW_VERSION)?;
+        gauge.wait(ANSWER.max(gauge.chip.access.select));
+        let mut length = [0];
+        gauge.read(LENGTH, &mut length)?;
+        // What follows the answer in the buffer may be of a block that was read before.
+        let count = usize::from(length[0]).saturating_sub(MAC_OVERHEAD).min(LONGEST_VERSION);
+        let mut bytes = vec![0; count];
+        if count > 0 {
+            gauge.read(at, &mut bytes)?;
+        }
+        Ok(bytes)
+    }
+
+    fn look(&self, gauge: &mut Gauge, also: &[Source]) -> Result<(u16, Rows)> {
+        gauge.command(CONTROL_STATUS)?;
+        // One transfer reads all from Control() to the last of the rows.
+        let last = also.iter().filter_map(|row| row.command()).max().unwrap_or(CONTROL);
+        let mut behind = vec![0; usize::from(last)];
+        let word = status(gauge, &mut behind)?;
+        let value = |row: &Source| {
+            let at = usize::from(row.command()? - CONTROL_END);
+            Some(u16::from_le_bytes([behind[at], behind[at + 1]]))
+        };
+        Ok((word, Rows::of(also, value)))
+    }
+
+    fn selection(&self) -> &'static [u8] {
+        &[SELECTION.start]
+    }
+
+    fn deselect(&self, gauge: &mut Gauge) -> Result<(), BusError> {
+        self.put(gauge, if self.is_flat { CONTROL } else { SELECTION.start }, &[0, 0])
+    }
+
+    fn touches(&self, write: &[u8]) -> Touches {
+        let Some((&start, data)) = write.split_first() else { return Touches::new() };
+        let touched = (start..=u8::MAX).zip(data).filter_map(|(at, &byte)| Some((self.touch(at)?, byte)));
+        touched.collect()
+    }
+
+    fn shows<'a>(&self, register: u8, bytes: &'a [u8]) -> Shown<'a> {
+        let selection = if register == SELECTION.start { bytes.first_chunk() } else { None };
+        let from = DATA.start.saturating_sub(register);
+        let window = bytes.get(usize::from(from)..).filter(|_| register < DATA.end).unwrap_or_default();
+        Shown { selection: selection.copied(), at: usize::from(register.saturating_sub(DATA.start)), window }
+    }
+
+    fn is_of_window(&self, register: u8, length: usize) -> bool {
+        register < ACCESS.end && usize::from(register) + length > usize::from(ACCESS.start)
+    }
+
+    fn challenge(&self) -> &'static Challenge {
+        &CHALLENGE
+    }
+}
+
+impl Map {
+    /// What a byte touches that is written to a register.
+    fn touch(&self, register: u8) -> Option<Touch> {
+        let index = |start: u8| usize::from(register - start);
+        match register {
+            CONTROL..CONTROL_END => Some(Touch::Subcommand(index(CONTROL))),
+            _ if SELECTION.contains(&register) => Some(Touch::Selects(index(SELECTION.start))),
+            _ if DATA.contains(&register) => Some(Touch::Fills(index(DATA.start))),
+            SUM if self.is_flat => Some(Touch::Beside),
+            LENGTH if !self.is_flat => Some(Touch::Beside),
+            SUM | LENGTH => Some(Touch::Commits),
+            _ => None,
+        }
+    }
+}
+
+/// The version of the firmware, which follows the device number in MACData().
+fn firmware(gauge: &mut Gauge, at: u8) -> Result<u16> {
+    let mut word = 0;
+    // MACData() may still show an older answer.
+    for _ in 0..TRIES {
+        let mut version = [0; 2];
+        gauge.command(FW_VERSION)?;
+        word = answer(gauge, FW_VERSION, at, &mut version)?;
+        if word.swap_bytes() == gauge.chip.identity.device_type {
+            return Ok(u16::from_be_bytes(version));
+        }
+    }
+    // No document has such an answer; it tells this part from others all the same.
+    Ok(word)
+}
+
+/// Reads the answer to CONTROL_STATUS, and with it the registers following Control().
+fn status(gauge: &mut Gauge, behind: &mut [u8]) -> Result<u16> {
+    match answer(gauge, CONTROL_STATUS, CONTROL, behind)? {
+        ANSWERED_ELSEWHERE if gauge.chip.identity.answer != CONTROL => {
+            answer(gauge, CONTROL_STATUS, CONTROL, behind)
+        }
+        status => Ok(status),
+    }
+}
+
+/// Reads the answer to a subcommand and the bytes that follow it.
+fn answer(gauge: &mut Gauge, code: u16, at: u8, behind: &mut [u8]) -> Result<u16> {
+    // MACData() shows the previous answer until the gauge has stored the new one.
+    if at != CONTROL {
+        gauge.wait(ANSWER.max(gauge.chip.access.select));
+    }
+    let mut bytes = vec![0; 2 + behind.len()];
+    let read = gauge.read(at, &mut bytes);
+    read.map_err(|error| error.about(gauge.subcommand_name(code)).at(Step::Control))?;
+    behind.copy_from_slice(&bytes[2..]);
+    Ok(u16::from_le_bytes([bytes[0], bytes[1]]))
+}
