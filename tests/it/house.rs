@@ -770,3 +770,107 @@ fn a_field_is_found_in_code() {
     }
     assert!(!names_field("options.key_file()", &[], "key_file"));
 }
+
+/// The numbers in a line of code, as they are written, with their values.
+fn numbers(line: &str) -> Vec<(&str, u64)> {
+    let is_word = |letter: char| letter.is_alphanumeric() || letter == '_';
+    let words =
+        line.split("..").flat_map(|part| part.split(|letter: char| !is_word(letter) && letter != '.'));
+    // Fractions are left out.
+    let whole = |word| {
+        let (head, rest): (&str, &str) = str::split_once(word, '.').unwrap_or((word, ""));
+        (!rest.starts_with(|digit: char| digit.is_ascii_digit())).then_some(head)
+    };
+    let value = |word: &str| {
+        let plain = word.replace('_', "");
+        let (digits, radix) = match plain.get(..2) {
+            Some("0x") => (&plain[2..], 16),
+            Some("0b") => (&plain[2..], 2),
+            Some("0o") => (&plain[2..], 8),
+            _ => (&plain[..], 10),
+        };
+        let is_type = |rest: &str| rest.is_empty() || rest.starts_with(['u', 'i']);
+        let end = digits.find(|digit: char| !digit.is_digit(radix)).unwrap_or(digits.len());
+        let number = u64::from_str_radix(&digits[..end], radix).ok();
+        number.filter(|_| is_type(&digits[end..]))
+    };
+    words.filter_map(whole).filter_map(|word| Some((word, value(word)?))).collect()
+}
+
+/// What is on the wire is behind one wall: the registers of selection and window are named where a dialect, a scheme of
+/// access or the reader of FlashStreams is, and in tables. A further family is then no change to anything else.
+#[test]
+fn registers_of_block_access_stand_behind_the_dialect() {
+    const REGISTERS: std::ops::RangeInclusive<u64> = 0x3e..=0x61;
+    const BEHIND: [&str; 4] = [
+        "ti-gauge chip/",
+        "ti-gauge gauge/dialect/map",
+        "ti-gauge dataflash/schemes/",
+        "ti-gauge image/flashstream",
+    ];
+    /// Other numbers of that size: where they stand, and how often.
+    const OTHERS: [(&str, &str, usize); 23] = [
+        // The address of all gauges.
+        ("gauge-bus ", "0x55", 1),
+        // Subclasses.
+        ("ti-gauge dataflash/anonymous", "64", 1),
+        ("ti-gauge dataflash/anonymous", "68", 1),
+        // Subcommands and their bits.
+        ("ti-gauge gauge", "0x0041", 1),
+        ("ti-gauge learning", "0x0040", 1),
+        // Times.
+        ("gauge-bus linux", "66", 1),
+        ("gauge-owner owner/crew/races", "90", 2),
+        ("ti-gauge dataflash/io", "80", 1),
+        ("ti-gauge dataflash/session", "80", 1),
+        ("ti-gauge gauge/seal", "80", 1),
+        ("ti-gauge gauge/wire", "66", 1),
+        // Lengths of texts, stacks, integers and rows of ROM.
+        ("gauge-bus bounded", "64", 1),
+        ("gauge-owner evidence", "64", 1),
+        ("ti-gauge journal/machine", "64", 1),
+        ("ti-gauge keys", "64", 1),
+        ("ti-gauge registers", "64", 1),
+        ("ti-gauge text", "64", 1),
+        ("ti-gauge rom", "96", 1),
+        // Bytes of a firmware's marks.
+        ("ti-gauge rom", "0x3f", 1),
+        ("ti-gauge rom", "0x54", 2),
+        // The kernel's number of its I2C devices, and permissions of files.
+        ("gauge-bus linux", "89", 1),
+        ("gauge-owner key_file", "0o077", 1),
+        ("gauge-owner lock", "0o077", 1),
+    ];
+    let top = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let mut found: BTreeMap<(String, String), usize> = BTreeMap::new();
+    for name in ["ti-gauge", "gauge-bus", "gauge-owner"] {
+        for (module, text) in modules(&top.join("crates").join(name).join("src")) {
+            let place = format!("{name} {}", module.join("/"));
+            let is_test = module.last().is_some_and(|name| name == "tests" || name == "rig");
+            if is_test || BEHIND.iter().any(|behind| place.starts_with(behind)) {
+                continue;
+            }
+            for line in code(&text).lines() {
+                for (number, _) in numbers(line).into_iter().filter(|(_, value)| REGISTERS.contains(value)) {
+                    *found.entry((place.clone(), number.to_string())).or_default() += 1;
+                }
+            }
+        }
+    }
+    let others = OTHERS.map(|(place, number, count)| ((place.to_string(), number.to_string()), count));
+    let others = BTreeMap::from(others);
+    let outside: Vec<_> = found.iter().filter(|(key, count)| others.get(key) != Some(count)).collect();
+    assert!(outside.is_empty(), "a register of block access, or another number of that size? {outside:?}");
+    let gone: Vec<_> = others.keys().filter(|key| !found.contains_key(key)).collect();
+    assert!(gone.is_empty(), "no longer there: {gone:?}");
+}
+
+#[test]
+fn a_number_is_found_in_any_notation() {
+    let values = |line: &str| numbers(line).into_iter().map(|(_, value)| value).collect::<Vec<_>>();
+    assert_eq!(values("const A: u8 = 0x3e; [0x3E, 62, 0b11_1110, 0o76u8, 62u8, 0x3E_u16]"), [62; 7]);
+    assert_eq!(
+        values("x62 + 0x3eff - 62.5 + 62f(0x40..0x60).0 + 0x3e.max(1)"),
+        [0x3eff, 0x40, 0x60, 0x3e, 1]
+    );
+}
