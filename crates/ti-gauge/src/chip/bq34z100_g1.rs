@@ -124,7 +124,7 @@ pub static CHIP: Chip = Chip {
         challenge: Duration::from_millis(1),
         digest: Duration::from_millis(50),
     }),
-    subclasses: SUBCLASSES,
+    subclasses: &SUBCLASSES,
     byte_writes_above_hz: None,
     calibration: Some(&CALIBRATION),
     signature: &[],
@@ -420,7 +420,7 @@ pub(super) const KEEP_I2C: Safe = Safe::Keep(0x04, "LED_Mode 4 would move the ga
 
 /// Table 7-11.
 #[rustfmt::skip]
-static SUBCLASSES: &[Subclass] = &[
+pub(super) const SUBCLASSES: [Subclass; 22] = [
     Subclass { class: "Configuration", name: "Safety", id: 2, length: 10, kind: Reset,
                parameters: &[
         P::int(0, I2, "OT Chg",          0, 1200, 550, "0.1°C"),

@@ -9,10 +9,10 @@
 
 use std::time::Duration;
 
-use super::Kind::{Plain, Reset, Security as Keys};
+use super::Kind::{Plain, Reset};
 use super::Tier::{Poll, Slow, Static, Window};
 use super::bq34z100_g1::{
-    ALERT_CONFIG, CALIBRATION, CAPACITY, CELLS, CONTROL_STATUS, DIVIDER, FLAGS, FLAGS_B, GATE, KEEP_I2C,
+    self, ALERT_CONFIG, CALIBRATION, CAPACITY, CELLS, CONTROL_STATUS, FLAGS, FLAGS_B, KEEP_I2C,
     LEARNED_STATUS, LED_COMM, PACK_CONFIG_B, PACK_CONFIG_C, SUBCOMMANDS,
 };
 use super::{
@@ -22,7 +22,7 @@ use super::{
 };
 use crate::codec::Layout;
 use crate::value::Type::U;
-use crate::value::types::{H1, H2, H4, I1, I2, U1, U2};
+use crate::value::types::{H1, H2, I1, I2, U1, U2};
 use gauge_bus::GAUGE_ADDRESS;
 
 /// The bq34z100-R2 as far as it is known.
@@ -122,7 +122,7 @@ pub static CHIP: Chip = Chip {
         challenge: Duration::from_millis(1),
         digest: Duration::from_millis(50),
     }),
-    subclasses: SUBCLASSES,
+    subclasses: &SUBCLASSES,
     byte_writes_above_hz: None,
     // The lengths of the three names, which are elsewhere in firmware 0.16: data flash is known from one image only.
     calibration: Some(&CALIBRATION),
@@ -247,55 +247,18 @@ static PACK_CONFIG: &[Bit] = &[
     Bit::new(0x0001, "TEMPS"),
 ];
 
-/// Rows, ranges and defaults of SLUSBZ5D, Table 7-11, with the changes of firmware 2.02 as its image shows them.
+/// The bq34z100-G1's subclasses, with the changes of firmware 2.02 as its image shows them.
+static SUBCLASSES: [Subclass; bq34z100_g1::SUBCLASSES.len()] = {
+    let mut all = bq34z100_g1::SUBCLASSES;
+    let [data, manufacturer, lifetime, registers] = CHANGED;
+    assert!(all[4].id == data.id && all[6].id == manufacturer.id);
+    assert!(all[7].id == lifetime.id && all[9].id == registers.id);
+    (all[4], all[6], all[7], all[9]) = (data, manufacturer, lifetime, registers);
+    all
+};
+
 #[rustfmt::skip]
-static SUBCLASSES: &[Subclass] = &[
-    Subclass { class: "Configuration", name: "Safety", id: 2, length: 10, kind: Reset,
-               parameters: &[
-        P::int(0, I2, "OT Chg",          0, 1200, 550, "0.1°C"),
-        P::int(2, U1, "OT Chg Time",     0,   60,   2, "s"),
-        P::int(3, I2, "OT Chg Recovery", 0, 1200, 500, "0.1°C"),
-        P::int(5, I2, "OT Dsg",          0, 1200, 600, "0.1°C"),
-        P::int(7, U1, "OT Dsg Time",     0,   60,   2, "s"),
-        P::int(8, I2, "OT Dsg Recovery", 0, 1200, 550, "0.1°C"),
-    ] },
-    Subclass { class: "Configuration", name: "Charge Inhibit Cfg", id: 32, length: 6, kind: Reset,
-               parameters: &[
-        P::int(0, I2, "Chg Inhibit Temp Low",  -400, 1200,   0, "0.1°C"),
-        P::int(2, I2, "Chg Inhibit Temp High", -400, 1200, 450, "0.1°C"),
-        P::int(4, I2, "Temp Hys",                 0,  100,  50, "0.1°C"),
-    ] },
-    Subclass { class: "Configuration", name: "Charge", id: 34, length: 14, kind: Reset,
-               parameters: &[
-        P::int(0, I2, "Suspend Low Temp",    -400, 1200, -50, "0.1°C"),
-        P::int(2, I2, "Suspend High Temp",   -400, 1200, 550, "0.1°C"),
-        P::int(4, U1, "Pb EFF Efficiency",      0,  100, 100, "%"),
-        // Table 7-11 prints 0.01953125, Table 8-2 25 %.
-        P::float( 5, "Pb Temp Comp",      0.0, 0.078125, 0.01953125, "%").no_default(),
-        P::int(9, U1, "Pb Drop Off Percent",    0,  100,  96, "%"),
-        P::float(10, "Pb Reduction Rate", 0.0,     1.25,      0.125, "%"),
-    ] },
-    Subclass { class: "Configuration", name: "Charge Termination", id: 36, length: 27, kind: Reset,
-               parameters: &[
-        P::int( 0, I2, "Taper Current",                  0,  1000,  100, "mA"),
-        P::int( 2, I2, "Min Taper Capacity",             0,  1000,   25, "mAh"),
-        P::int( 4, I2, "Cell Taper Voltage",             0,  1000,  100, "mV"),
-        P::int( 6, U1, "Current Taper Window",           0,    60,   40, "s"),
-        P::int( 7, I1, "TCA Set %",                     -1,   100,   99, "%"),
-        P::int( 8, I1, "TCA Clear %",                   -1,   100,   95, "%"),
-        P::int( 9, I1, "FC Set %",                      -1,   100,  100, "%"),
-        P::int(10, I1, "FC Clear %",                    -1,   100,   98, "%"),
-        P::int(11, I2, "DODatEOC Delta T",               0,  1000,  100, "0.1°C"),
-        // Table 8-3 prints 3 and 25 for Delta Temp and Hold Off Temp; Table 7-11 has 30 and 250.
-        P::int(13, I2, "NiMH Delta Temp",                0,   255,   30, "0.1°C"),
-        P::int(15, U2, "NiMH Delta Temp Time",           0,  1000,  180, "s"),
-        P::int(17, U2, "NiMH Hold Off Time",             0,  1000,  100, "s"),
-        P::int(19, I2, "NiMH Hold Off Current",          0, 32000,  240, "mA"),
-        P::int(21, I2, "NiMH Hold Off Temp",             0,  1000,  250, "0.1°C"),
-        P::int(23, U1, "NiMH Cell Negative Delta Volt",  0,   100,   17, "mV"),
-        P::int(24, U1, "NiMH Cell Negative Delta Time",  0,   255,   16, "s"),
-        P::int(25, I2, "NiMH Cell Neg Delta Qual Volt",  0, 32767, 4200, "mV"),
-    ] },
+const CHANGED: [Subclass; 4] = [
     Subclass { class: "Configuration", name: "Data", id: 48, length: 62, kind: Reset,
                parameters: &[
         // The manual prints *256 here, which makes days and months overlap.
@@ -325,21 +288,6 @@ static SUBCLASSES: &[Subclass] = &[
         P::text(45, 12, "Manufacturer Name", "Texas Inst."),
         P::text(57,  5, "Device Chemistry",  "LION").role(Role::Technology),
     ] },
-    Subclass { class: "Configuration", name: "Discharge", id: 49, length: 22, kind: Reset,
-               parameters: &[
-        P::int( 0, U2, "SOC1 Set Threshold",           0, 65535,  150, "mAh"),
-        P::int( 2, U2, "SOC1 Clear Threshold",         0, 65535,  175, "mAh"),
-        P::int( 4, U2, "SOCF Set Threshold",           0, 65535,   75, "mAh"),
-        P::int( 6, U2, "SOCF Clear Threshold",         0, 65535,  100, "mAh"),
-        P::int( 8, I2, "Cell BL Set Volt Threshold",   0,  5000,    0, "mV"),
-        P::int(10, U1, "Cell BL Set Volt Time",        0,    60,    0, "s"),
-        // Printed as 5 mV for both Clear thresholds; the name and Set threshold say a voltage of its own.
-        P::int(11, I2, "Cell BL Clear Volt Threshold", 0,  5000,    5, "mV").no_default(),
-        P::int(13, I2, "Cell BH Set Volt Threshold",   0,  5000, 4300, "mV"),
-        P::int(15, U1, "Cell BH Volt Time",            0,    60,    2, "s"),
-        P::int(16, I2, "Cell BH Clear Volt Threshold", 0,  5000,    5, "mV").no_default(),
-        P::int(21, U1, "Cycle Delta",                  0,   255,    5, "0.01%"),
-    ] },
     Subclass { class: "Configuration", name: "Manufacturer Data", id: 56, length: 12, kind: Plain,
                parameters: &[
         // Somewhere among zeros in the image.
@@ -360,10 +308,6 @@ static SUBCLASSES: &[Subclass] = &[
         P::within( 8, U2, "Lifetime Max Pack Voltage",   0, 65535, "mV").learned(),
         P::within(10, U2, "Lifetime Min Pack Voltage",   0, 65535, "mV").learned(),
     ] },
-    Subclass { class: "Configuration", name: "Lifetime Temp Samples", id: 60, length: 2, kind: Reset,
-               parameters: &[
-        P::int(0, U2, "LT Flash Cnt", 0, 65535, 0, "Counts").learned(),
-    ] },
     Subclass { class: "Configuration", name: "Registers", id: 64, length: 8, kind: Reset,
                parameters: &[
         // Table 7-11 prints 0x0161, the bit texts of Table 7-17 add up to 0x01E1.
@@ -373,176 +317,5 @@ static SUBCLASSES: &[Subclass] = &[
         P::int(4, H1, "LED_Comm Configuration",   0x00,   0xFF,   0x00, "flags").bits(LED_COMM).safe(KEEP_I2C),
         P::int(5, H2, "Alert Configuration",    0x0000, 0xFFFF, 0x0000, "flags").bits(ALERT_CONFIG),
         P::int(7, U1, "Number of series cell",       0,    100,      1, "Num").safe(CELLS).role(Role::Cells),
-    ] },
-    Subclass { class: "Configuration", name: "Lifetime Resolution", id: 66, length: 5, kind: Reset,
-               parameters: &[
-        P::int(0, U1, "LT Temp Res",    0,   255,  10, "0.1°C"),
-        P::int(1, U1, "LT Cur Res",     0,   255, 100, "mA"),
-        P::int(2, U1, "LT V Res",       0,   255,   1, "20mV"),
-        P::int(3, U2, "LT Update Time", 0, 65535,  60, "s"),
-    ] },
-    Subclass { class: "Configuration", name: "LED Display", id: 67, length: 1, kind: Reset,
-               parameters: &[
-        P::int(0, U1, "LED Hold Time", 0, 255, 4, "Num"),
-    ] },
-    Subclass { class: "Configuration", name: "Power", id: 68, length: 12, kind: Reset,
-               parameters: &[
-        P::int( 0, I2, "Flash Update OK Cell Volt", 0, 4200, 2800, "mV").safe(GATE),
-        P::int( 2, I2, "Sleep Current",             0,  100,   10, "mA"),
-        P::int(11, U1, "FS Wait",                   0,  255,    0, "s"),
-    ] },
-    Subclass { class: "System Data", name: "Manufacturer Info", id: 58, length: 32, kind: Plain,
-               parameters: &[
-        P::int( 0, H1, "Block A 0",  0x00, 0xFF, 0x00, "hex"),
-        P::int( 1, H1, "Block A 1",  0x00, 0xFF, 0x00, "hex"),
-        P::int( 2, H1, "Block A 2",  0x00, 0xFF, 0x00, "hex"),
-        P::int( 3, H1, "Block A 3",  0x00, 0xFF, 0x00, "hex"),
-        P::int( 4, H1, "Block A 4",  0x00, 0xFF, 0x00, "hex"),
-        P::int( 5, H1, "Block A 5",  0x00, 0xFF, 0x00, "hex"),
-        P::int( 6, H1, "Block A 6",  0x00, 0xFF, 0x00, "hex"),
-        P::int( 7, H1, "Block A 7",  0x00, 0xFF, 0x00, "hex"),
-        P::int( 8, H1, "Block A 8",  0x00, 0xFF, 0x00, "hex"),
-        P::int( 9, H1, "Block A 9",  0x00, 0xFF, 0x00, "hex"),
-        P::int(10, H1, "Block A 10", 0x00, 0xFF, 0x00, "hex"),
-        P::int(11, H1, "Block A 11", 0x00, 0xFF, 0x00, "hex"),
-        P::int(12, H1, "Block A 12", 0x00, 0xFF, 0x00, "hex"),
-        P::int(13, H1, "Block A 13", 0x00, 0xFF, 0x00, "hex"),
-        P::int(14, H1, "Block A 14", 0x00, 0xFF, 0x00, "hex"),
-        P::int(15, H1, "Block A 15", 0x00, 0xFF, 0x00, "hex"),
-        P::int(16, H1, "Block A 16", 0x00, 0xFF, 0x00, "hex"),
-        P::int(17, H1, "Block A 17", 0x00, 0xFF, 0x00, "hex"),
-        P::int(18, H1, "Block A 18", 0x00, 0xFF, 0x00, "hex"),
-        P::int(19, H1, "Block A 19", 0x00, 0xFF, 0x00, "hex"),
-        P::int(20, H1, "Block A 20", 0x00, 0xFF, 0x00, "hex"),
-        P::int(21, H1, "Block A 21", 0x00, 0xFF, 0x00, "hex"),
-        P::int(22, H1, "Block A 22", 0x00, 0xFF, 0x00, "hex"),
-        P::int(23, H1, "Block A 23", 0x00, 0xFF, 0x00, "hex"),
-        P::int(24, H1, "Block A 24", 0x00, 0xFF, 0x00, "hex"),
-        P::int(25, H1, "Block A 25", 0x00, 0xFF, 0x00, "hex"),
-        P::int(26, H1, "Block A 26", 0x00, 0xFF, 0x00, "hex"),
-        P::int(27, H1, "Block A 27", 0x00, 0xFF, 0x00, "hex"),
-        P::int(28, H1, "Block A 28", 0x00, 0xFF, 0x00, "hex"),
-        P::int(29, H1, "Block A 29", 0x00, 0xFF, 0x00, "hex"),
-        P::int(30, H1, "Block A 30", 0x00, 0xFF, 0x00, "hex"),
-        P::int(31, H1, "Block A 31", 0x00, 0xFF, 0x00, "hex"),
-    ] },
-    Subclass { class: "Gas Gauging", name: "IT Cfg", id: 80, length: 93, kind: Reset,
-               parameters: &[
-        P::int( 0, U1, "Load Select",                         0,   255,     1, "Num"),
-        P::int( 1, U1, "Load Mode",                           0,   255,     0, "Num"),
-        P::int(10, I2, "Res Current",                         0,  1000,    10, "mA"),
-        P::int(14, U1, "Max Res Factor",                      0,   255,    50, "Num"),
-        P::int(15, U1, "Min Res Factor",                      0,   255,     1, "Num"),
-        P::int(17, U2, "Ra Filter",                           0,  1000,   500, "Num"),
-        // Table 7-11 prints 50, Table 8-4 90 for lithium.
-        P::int(47, U1, "Min PassedChg NiMH-LA 1st Qmax",      1,   100,    50, "%").no_default(),
-        P::int(49, U1, "Maximum Qmax Change",                 0,   255,   100, "%"),
-        // 7.3.3.1 of SLUSBZ5D has it at 48; its table is right.
-        P::int(53, I2, "Cell Terminate Voltage",           1000,  3700,  3000, "mV").role(Role::VoltageMinDesign),
-        P::int(55, I2, "Cell Term V Delta",                   0,  4200,   200, "mV"),
-        P::int(58, U2, "ResRelax Time",                       0, 65534,   500, "s"),
-        P::int(62, I2, "User Rate-mA",                   -32767, 32767,     0, "mA"),
-        P::int(64, I2, "User Rate-Pwr",                  -32767, 32767,     0, "mW/cW"),
-        P::int(66, I2, "Reserve Cap-mAh",                     0,  9000,     0, "mAh"),
-        P::int(68, I2, "Reserve Energy",                      0, 14000,     0, "mWh/cWh"),
-        P::int(72, U1, "Max Scale Back Grid",                 0,    15,     4, "Num"),
-        P::int(73, U2, "Cell Min DeltaV",                     0, 65535,     0, "mV"),
-        P::int(75, U1, "Ra Max Delta",                        0,   255,    15, "%"),
-        P::int(76, I2, "Design Resistance",                   1, 32767,    42, "mΩ"),
-        P::int(78, U1, "Reference Grid",                      0,    14,     4, ""),
-        // The manual prints mAh.
-        P::int(79, U1, "Qmax Max Delta %",                    0,   100,    10, "%"),
-        P::int(80, U2, "Max Res Scale",                       0, 32767, 32000, "Num"),
-        P::int(82, U2, "Min Res Scale",                       0, 32767,     1, "Num"),
-        P::int(84, U1, "Fast Scale Start SOC",                0,   100,    10, "%"),
-        P::int(89, I2, "Charge Hys V Shift",                  0,  2000,    40, "mV"),
-        P::int(91, I2, "Smooth Relax Time",                   1, 32767,  1000, "s"),
-    ] },
-    Subclass { class: "Gas Gauging", name: "Current Thresholds", id: 81, length: 11, kind: Reset,
-               parameters: &[
-        P::int(0, I2, "Dsg Current Threshold", 0, 2000,  60, "mA"),
-        P::int(2, I2, "Chg Current Threshold", 0, 2000,  75, "mA"),
-        P::int(4, I2, "Quit Current",          0, 1000,  40, "mA"),
-        P::int(6, U2, "Dsg Relax Time",        0, 8191,  60, "s"),
-        P::int(8, U1, "Chg Relax Time",        0,  255,  60, "s"),
-        P::int(9, U2, "Cell Max IR Correct",   0, 1000, 400, "mV"),
-    ] },
-    Subclass { class: "Gas Gauging", name: "State", id: 82, length: 17, kind: Reset,
-               parameters: &[
-        P::int( 0, I2, "Qmax Cell 0",             0, 32767,  1000, "mAh").safe(CAPACITY).learned(),
-        P::int( 2, U2, "Cycle Count",             0, 65535,     0, "Num").learned(),
-        P::int( 4, H1, "Update Status",        0x00,  0x06,  0x00, "Num").learned(),
-        P::int( 5, I2, "Cell V at Chg Term",      0,  5000,  4200, "mV").learned(),
-        P::int( 7, I2, "Avg I Last Run",     -32768, 32767,  -299, "mA").learned(),
-        // The manual prints mWh for this power.
-        P::int( 9, I2, "Avg P Last Run",     -32768, 32767, -1131, "mW").learned(),
-        P::int(11, I2, "Cell Delta Voltage", -32768, 32767,     2, "mV").learned(),
-        P::int(13, I2, "T Rise",                  0, 32767,    20, "Num").learned(),
-        P::int(15, I2, "T Time Constant",         0, 32767,  1000, "Num").learned(),
-    ] },
-    Subclass { class: "Ra Table", name: "R_a0", id: 88, length: 32, kind: Reset,
-               parameters: &[
-        P::int( 0, H2, "R_a0 Flag", 0x0000, 0xFFFF, 0xFF55, "Hex").learned(),
-        P::int( 2, I2, "R_a0 0",         0,  32767,    105, "Num").learned(),
-        P::int( 4, I2, "R_a0 1",         0,  32767,    100, "Num").learned(),
-        P::int( 6, I2, "R_a0 2",         0,  32767,    113, "Num").learned(),
-        P::int( 8, I2, "R_a0 3",         0,  32767,    143, "Num").learned(),
-        P::int(10, I2, "R_a0 4",         0,  32767,     98, "Num").learned(),
-        P::int(12, I2, "R_a0 5",         0,  32767,     97, "Num").learned(),
-        P::int(14, I2, "R_a0 6",         0,  32767,    108, "Num").learned(),
-        P::int(16, I2, "R_a0 7",         0,  32767,     89, "Num").learned(),
-        P::int(18, I2, "R_a0 8",         0,  32767,     86, "Num").learned(),
-        P::int(20, I2, "R_a0 9",         0,  32767,     85, "Num").learned(),
-        P::int(22, I2, "R_a0 10",        0,  32767,     87, "Num").learned(),
-        P::int(24, I2, "R_a0 11",        0,  32767,     90, "Num").learned(),
-        P::int(26, I2, "R_a0 12",        0,  32767,    110, "Num").learned(),
-        P::int(28, I2, "R_a0 13",        0,  32767,    647, "Num").learned(),
-        P::int(30, I2, "R_a0 14",        0,  32767,   1500, "Num").learned(),
-    ] },
-    Subclass { class: "Ra Table", name: "R_a0x", id: 89, length: 32, kind: Reset,
-               parameters: &[
-        P::int( 0, H2, "R_a0x Flag", 0x0000, 0xFFFF, 0xFFFF, "Hex").learned(),
-        P::int( 2, I2, "R_a0x 0",         0,  32767,    105, "Num").learned(),
-        P::int( 4, I2, "R_a0x 1",         0,  32767,    100, "Num").learned(),
-        P::int( 6, I2, "R_a0x 2",         0,  32767,    113, "Num").learned(),
-        P::int( 8, I2, "R_a0x 3",         0,  32767,    143, "Num").learned(),
-        P::int(10, I2, "R_a0x 4",         0,  32767,     98, "Num").learned(),
-        P::int(12, I2, "R_a0x 5",         0,  32767,     97, "Num").learned(),
-        P::int(14, I2, "R_a0x 6",         0,  32767,    108, "Num").learned(),
-        P::int(16, I2, "R_a0x 7",         0,  32767,     89, "Num").learned(),
-        P::int(18, I2, "R_a0x 8",         0,  32767,     86, "Num").learned(),
-        P::int(20, I2, "R_a0x 9",         0,  32767,     85, "Num").learned(),
-        P::int(22, I2, "R_a0x 10",        0,  32767,     87, "Num").learned(),
-        P::int(24, I2, "R_a0x 11",        0,  32767,     90, "Num").learned(),
-        P::int(26, I2, "R_a0x 12",        0,  32767,    110, "Num").learned(),
-        P::int(28, I2, "R_a0x 13",        0,  32767,    647, "Num").learned(),
-        P::int(30, I2, "R_a0x 14",        0,  32767,   1500, "Num").learned(),
-    ] },
-    Subclass { class: "Calibration", name: "Data", id: 104, length: 16, kind: Reset,
-               parameters: &[
-        // The manual prints milliohms, but these are the stored numbers: 4.768 / CC Gain and 5677445 / CC
-        // Delta are the milliohms (Table 7-12).
-        P::float(0, "CC Gain",       0.1,        40.0,     0.4768, "Num"),
-        P::float(4, "CC Delta", 29_800.0, 1_190_000.0, 567_744.56, "Num"),
-        P::int( 8, I2, "CC Offset",       -32768, 32767, -1200, "Num").learned(),
-        P::int(10, I1, "Board Offset",      -128,   127,     0, "Num").learned(),
-        P::int(11, I1, "Int Temp Offset",   -128,   127,     0, "0.1°C"),
-        P::int(12, I1, "Ext Temp Offset",   -128,   127,     0, "0.1°C"),
-        P::int(14, U2, "Voltage Divider",      0, 65535,  5000, "mV").safe(DIVIDER),
-    ] },
-    Subclass { class: "Calibration", name: "Current", id: 107, length: 2, kind: Reset,
-               parameters: &[
-        // The default, among 19 bytes that the image of a bq34z100-G1 has as well; a class 107 of the BQ27426 begins with them.
-        P::int(1, U1, "Deadband", 0, 255, 5, "mA"),
-    ] },
-    Subclass { class: "Security", name: "Codes", id: 112, length: 24, kind: Keys,
-               parameters: &[
-        // No defaults: nothing that shows defaults may show these.
-        P::any( 0, H4, "Sealed to Unsealed", "hex"),
-        P::any( 4, H4, "Unsealed to Full",   "hex"),
-        P::any( 8, H4, "Authen Key3",        "hex"),
-        P::any(12, H4, "Authen Key2",        "hex"),
-        P::any(16, H4, "Authen Key1",        "hex"),
-        P::any(20, H4, "Authen Key0",        "hex"),
     ] },
 ];
