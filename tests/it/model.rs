@@ -53,7 +53,7 @@ struct Model {
     mount: Swift,
     files: Vec<(String, Class)>,
     parameters: Vec<Parameter>,
-    controls: Vec<&'static str>,
+    controls: Vec<(&'static str, bool)>,
     open: Vec<OpenFile>,
     /// The gauge may fail just now.
     disturbed: bool,
@@ -171,7 +171,7 @@ impl Model {
             mount,
             files,
             parameters,
-            controls: answers.map(|one| one.name).collect(),
+            controls: answers.map(|one| (one.name, one.sealed)).collect(),
             open: Vec::new(),
             disturbed: false,
             low: false,

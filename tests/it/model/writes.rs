@@ -75,7 +75,15 @@ impl Model {
             },
             Class::Control => match random.below(3) {
                 0 => (random.pick(&["RESET", "0x0041", "nonsense", "SEALED\n"]).into(), fails(Errno::EINVAL)),
-                _ => (random.pick(&self.controls).into(), Expected::success()),
+                _ => {
+                    let (name, is_taken_sealed) = random.pick(&self.controls);
+                    let expected = match (self.seal.contains("sealed"), self.seal.len()) {
+                        (true, 1) if !is_taken_sealed => fails(Errno::EPERM),
+                        (true, _) if !is_taken_sealed => Expected::success().perhaps(&[Errno::EPERM]),
+                        _ => Expected::success(),
+                    };
+                    (name.into(), expected)
+                }
             },
             Class::Keys => match random.below(3) {
                 0 => (" \n".into(), Expected::success()),
