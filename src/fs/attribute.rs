@@ -92,7 +92,7 @@ const fn hex(name: &'static str, show: fn(&Reading<'_>) -> Option<i64>) -> Row {
 static ATTRIBUTES: &[Row] = &[
     text("type", |_| Some("Battery")),
     text("status", |reading| reading.status()),
-    text("present", |reading| Some(if reading.is_there() { "1" } else { "0" })),
+    number("present", |reading| Some(reading.is_there().into())),
     text("health", |reading| reading.health()),
     text("technology", |reading| Some(reading.technology())),
     text("scope", |_| Some("System")),
