@@ -31,7 +31,7 @@ Examples:
   gaugefs sim bq34z100-g1 bq27220@0x56 /tmp/bus          a file, for any program
   gaugefs sim bq34z100-g1 --knobs /tmp/knobs /tmp/bus &  with the gauge's knobs
   echo 500 > /tmp/knobs/load_ma                          a load of 500 mA
-  gaugefs sim bq34z100-g1 --list                         what its knobs and faults are
+  gaugefs sim bq34z100-g1 --list                         its knobs and faults
   gaugefs sim --replay pack.log /tmp/bus                 a recording
   sudo gaugefs sim bq34z100-g1 --cuse i2c-9              as /dev/i2c-9
   sudo gaugefs sim bq34z100-g1 --device                  for drivers
