@@ -110,7 +110,7 @@ impl Watch {
     }
 
     /// The next report within a time limit. A mount that stays silent is reported each time
-    /// [`PATIENCE`](crate::follow::PATIENCE) passes.
+    /// [`PATIENCE`] passes.
     pub fn next(&self, limit: Duration) -> Option<Report> {
         let end = Instant::now() + limit;
         loop {
