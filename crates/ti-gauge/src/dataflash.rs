@@ -68,7 +68,7 @@ use owedseal::OwedSeal;
 pub use pack::distinguishes;
 use pack::{Known, NOTHING};
 use preflight::{Found, KnownPack};
-use schemes::sequence;
+use schemes::{Care, sequence};
 use session::{Session, in_time};
 pub use settle::{Decision, Owed};
 use settle::{Pending, Searched, Shown};
@@ -397,7 +397,7 @@ impl DataFlash {
         let outcome = self.write_with(
             gauge,
             changes,
-            WriteOptions { soon: true, lost, ..WriteOptions::default() },
+            WriteOptions { care: Care::Quick, lost, ..WriteOptions::default() },
             waited,
         )?;
         self.drop_restorations(changes);
@@ -482,10 +482,10 @@ impl DataFlash {
                 found = self.next_look(gauge, &found, changes)?;
             }
             self.check_key(gauge, found.seal, changes)?;
-            let soon = options.soon;
+            let is_restoration = options.care == Care::Quick;
             let record = |this: &mut Self, gauge: &mut Gauge, session: &mut Session| {
                 let owed = this.owe(gauge, session, blocks(changes));
-                if soon { this.unless_unrecorded(gauge, owed) } else { owed }
+                if is_restoration { this.unless_unrecorded(gauge, owed) } else { owed }
             };
             let outcome = self.session(gauge, (found.seal, asked), record, |this, gauge, session| {
                 let opened = match found.seal {
@@ -517,6 +517,7 @@ impl DataFlash {
         session: &mut Session,
     ) -> Result<Outcome> {
         let voltage_mv = found.voltage_mv;
+        let is_restoration = options.care == Care::Quick;
         options.since.map_or(Ok(()), |since| assure_same(gauge, since))?;
         if !gauge.is_unbroken_since(found.moment) {
             // It may have been exchanged since it was confirmed. Nothing was written yet.
@@ -538,15 +539,15 @@ impl DataFlash {
         preflight::check_unsealed(gauge)?;
         let learning = self.learning(gauge, found.status, changes)?;
         // What a pack is known by is lost with its memory.
-        if !(options.soon && found.lost)
+        if !(is_restoration && found.lost)
             && let Some(row) = self.learn_marks(gauge)?
         {
             return Err(self.other_pack(gauge, row));
         }
         let known = self.known();
-        let mut planned = gather(gauge, changes, |gauge, place| match options.soon {
-            true => sequence(gauge).load_soon(gauge, place),
-            false => load_as_seen(gauge, place, known.get(place)),
+        let mut planned = gather(gauge, changes, |gauge, place| match options.care {
+            Care::Quick => sequence(gauge).load(gauge, place, Care::Quick),
+            Care::Sure => load_as_seen(gauge, place, known.get(place)),
         })?;
         planned.iter().try_for_each(|block| self.recognise(gauge, block.place, &block.old))?;
         gauge.note_open();
@@ -556,12 +557,12 @@ impl DataFlash {
             self.check_safe(change, &planned)?;
         }
         let old: Vec<_> = changes.iter().map(|change| old_bytes(change, &planned)).collect();
-        if options.soon && !options.lost && !found.lost && !is_forgotten(gauge.chip, changes, &old) {
+        if is_restoration && !options.lost && !found.lost && !is_forgotten(gauge.chip, changes, &old) {
             return Ok(Outcome::Unchanged);
         }
         planned.retain(|block| block.old != block.new);
         // The flag of a loss is cleared by the end of CONFIG UPDATE only, and would hide the next one.
-        if planned.is_empty() && !(options.soon && found.lost) {
+        if planned.is_empty() && !(is_restoration && found.lost) {
             return Ok(Outcome::Unchanged);
         }
         for block in &planned {
@@ -581,10 +582,10 @@ impl DataFlash {
         }
         let reset = changes.iter().any(|change| change.kind(gauge.chip) == Kind::Reset);
         // A loss of power takes all of RAM, and disturbs no row beside the one that is written.
-        let neighbours = if options.soon { Vec::new() } else { self.neighbours(gauge, &planned)? };
+        let neighbours = if is_restoration { Vec::new() } else { self.neighbours(gauge, &planned)? };
         let plan = planned::plan(gauge, reset, &planned, &neighbours, self.known().marks(gauge.chip));
         if let Err(error) = self.note(session, plan.clone()) {
-            match options.soon {
+            match is_restoration {
                 true => self.unless_unrecorded(gauge, Err(error))?,
                 false => return Err(error),
             }
@@ -596,9 +597,9 @@ impl DataFlash {
         self.now.forget_name();
         gauge.statistics.progress.begin(planned.len());
         let mut job = Job::write(planned, neighbours, reset);
-        (job.in_window, job.was_lost, job.soon) = (in_window && !options.soon, found.lost, options.soon);
+        (job.in_window, job.was_lost, job.care) = (in_window && !is_restoration, found.lost, options.care);
         job.copied = Copied::of(gauge.chip, changes, &old);
-        session.stays_open = options.soon && found.lost && found.seal != Seal::Sealed;
+        session.stays_open = is_restoration && found.lost && found.seal != Seal::Sealed;
         let landed = converge(gauge, session, &mut job, Side::New, options.accept);
         for block in job.changed() {
             match landed {
@@ -620,7 +621,7 @@ impl DataFlash {
         let mut other = None;
         for place in pack::mark_windows(gauge.chip) {
             if self.known().get(place).is_none() {
-                let content = sequence(gauge).load_soon(gauge, place)?;
+                let content = sequence(gauge).load(gauge, place, Care::Quick)?;
                 other = other.or(self.fingerprint().contradicts(gauge.chip, place, &content));
                 self.note_block(gauge, place, content);
             }
@@ -695,7 +696,7 @@ impl DataFlash {
         for place in planned.iter().flat_map(|block| pack::neighbours(gauge.chip, block.place)) {
             if place.subclass == FLAT && self.known().get(place).is_none() {
                 // Beyond the end of data flash there is none.
-                if let Ok(content) = sequence(gauge).load(gauge, place) {
+                if let Ok(content) = sequence(gauge).load(gauge, place, Care::Sure) {
                     self.note_block(gauge, place, content);
                 }
             }
@@ -715,14 +716,14 @@ impl DataFlash {
 fn load_as_seen(gauge: &mut Gauge, place: Window, mut before: Option<[u8; WINDOW]>) -> Result<[u8; WINDOW]> {
     let moving = learned(gauge.chip, place);
     for _ in 1..LOADS {
-        let now = sequence(gauge).load(gauge, place)?;
+        let now = sequence(gauge).load(gauge, place, Care::Sure)?;
         let is_same = |before: [u8; WINDOW]| (0..WINDOW).all(|at| moving.has(at) || before[at] == now[at]);
         if before.is_none_or(is_same) {
             return Ok(now);
         }
         before = Some(now);
     }
-    sequence(gauge).load(gauge, place)
+    sequence(gauge).load(gauge, place, Care::Sure)
 }
 
 /// Whether data memory in RAM, whose flag shows no loss, has lost these values: it holds the part's defaults in their
@@ -752,8 +753,8 @@ pub(crate) type Accept<'a> = &'a mut dyn FnMut(&mut Gauge) -> Result<()>;
 /// What a write does besides, or otherwise.
 #[derive(Default)]
 pub(crate) struct WriteOptions<'a> {
-    /// The configuration of a gauge with RAM is written again: see [`DataFlash::restore`].
-    pub(crate) soon: bool,
+    /// [`Care::Quick`] if the configuration of a gauge with RAM is written again: see [`DataFlash::restore`].
+    pub(crate) care: Care,
     /// Its data memory is known to be lost.
     pub(crate) lost: bool,
     /// Enter calibration mode first, in which the gauge ignores its gate, and leave it before the reset.

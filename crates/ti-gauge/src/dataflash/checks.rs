@@ -4,7 +4,7 @@
 //! voltage lets the gauge program flash and will let it, and whether the values are safe.
 
 use super::blocks::{arrange, old_bytes};
-use super::schemes::sequence;
+use super::schemes::{Care, sequence};
 use super::state::{once_measured, read_bits, read_word};
 use super::window::locate;
 use super::window::{Planned, Window};
@@ -25,7 +25,7 @@ impl DataFlash {
         for row in gauge.chip.signature {
             let size = row.kind.size();
             let (place, at) = locate(row.subclass, row.offset);
-            let window = sequence(gauge).load(gauge, place)?;
+            let window = sequence(gauge).load(gauge, place, Care::Sure)?;
             let Value::Int(found) = gauge.chip.layout.decode(row.kind, &window[at..at + size]) else {
                 continue;
             };
@@ -60,7 +60,7 @@ impl DataFlash {
     /// A word of a block whose checksum was verified.
     fn word(&mut self, gauge: &mut Gauge, row: (u8, u16)) -> Result<u16> {
         let (place, at) = place_of(row);
-        let window = sequence(gauge).load(gauge, place)?;
+        let window = sequence(gauge).load(gauge, place, Care::Sure)?;
         self.recognise(gauge, place, &window)?;
         Ok(gauge.chip.layout.word([window[at], window[at + 1]]))
     }
@@ -108,7 +108,7 @@ impl DataFlash {
         let mut loaded = false;
         if let Some(row) = gate.cells.filter(|row| !planned.iter().any(|block| block.at(*row).is_some())) {
             let (place, at) = place_of(row);
-            cells = sequence(gauge).load(gauge, place)?[at];
+            cells = sequence(gauge).load(gauge, place, Care::Sure)?[at];
             loaded = true;
         }
         // A limit is lowered first and raised last.
@@ -354,7 +354,7 @@ pub(super) fn shut(gauge: &mut Gauge) -> Result<Option<Error>> {
     let layout = gauge.chip.layout;
     let mut word = |row| {
         let (place, at) = place_of(row);
-        sequence(gauge).load(gauge, place).map(|window| layout.word([window[at], window[at + 1]]))
+        sequence(gauge).load(gauge, place, Care::Sure).map(|window| layout.word([window[at], window[at + 1]]))
     };
     let limit = word(gate.limit)? as i16;
     let now = Setting::now(limit, gate.divider.map(&mut word).transpose()?.unwrap_or(1));

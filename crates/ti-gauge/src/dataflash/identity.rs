@@ -4,7 +4,7 @@
 
 use super::DataFlash;
 use super::pack::{Match, compare};
-use super::schemes::sequence;
+use super::schemes::{Care, sequence};
 use super::state::read_word;
 use crate::error::Result;
 use crate::gauge::{Gauge, agreed};
@@ -31,7 +31,8 @@ impl DataFlash {
         let Some(then) = self.identity.get(self.now.name).cloned() else { return Ok(false) };
         let now = identify(gauge)?;
         sequence(gauge).enable(gauge)?;
-        let same = compare(gauge.chip, &then, &now, &plan, |place| sequence(gauge).load(gauge, place))?;
+        let same =
+            compare(gauge.chip, &then, &now, &plan, |place| sequence(gauge).load(gauge, place, Care::Sure))?;
         Ok(then.is_of_part(&now, gauge.chip) && same == Match::Certain)
     }
 }

@@ -4,7 +4,7 @@
 
 use std::time::Duration;
 
-use super::schemes::sequence;
+use super::schemes::{Care, sequence};
 use super::window::{Planned, Window, holds_keys, learned, locate};
 use crate::chip::{Chip, Subclass};
 use crate::codec::WINDOW;
@@ -37,7 +37,7 @@ pub(super) fn read_subclass(
     let mut bytes = Vec::with_capacity(length);
     while bytes.len() < length {
         let (place, at) = locate(subclass.id, subclass.start() + bytes.len() as u16);
-        let window = sequence(gauge).load_soon(gauge, place)?;
+        let window = sequence(gauge).load(gauge, place, Care::Quick)?;
         note(place, &window);
         bytes.extend_from_slice(&window[at..WINDOW.min(at + length - bytes.len())]);
     }
@@ -46,28 +46,19 @@ pub(super) fn read_subclass(
 
 /// Loads a block whose content is known into the window again, and returns it as it is now: learned bytes may
 /// have moved, and the checksum covers them.
-pub(super) fn reload(gauge: &mut Gauge, block: &Planned) -> Result<Planned> {
-    reload_by(gauge, block, |gauge| sequence(gauge).glance(gauge, block.place))
-}
-
-/// Loads a block of RAM into the window again.
-pub(super) fn reload_soon(gauge: &mut Gauge, block: &Planned) -> Result<Planned> {
-    reload_by(gauge, block, |gauge| sequence(gauge).load_soon(gauge, block.place))
-}
-
-fn reload_by(
-    gauge: &mut Gauge,
-    block: &Planned,
-    look: impl Fn(&mut Gauge) -> Result<[u8; WINDOW]>,
-) -> Result<Planned> {
+pub(super) fn reload(gauge: &mut Gauge, block: &Planned, care: Care) -> Result<Planned> {
     if !sequence(gauge).fills_window() {
         return Ok(block.clone());
     }
     let own = learned(gauge.chip, block.place);
     let differs = |window: &[u8; WINDOW]| (0..WINDOW).find(|&at| window[at] != block.old[at] && !own.has(at));
-    let window = match look(gauge) {
+    let look = match care {
+        Care::Sure => sequence(gauge).glance(gauge, block.place),
+        Care::Quick => sequence(gauge).load(gauge, block.place, Care::Quick),
+    };
+    let window = match look {
         Ok(window) if differs(&window).is_none() => window,
-        _ => sequence(gauge).load(gauge, block.place)?,
+        _ => sequence(gauge).load(gauge, block.place, Care::Sure)?,
     };
     if let Some(at) = differs(&window) {
         let why = format!("{} has changed since it was read", block.place.name(at));
@@ -103,7 +94,7 @@ pub(super) fn still_open(gauge: &mut Gauge) -> Result<()> {
 pub(super) fn verify(gauge: &mut Gauge, block: &Planned) -> Result<()> {
     patiently(gauge, |gauge| {
         let stored = match holds_keys(gauge.chip, block.place) {
-            true => sequence(gauge).load(gauge, block.place),
+            true => sequence(gauge).load(gauge, block.place, Care::Sure),
             false => sequence(gauge).glance(gauge, block.place),
         };
         compare(block, &stored.map_err(|error| error.at(Step::Verify))?)
@@ -125,23 +116,20 @@ fn patiently(gauge: &mut Gauge, look: impl Fn(&mut Gauge) -> Result<()>) -> Resu
 
 /// Compares the written bytes only: after a reset the gauge updates others itself, and what is its own. What reads wrong is
 /// read again with its checksum before it counts.
-pub(super) fn verify_written(gauge: &mut Gauge, block: &Planned) -> Result<()> {
+pub(super) fn verify_written(gauge: &mut Gauge, block: &Planned, care: Care) -> Result<()> {
     let written = |at: &usize| block.written.has(*at);
     let (Some(first), Some(last)) = ((0..WINDOW).find(written), (0..WINDOW).rfind(written)) else {
         return Ok(());
     };
-    let mut stored = block.new;
-    let range = first..last + 1;
-    let read = sequence(gauge).read_part(gauge, block.place, first, &mut stored[range]);
-    if read.is_ok() && wrong(gauge.chip, block, &stored).is_none() {
-        return Ok(());
-    }
-    verify_whole(gauge, block)
-}
-
-/// Compares the written bytes of a block of RAM.
-pub(super) fn verify_soon(gauge: &mut Gauge, block: &Planned) -> Result<()> {
-    match sequence(gauge).load_soon(gauge, block.place) {
+    let read = match care {
+        Care::Sure => {
+            let mut stored = block.new;
+            let part = &mut stored[first..last + 1];
+            sequence(gauge).read_part(gauge, block.place, first, part).map(|()| stored)
+        }
+        Care::Quick => sequence(gauge).load(gauge, block.place, Care::Quick),
+    };
+    match read {
         Ok(stored) if wrong(gauge.chip, block, &stored).is_none() => Ok(()),
         _ => verify_whole(gauge, block),
     }
@@ -154,7 +142,8 @@ fn wrong(chip: &Chip, block: &Planned, stored: &[u8; WINDOW]) -> Option<usize> {
 }
 
 fn verify_whole(gauge: &mut Gauge, block: &Planned) -> Result<()> {
-    let stored = sequence(gauge).load(gauge, block.place).map_err(|error| error.at(Step::Verify))?;
+    let stored =
+        sequence(gauge).load(gauge, block.place, Care::Sure).map_err(|error| error.at(Step::Verify))?;
     if let Some(at) = block.rewritten(gauge.chip, &stored).iter().next() {
         log::info!(
             "{}: {} was written, and the gauge has rewritten it since",

@@ -5,9 +5,9 @@
 
 use std::time::Duration;
 
-use super::io::{reload, reload_soon, still_open, verify_soon, verify_written};
+use super::io::{reload, still_open, verify_written};
 use super::planned::{Held, Seen, classify};
-use super::schemes::sequence;
+use super::schemes::{Care, sequence};
 use super::session::{RESTORES, Session, put, reads_wrong, store};
 use super::state::{Copied, has_lost_memory};
 use super::window::{Planned, Window};
@@ -48,8 +48,8 @@ pub(super) struct Job {
     pub(super) returns: bool,
     /// The data memory was lost before the job was begun, so its loss is no reason to give up.
     pub(super) was_lost: bool,
-    /// The memory is RAM whose loss is being repaired: each block is looked at once, and again only in doubt.
-    pub(super) soon: bool,
+    /// [`Care::Quick`] while the loss of RAM is repaired: each block is looked at once, and again only in doubt.
+    pub(super) care: Care,
     /// What a register shows of the new content once it is in use.
     pub(super) copied: Option<Copied>,
     /// Blocks of which a commit may have been sent.
@@ -76,7 +76,7 @@ impl Job {
             in_window: false,
             returns: false,
             was_lost: false,
-            soon: false,
+            care: Care::Sure,
             copied: None,
             touched: 0,
             in_use: false,
@@ -102,8 +102,8 @@ impl Job {
     /// Stores the new content where it is not.
     fn forward(&mut self, gauge: &mut Gauge, session: &mut Session) -> Result<()> {
         session.begin(gauge)?;
-        if self.soon {
-            self.store_soon(gauge, session)?;
+        if self.care == Care::Quick {
+            self.store_together(gauge, session)?;
         }
         let mut touched = self.touched;
         let outcome = self.blocks.iter().filter(|seen| !seen.is_at(Side::New)).try_for_each(|seen| {
@@ -111,7 +111,8 @@ impl Job {
             session.assure(gauge)?;
             // Where the pack has been compared, other blocks were loaded.
             let in_window = self.in_window && session.pack.compared == compared;
-            let block = if in_window { seen.block.clone() } else { reload(gauge, &seen.to_new())? };
+            let block =
+                if in_window { seen.block.clone() } else { reload(gauge, &seen.to_new(), Care::Sure)? };
             session.go_forward(gauge);
             store(gauge, session, &block, &mut touched).map(|()| gauge.statistics.progress.step())
         });
@@ -121,12 +122,12 @@ impl Job {
 
     /// Stores the new content of all blocks, and then looks at each of them: the window shows another block before, so that
     /// one look tells. Those that are not as they should be are left to be stored one by one, with all looks.
-    fn store_soon(&mut self, gauge: &mut Gauge, session: &mut Session) -> Result<()> {
+    fn store_together(&mut self, gauge: &mut Gauge, session: &mut Session) -> Result<()> {
         let waiting: Vec<usize> =
             (0..self.blocks.len()).filter(|&at| !self.blocks[at].is_at(Side::New)).collect();
         for &at in &waiting {
             let moment = session.assure(gauge)?;
-            let Ok(block) = reload_soon(gauge, &self.blocks[at].to_new()) else { continue };
+            let Ok(block) = reload(gauge, &self.blocks[at].to_new(), Care::Quick) else { continue };
             session.go_forward(gauge);
             // What has become of it shows below.
             let touched = &mut self.touched;
@@ -134,7 +135,7 @@ impl Job {
         }
         for &at in &waiting {
             let seen = &mut self.blocks[at];
-            seen.stored = sequence(gauge).load_soon(gauge, seen.block.place)?;
+            seen.stored = sequence(gauge).load(gauge, seen.block.place, Care::Quick)?;
             seen.held = classify(&seen.block, &seen.stored);
             if seen.held == Held::New {
                 gauge.statistics.progress.step();
@@ -184,7 +185,7 @@ impl Job {
         if !is_seen {
             gauge.doubt();
             let seen = &mut self.blocks[at];
-            seen.stored = sequence(gauge).load(gauge, seen.block.place)?;
+            seen.stored = sequence(gauge).load(gauge, seen.block.place, Care::Sure)?;
             session.assure(gauge)?;
             seen.block = seen.block.as_rewritten(gauge.chip, &seen.stored);
             seen.held = classify(&seen.block, &seen.stored);
@@ -218,19 +219,22 @@ impl Job {
             return Err(Error::new("", Cause::Protocol, why));
         }
         session.begin(gauge)?;
-        let back = reload(gauge, &block.replacing(*stored, wanted))?;
+        let back = reload(gauge, &block.replacing(*stored, wanted), Care::Sure)?;
         store(gauge, session, &back, &mut 0)
     }
 
     /// Finds out which bytes, that the job does not touch, move by themselves. To put them back would program their block
     /// again and again.
     fn learn_moving(&mut self, gauge: &mut Gauge) {
-        let first: Vec<_> =
-            self.blocks.iter().map(|seen| sequence(gauge).load(gauge, seen.block.place)).collect();
+        let first: Vec<_> = self
+            .blocks
+            .iter()
+            .map(|seen| sequence(gauge).load(gauge, seen.block.place, Care::Sure))
+            .collect();
         gauge.wait(MOVES);
         for (Seen { block, .. }, first) in self.blocks.iter().zip(first) {
             let Ok(first) = first else { continue };
-            let Ok(second) = sequence(gauge).load(gauge, block.place) else { continue };
+            let Ok(second) = sequence(gauge).load(gauge, block.place, Care::Sure) else { continue };
             let moving =
                 Bytes::of(|at| first[at] != second[at]).without(block.written).without(block.learned);
             if moving != Bytes::default() {
@@ -265,19 +269,17 @@ impl Job {
         if ends {
             session.leave_calibration(gauge)?;
             self.in_use |= side == Side::New;
-            // All blocks were looked at in the mode that ends here.
-            let is_restored = self.soon && side == Side::New;
-            if is_restored && session.finish_soon(gauge, self.copied.as_ref())? {
+            // All blocks were looked at in the mode that ends here. A way back is sure.
+            let care = if side == Side::New { self.care } else { Care::Sure };
+            if session.finish(gauge, care, self.copied.as_ref())? {
                 return Ok(());
-            } else if !is_restored {
-                session.finish(gauge)?;
             }
         } else if side == Side::New {
             still_open(gauge)?;
         }
         let unread = self.blocks.iter().zip(unread).filter(|(_, unread)| ends || *unread);
         unread.map(|(seen, _)| seen.to(side)).try_for_each(|block| {
-            let verified = if self.soon { verify_soon(gauge, &block) } else { verify_written(gauge, &block) };
+            let verified = verify_written(gauge, &block, self.care);
             if side == Side::Old { verified.map_err(|error| error.at(Step::Restore)) } else { verified }
         })
     }

@@ -26,7 +26,7 @@ use super::io::COMMITTED;
 use super::keyrow::{keeps_unseal_key, quietly};
 use super::pack::Match;
 use super::planned;
-use super::schemes::sequence;
+use super::schemes::{Care, sequence};
 use super::session::{Left, Patience, RESTORES, Session, report_mishap};
 use super::verdict::Verdict;
 use super::window::{Planned, Window, learned, locate};
@@ -441,7 +441,7 @@ impl<'a> Task<'a> {
                 let place = Window { base, ..self.place };
                 let content = match base == self.place.base {
                     true => *before,
-                    false => quietly(gauge, |gauge| sequence(gauge).load(gauge, place))?,
+                    false => quietly(gauge, |gauge| sequence(gauge).load(gauge, place, Care::Sure))?,
                 };
                 let learned = learned(gauge.chip, place);
                 rows.push(Planned { place, old: content, new: content, written: Bytes::default(), learned });

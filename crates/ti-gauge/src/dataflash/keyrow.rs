@@ -4,7 +4,7 @@
 
 use zeroize::Zeroizing;
 
-use super::schemes::sequence;
+use super::schemes::{Care, sequence};
 use super::window::locate;
 use crate::chip::{KeyOrder, KeyStorage};
 use crate::error::{Cause, Error, Result};
@@ -19,7 +19,7 @@ pub(super) fn keeps_unseal_key(gauge: &mut Gauge) -> Result<bool> {
     };
     sequence(gauge).enable(gauge)?;
     let (place, start) = locate(block.subclass, block.start);
-    let window = quietly(gauge, |gauge| sequence(gauge).load(gauge, place).map(Zeroizing::new))?;
+    let window = quietly(gauge, |gauge| sequence(gauge).load(gauge, place, Care::Sure).map(Zeroizing::new))?;
     let stored = stored(&key, block.order);
     let at = start + block.unseal;
     let keeps = window[at..at + stored.len()] == **stored;

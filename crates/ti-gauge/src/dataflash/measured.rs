@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use super::blocks::gather;
 use super::planned;
-use super::schemes::sequence;
+use super::schemes::{Care, sequence};
 use super::session::{Session, in_time};
 use super::{Change, DataFlash, Place, Row, old_bytes};
 use crate::chip::Kind;
@@ -54,7 +54,8 @@ impl DataFlash {
             Change { place: Place::of(row), bytes, row: Some(row), saved: false, layout }
         });
         let as_they_are: Vec<Change> = as_they_are.collect();
-        let mut blocks = gather(gauge, &as_they_are, |gauge, place| sequence(gauge).load(gauge, place))?;
+        let mut blocks =
+            gather(gauge, &as_they_are, |gauge, place| sequence(gauge).load(gauge, place, Care::Sure))?;
         blocks.iter_mut().for_each(|block| block.new = block.old);
         blocks.iter().try_for_each(|block| self.recognise(gauge, block.place, &block.old))?;
         let olds = as_they_are

@@ -4,7 +4,7 @@
 
 use super::Change;
 use super::io::COMMITTED;
-use super::schemes::sequence;
+use super::schemes::{Care, sequence};
 use super::window::{Planned, Window, learned, secrets};
 use crate::chip::{Chip, Row};
 use crate::codec::WINDOW;
@@ -149,7 +149,7 @@ pub(super) fn look(gauge: &mut Gauge, plan: &Plan) -> Result<Vec<Seen>> {
 
 /// The blocks of a plan as a gauge has them on which no commit is at work.
 pub(super) fn look_at(gauge: &mut Gauge, plan: &Plan) -> Result<Vec<Seen>> {
-    look_by(gauge, plan, &mut |gauge, place| sequence(gauge).load(gauge, place))
+    look_by(gauge, plan, &mut |gauge, place| sequence(gauge).load(gauge, place, Care::Sure))
 }
 
 pub(super) fn look_by(

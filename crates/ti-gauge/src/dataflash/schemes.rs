@@ -27,20 +27,26 @@ const NEXT_LOOK: Duration = Duration::from_millis(25);
 /// Looks after one selection before giving up.
 const LOOKS: u32 = 4;
 
+/// How much is looked at before it is believed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) enum Care {
+    /// As much as flash needs: what is wrong there stays.
+    #[default]
+    Sure,
+    /// One look that shows that the window was loaded. Enough for RAM, whose content is lost with the next brown-out: a
+    /// doubtful block costs a second look, and not every block a long one. A part with flash is looked at as for `Sure`.
+    Quick,
+}
+
 /// The steps in which access schemes differ. Each is straight-line code that follows the manual.
 pub(super) trait Sequence {
     /// Enables reading data flash.
     fn enable(&self, gauge: &mut Gauge) -> Result<()>;
     /// Enables writing data flash, if that is a mode of its own.
     fn begin(&self, gauge: &mut Gauge) -> Result<()>;
-    /// Loads a block into the window and reads it with its checksum until two looks agree, some time apart.
-    fn load(&self, gauge: &mut Gauge, place: Window) -> Result<[u8; WINDOW]>;
-    /// Loads a block of RAM, and believes the first look that shows that the window was loaded: what is stored there is lost
-    /// with the next brown-out, so a doubtful block costs a second look, and not every block a long one. In doubt, and on
-    /// parts with flash, this is `load`.
-    fn load_soon(&self, gauge: &mut Gauge, place: Window) -> Result<[u8; WINDOW]> {
-        self.load(gauge, place)
-    }
+    /// Loads a block into the window and reads it with its checksum until two looks agree, some time apart; with
+    /// [`Care::Quick`] until one shows that the window was loaded.
+    fn load(&self, gauge: &mut Gauge, place: Window, care: Care) -> Result<[u8; WINDOW]>;
     /// Loads a block whose content is known: one look, when it must be ready, with its checksum.
     fn glance(&self, gauge: &mut Gauge, place: Window) -> Result<[u8; WINDOW]>;
     /// Loads a block into the window and reads some of its bytes, unchecked: a content that is not the expected
@@ -48,7 +54,7 @@ pub(super) trait Sequence {
     fn read_part(&self, gauge: &mut Gauge, place: Window, at: usize, into: &mut [u8]) -> Result<()>;
     /// Reads a word, believed when the selection is echoed and two readings agree, or its checksum is right.
     fn word(&self, gauge: &mut Gauge, place: Window, at: usize) -> Result<u16> {
-        let window = self.load(gauge, place)?;
+        let window = self.load(gauge, place, Care::Sure)?;
         Ok(gauge.chip.layout.word([window[at], window[at + 1]]))
     }
     /// Whether the block must be in the window before its bytes are changed. Not needed if the bytes are sent
@@ -61,13 +67,12 @@ pub(super) trait Sequence {
     /// Makes the gauge program the block. Never sent twice: after an error the caller reads the block to
     /// find out what it holds.
     fn commit(&self, gauge: &mut Gauge, block: &Planned) -> Result<()>;
-    /// Makes the gauge use the new values: a reset, or the end of the mode that `begin` started.
-    fn finish(&self, gauge: &mut Gauge) -> Result<()>;
-    /// Ends that mode as `finish` does, and returns when data memory can be read again: what registers show is there before.
+    /// Ends the mode that `begin` started, which makes the gauge use the new values. Returns when data memory can be read
+    /// again: what registers show is there before.
     fn leave(&self, gauge: &mut Gauge) -> Result<Duration> {
-        self.finish(gauge).map(|()| gauge.clock.now())
+        Ok(gauge.clock.now())
     }
-    /// Whether `finish` must follow every `begin`.
+    /// Whether `leave` must follow every `begin`.
     fn always_finishes(&self) -> bool;
     /// Whether the gauge is in the mode that `begin` starts.
     fn is_begun(&self, _: &mut Gauge) -> Result<bool> {
@@ -112,7 +117,7 @@ fn look_twice<T: PartialEq>(
 
 /// Looks at a selected block of RAM as soon as that is worth while, and once more when the table says that it is there.
 /// `None` if neither look shows that the window was loaded since it held `before`.
-fn look_soon(
+fn look_early(
     gauge: &mut Gauge,
     before: &[u8; WINDOW],
     look: impl Fn(&mut Gauge) -> Option<[u8; WINDOW]>,

@@ -7,7 +7,7 @@ use std::time::Duration;
 use gauge_bus::BusError;
 
 use super::calmode;
-use super::schemes::sequence;
+use super::schemes::{Care, sequence};
 use super::state::{Copied, has_kept};
 use crate::chip::{Bit, Calibration};
 use crate::error::{Cause, Error, Reason, Result, Step};
@@ -171,6 +171,11 @@ impl Session {
         sequence(gauge).begin(gauge)
     }
 
+    /// Ends the mode that is still on.
+    fn end_mode(&mut self, gauge: &mut Gauge) -> Result<()> {
+        if self.begun { self.finish(gauge, Care::Sure, None).map(drop) } else { Ok(()) }
+    }
+
     /// The mode has ended with the gauge's power.
     pub(super) fn forget_mode(&mut self) {
         self.begun = false;
@@ -189,11 +194,22 @@ impl Session {
     }
 
     /// Makes the gauge use the new values and data flash readable again.
-    pub(super) fn finish(&mut self, gauge: &mut Gauge) -> Result<()> {
+    ///
+    /// With [`Care::Quick`] a gauge with RAM uses what was restored, all of which was looked at in CONFIG UPDATE. One that was
+    /// found SEALED, and seals itself now, takes no key for 4 s; on others data memory cannot be read for 2 s. What can be read
+    /// all the same, such as the register of `copied`, shows whether RAM was lost since. Returns whether it shows that it was
+    /// not: the blocks need not be looked at again then, and data memory may not be readable.
+    pub(super) fn finish(&mut self, gauge: &mut Gauge, care: Care, copied: Option<&Copied>) -> Result<bool> {
         self.now = None;
         if sequence(gauge).always_finishes() {
-            sequence(gauge).finish(gauge)?;
+            let readable = sequence(gauge).leave(gauge)?;
             self.begun = false;
+            let is_shut = self.found == Seal::Sealed || gauge.clock.now() < readable;
+            if care == Care::Quick && is_shut && has_kept(gauge, copied).unwrap_or(false) {
+                self.now = Some(gauge.seal_anew()?);
+                return Ok(true);
+            }
+            gauge.wait(readable.saturating_sub(gauge.clock.now()));
             self.reopen(gauge)?;
         } else {
             let (state, goal) = (self.reset(gauge)?, self.open_as_found());
@@ -207,24 +223,6 @@ impl Session {
             let why = "another pack answers since the reset";
             return Err(Error::new(gauge.chip.model, Cause::Gone, why).at(Step::Identify));
         }
-        Ok(())
-    }
-
-    /// Makes a gauge with RAM use what was restored, all of which was looked at in CONFIG UPDATE. One that was found SEALED,
-    /// and seals itself now, takes no key for 4 s; on others data memory cannot be read for 2 s. What can be read all the same
-    /// shows whether RAM was lost since. Returns whether it shows that it was not: the blocks need not be looked at again then.
-    /// Otherwise data memory is readable.
-    pub(super) fn finish_soon(&mut self, gauge: &mut Gauge, copied: Option<&Copied>) -> Result<bool> {
-        self.now = None;
-        let readable = sequence(gauge).leave(gauge)?;
-        self.begun = false;
-        let is_shut = self.found == Seal::Sealed || gauge.clock.now() < readable;
-        if is_shut && has_kept(gauge, copied).unwrap_or(false) {
-            self.now = Some(gauge.seal_anew()?);
-            return Ok(true);
-        }
-        gauge.wait(readable.saturating_sub(gauge.clock.now()));
-        self.reopen(gauge)?;
         Ok(false)
     }
 
@@ -309,7 +307,7 @@ impl Session {
         // A mode that is still on is not that of another pack, which is left as it was found.
         let is_another = outcome.is_err() && self.is_another(gauge);
         let left = if is_another { Ok(()) } else { self.leave_calibration(gauge) };
-        let finished = left.and_then(|()| if self.begun { self.finish(gauge) } else { Ok(()) });
+        let finished = left.and_then(|()| self.end_mode(gauge));
         let unfinished = finished.is_err();
         let mut closed = self.restore_seal(gauge, outcome.is_ok());
         while closed.is_err()

@@ -13,7 +13,7 @@ use std::time::Duration;
 
 use super::DataFlash;
 use super::pack::{Match, compare};
-use super::schemes::sequence;
+use super::schemes::{Care, sequence};
 use super::session::{Reference, Session, in_time};
 use super::state::has_lost_memory;
 use super::verdict::Verdict;
@@ -398,8 +398,8 @@ impl DataFlash {
 /// Whether a gauge is certainly the one on which a change of keys was begun at another place. Only keys that this host
 /// has are sent to it.
 fn is_certainly(gauge: &mut Gauge, [then, now]: [&Identity; 2], plan: &Plan, session: &mut Session) -> bool {
-    let same = session
-        .open(gauge)
-        .and_then(|()| compare(gauge.chip, then, now, plan, |place| sequence(gauge).load(gauge, place)));
+    let same = session.open(gauge).and_then(|()| {
+        compare(gauge.chip, then, now, plan, |place| sequence(gauge).load(gauge, place, Care::Sure))
+    });
     same == Ok(Match::Certain)
 }

@@ -269,12 +269,6 @@ impl Gauge {
         Ok(())
     }
 
-    /// Sends RESET to whatever gauge is there.
-    pub fn reset(&mut self) -> Result<()> {
-        let moment = self.moment();
-        self.reset_since(moment)
-    }
-
     /// The key to send: the configured one, or the manual's default if that is allowed.
     pub fn key(&self, name: Name) -> Option<Secret> {
         self.access.keys.secret(name).or_else(|| self.default_key(name))

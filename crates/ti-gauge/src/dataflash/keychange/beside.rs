@@ -6,7 +6,7 @@ use crate::dataflash::job::Job;
 use crate::dataflash::keyrow::quietly;
 use crate::dataflash::pack::{Match, compare};
 use crate::dataflash::planned::{Held, look};
-use crate::dataflash::schemes::sequence;
+use crate::dataflash::schemes::{Care, sequence};
 use crate::dataflash::session::Session;
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::Gauge;
@@ -14,7 +14,7 @@ use crate::journal::{Identity, Plan};
 
 /// Whether the gauge, whose data flash is open, is the one of a plan.
 pub(super) fn same_pack(gauge: &mut Gauge, [then, now]: [&Identity; 2], plan: &Plan) -> Result<Match> {
-    compare(gauge.chip, then, now, plan, |place| sequence(gauge).load(gauge, place))
+    compare(gauge.chip, then, now, plan, |place| sequence(gauge).load(gauge, place, Care::Sure))
 }
 
 pub(super) fn another(name: &str) -> String {

@@ -12,7 +12,7 @@ use crate::chip::KeyBlock;
 use crate::codec::WINDOW;
 use crate::dataflash::keyrow::quietly;
 use crate::dataflash::pack::Match;
-use crate::dataflash::schemes::sequence;
+use crate::dataflash::schemes::{Care, sequence};
 use crate::dataflash::session::Session;
 use crate::dataflash::verdict::Verdict;
 use crate::dataflash::window::locate;
@@ -134,7 +134,7 @@ struct Row<'a> {
 impl<'a> Row<'a> {
     fn read(gauge: &mut Gauge, block: &'a KeyBlock) -> Result<Self> {
         let (place, start) = locate(block.subclass, block.start);
-        let window = sequence(gauge).load(gauge, place).map(Zeroizing::new)?;
+        let window = sequence(gauge).load(gauge, place, Care::Sure).map(Zeroizing::new)?;
         Ok(Self { block, window, start })
     }
 

@@ -10,7 +10,7 @@ use crate::chip::KeyBlock;
 use crate::codec::{Bytes, WINDOW};
 use crate::dataflash::DataFlash;
 use crate::dataflash::keyrow::{quietly, stored};
-use crate::dataflash::schemes::sequence;
+use crate::dataflash::schemes::{Care, sequence};
 use crate::dataflash::session::{ByKeys, store};
 use crate::dataflash::window::{Planned, secrets};
 use crate::error::{Cause, Error, Result, Step};
@@ -35,7 +35,7 @@ impl Task<'_> {
 
     /// The row as it is now. Only what is keys counts: beside them may be what the gauge rewrites.
     pub(super) fn read(&self, gauge: &mut Gauge) -> Result<Zeroizing<[u8; WINDOW]>> {
-        quietly(gauge, |gauge| sequence(gauge).load(gauge, self.place).map(Zeroizing::new))
+        quietly(gauge, |gauge| sequence(gauge).load(gauge, self.place, Care::Sure).map(Zeroizing::new))
     }
 
     /// Whether a key is stored in its place, in the byte order of the table.
@@ -186,7 +186,7 @@ impl Task<'_> {
     /// Writes the keys and reads them back. `touched` counts the commits.
     pub(super) fn write(&self, gauge: &mut Gauge, keys: &[u8; WINDOW], touched: &mut usize) -> Result<()> {
         quietly(gauge, |gauge| {
-            let present = Zeroizing::new(sequence(gauge).load(gauge, self.place)?);
+            let present = Zeroizing::new(sequence(gauge).load(gauge, self.place, Care::Sure)?);
             let of_keys = Bytes::of(|at| (self.start..self.start + self.block.length).contains(&at));
             // Beside the keys a byte goes back only if it was erased: other keys, and parameters of a flat row.
             let goes = Bytes::of(|at| {

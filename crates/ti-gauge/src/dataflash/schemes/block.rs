@@ -3,7 +3,7 @@
 //! Unsealed block access (SLUSBZ5D 7.3.3.1): BlockDataControl, DataFlashClass, DataFlashBlock, a window
 //! of 32 bytes, and a checksum that commits them.
 
-use super::{FIRST_LOOK, NEXT_LOOK, SECOND_LOOK, Sequence, look_soon, look_twice, settle, wait_until};
+use super::{Care, FIRST_LOOK, NEXT_LOOK, SECOND_LOOK, Sequence, look_early, look_twice, settle, wait_until};
 use crate::chip::Kind;
 use crate::codec::{WINDOW, checksum};
 use crate::dataflash::window::{Planned, Window};
@@ -35,7 +35,14 @@ impl Sequence for Block {
         Ok(())
     }
 
-    fn load(&self, gauge: &mut Gauge, place: Window) -> Result<[u8; WINDOW]> {
+    fn load(&self, gauge: &mut Gauge, place: Window, care: Care) -> Result<[u8; WINDOW]> {
+        if care == Care::Quick
+            && gauge.chip.volatile.is_some()
+            && let Some(before) = another_window(gauge, place)?
+            && let Some(window) = load_after(gauge, &before, place)?
+        {
+            return Ok(window);
+        }
         let selection = [place.subclass, block_of(place)?];
         let (mut failed, mut others) = (false, Vec::new());
         while others.len() < SELECTIONS {
@@ -61,16 +68,6 @@ impl Sequence for Block {
         }
         let why = format!("{}: the block reads differently when selected again", place.name(0));
         Err(Error::new("", Cause::Protocol, why).at(Step::ReadBlock))
-    }
-
-    fn load_soon(&self, gauge: &mut Gauge, place: Window) -> Result<[u8; WINDOW]> {
-        if gauge.chip.volatile.is_some()
-            && let Some(before) = another_window(gauge, place)?
-            && let Some(window) = load_after(gauge, &before, place)?
-        {
-            return Ok(window);
-        }
-        self.load(gauge, place)
     }
 
     fn glance(&self, gauge: &mut Gauge, place: Window) -> Result<[u8; WINDOW]> {
@@ -135,10 +132,6 @@ impl Sequence for Block {
         sent.map_err(|bus| Error::bus("BlockDataChecksum()", bus).at(Step::WriteBlock))
     }
 
-    fn finish(&self, gauge: &mut Gauge) -> Result<()> {
-        gauge.reset()
-    }
-
     fn always_finishes(&self) -> bool {
         false
     }
@@ -184,7 +177,7 @@ fn load_after(gauge: &mut Gauge, before: &[u8; WINDOW], place: Window) -> Result
     if select(gauge, place).is_err() {
         return Ok(None);
     }
-    Ok(look_soon(gauge, before, |gauge| {
+    Ok(look_early(gauge, before, |gauge| {
         let seen = read_window(gauge, place).ok();
         seen.filter(|(shown, _)| shown.echo == selection).map(|(shown, _)| shown.window)
     }))

@@ -5,9 +5,9 @@
 
 use std::time::Duration;
 
-use super::Sequence;
 use super::block::Block;
 use super::mac::Mac;
+use super::{Care, Sequence};
 use crate::codec::WINDOW;
 use crate::dataflash::window::{Planned, Window};
 use crate::error::{Error, Reason, Result, Step};
@@ -83,12 +83,8 @@ impl Sequence for CfgUpdate {
         self.access.enable(gauge)
     }
 
-    fn load(&self, gauge: &mut Gauge, place: Window) -> Result<[u8; WINDOW]> {
-        self.access.load(gauge, place)
-    }
-
-    fn load_soon(&self, gauge: &mut Gauge, place: Window) -> Result<[u8; WINDOW]> {
-        self.access.load_soon(gauge, place)
+    fn load(&self, gauge: &mut Gauge, place: Window, care: Care) -> Result<[u8; WINDOW]> {
+        self.access.load(gauge, place, care)
     }
 
     fn glance(&self, gauge: &mut Gauge, place: Window) -> Result<[u8; WINDOW]> {
@@ -113,12 +109,6 @@ impl Sequence for CfgUpdate {
 
     fn commit(&self, gauge: &mut Gauge, block: &Planned) -> Result<()> {
         self.access.commit(gauge, block)
-    }
-
-    fn finish(&self, gauge: &mut Gauge) -> Result<()> {
-        let readable = self.leave(gauge)?;
-        gauge.wait(readable.saturating_sub(gauge.clock.now()));
-        Ok(())
     }
 
     fn leave(&self, gauge: &mut Gauge) -> Result<Duration> {

@@ -3,7 +3,7 @@
 //! ManufacturerAccessControl (SLUUBH1C 12.1.3, SLUA790 section 3): a flat address, up to 32 bytes of data,
 //! MACDataSum and MACDataLen. The gauge echoes the address, and the echo is checked.
 
-use super::{Sequence, look_soon, look_twice, settle};
+use super::{Care, Sequence, look_early, look_twice, settle};
 use crate::chip::FLAT;
 use crate::codec::{WINDOW, checksum};
 use crate::dataflash::window::{Planned, Window};
@@ -31,7 +31,18 @@ impl Sequence for Mac {
         Ok(())
     }
 
-    fn load(&self, gauge: &mut Gauge, place: Window) -> Result<[u8; WINDOW]> {
+    fn load(&self, gauge: &mut Gauge, place: Window, care: Care) -> Result<[u8; WINDOW]> {
+        let mut before = [0; WINDOW];
+        if care == Care::Quick
+            && gauge.chip.volatile.is_some()
+            && gauge.read(MAC_DATA, &mut before).is_ok()
+            && request(gauge, place).is_ok()
+        {
+            let look = |gauge: &mut Gauge| read_answer(gauge, place).ok().map(|(window, _)| window);
+            if let Some(window) = look_early(gauge, &before, look) {
+                return Ok(window);
+            }
+        }
         let mut outcome = load_once(gauge, place);
         // A bit error in the address made the gauge answer for another one.
         let wrong = |error: &Error| matches!(error.cause(), Cause::BadChecksum | Cause::Protocol);
@@ -40,20 +51,6 @@ impl Sequence for Mac {
             outcome = load_once(gauge, place);
         }
         outcome
-    }
-
-    fn load_soon(&self, gauge: &mut Gauge, place: Window) -> Result<[u8; WINDOW]> {
-        let mut before = [0; WINDOW];
-        if gauge.chip.volatile.is_some()
-            && gauge.read(MAC_DATA, &mut before).is_ok()
-            && request(gauge, place).is_ok()
-        {
-            let look = |gauge: &mut Gauge| read_answer(gauge, place).ok().map(|(window, _)| window);
-            if let Some(window) = look_soon(gauge, &before, look) {
-                return Ok(window);
-            }
-        }
-        self.load(gauge, place)
     }
 
     fn glance(&self, gauge: &mut Gauge, place: Window) -> Result<[u8; WINDOW]> {
@@ -82,7 +79,7 @@ impl Sequence for Mac {
             let at = |error: Error| error.at(Step::WriteBlock);
             // The gauge loads the present bytes into MACData() and overwrites anything sent earlier.
             if gauge.chip.volatile.is_some() {
-                self.load_soon(gauge, Window { subclass: FLAT, base: address })?;
+                self.load(gauge, Window { subclass: FLAT, base: address }, Care::Quick)?;
             } else {
                 gauge.write(MAC, &address.to_le_bytes()).map_err(at)?;
                 settle(gauge);
@@ -101,10 +98,6 @@ impl Sequence for Mac {
             sent.map_err(|bus| Error::bus("MACDataSum()", bus).at(Step::WriteBlock))?;
         }
         Ok(())
-    }
-
-    fn finish(&self, gauge: &mut Gauge) -> Result<()> {
-        gauge.reset()
     }
 
     fn always_finishes(&self) -> bool {

@@ -16,7 +16,7 @@ use crate::dataflash::io::still_open;
 use crate::dataflash::keyrow::keeps_unseal_key;
 use crate::dataflash::pack::{self, Match};
 use crate::dataflash::planned::{Held, look_at};
-use crate::dataflash::schemes::sequence;
+use crate::dataflash::schemes::{Care, sequence};
 use crate::dataflash::state::has_lost_memory;
 use crate::dataflash::window::Planned;
 use crate::error::{Cause, Error, Result, Step};
@@ -191,8 +191,9 @@ impl Session {
         if !plan.marks.is_empty() {
             sequence(gauge).enable(gauge)?;
         }
-        let same =
-            pack::compare(gauge.chip, identity, &now, plan, |place| sequence(gauge).load(gauge, place))?;
+        let same = pack::compare(gauge.chip, identity, &now, plan, |place| {
+            sequence(gauge).load(gauge, place, Care::Sure)
+        })?;
         // What it was known by is lost with its memory.
         let is_lost = matches!(same, Match::Other(_)) && has_lost_memory(gauge)?;
         Ok((if is_lost { Match::Weak } else { same }, moment))

@@ -5,7 +5,7 @@
 use super::{Session, reads_wrong};
 use crate::dataflash::checks;
 use crate::dataflash::io::{STORES, is_passing, reload, still_open, verify};
-use crate::dataflash::schemes::sequence;
+use crate::dataflash::schemes::{Care, sequence};
 use crate::dataflash::window::Planned;
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::{Gauge, Moment, Statistics};
@@ -74,7 +74,7 @@ fn store_patiently(
         still_open(gauge)?;
         confidence.assure(gauge)?;
         // Not the old content: what the commit has done must not be hidden by another.
-        block = reload(gauge, &block)?;
+        block = reload(gauge, &block, Care::Sure)?;
     }
     let moment = assure_loaded(gauge, confidence, &mut block)?;
     let (committed, stored) = store_once(gauge, &block, moment, || *touched = before + 1);
@@ -87,7 +87,7 @@ fn assure_loaded(gauge: &mut Gauge, confidence: &mut impl Confidence, block: &mu
     let compared = confidence.compared();
     let moment = confidence.assure(gauge)?;
     if confidence.compared() != compared {
-        *block = reload(gauge, block)?;
+        *block = reload(gauge, block, Care::Sure)?;
     }
     Ok(moment)
 }

@@ -13,7 +13,7 @@ use crate::dataflash::DataFlash;
 use crate::dataflash::io::COMMITTED;
 use crate::dataflash::pack::{Match, compare, is_named, shows_another};
 use crate::dataflash::planned::look_by;
-use crate::dataflash::schemes::sequence;
+use crate::dataflash::schemes::{Care, sequence};
 use crate::dataflash::session::{Session, in_time};
 use crate::dataflash::state::has_lost_memory;
 use crate::dataflash::window::Window;
@@ -162,7 +162,7 @@ fn others_of(gauge: &mut Gauge, now: &Identity, journals: &[(PathBuf, Entry)]) -
     let mut load = |gauge: &mut Gauge, place: Window| match read.get(&(place.subclass, place.base)) {
         Some(content) => Ok(*content),
         None => {
-            let content = sequence(gauge).load(gauge, place)?;
+            let content = sequence(gauge).load(gauge, place, Care::Sure)?;
             read.insert((place.subclass, place.base), content);
             Ok(content)
         }

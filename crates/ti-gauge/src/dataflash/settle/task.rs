@@ -11,7 +11,7 @@ use crate::dataflash::job::{Job, Landed, Side, converge};
 use crate::dataflash::measured;
 use crate::dataflash::pack::{Known, Match, compare, mark_windows};
 use crate::dataflash::planned::{Held, Seen, look};
-use crate::dataflash::schemes::sequence;
+use crate::dataflash::schemes::{Care, sequence};
 use crate::dataflash::session::{Reference, Session};
 use crate::dataflash::verdict::{Verdict, unrestored};
 use crate::dataflash::window::{holds_keys, secrets};
@@ -254,7 +254,7 @@ impl Task<'_> {
     fn present(&self, gauge: &mut Gauge) -> Result<Reference> {
         let mut known = Known::default();
         for place in mark_windows(gauge.chip) {
-            known.note(gauge.chip, place, sequence(gauge).load(gauge, place)?);
+            known.note(gauge.chip, place, sequence(gauge).load(gauge, place, Care::Sure)?);
         }
         let plan = Plan { marks: known.marks(gauge.chip), ..self.plan.clone() };
         Ok(Reference { identity: self.now.clone(), plan })
@@ -319,7 +319,7 @@ pub(super) fn compare_seen(
 ) -> Result<Match> {
     compare(gauge.chip, then, now, plan, |place| {
         let seen = seen.iter().find(|seen| seen.block.place == place);
-        seen.map_or_else(|| sequence(gauge).load(gauge, place), |seen| Ok(seen.stored))
+        seen.map_or_else(|| sequence(gauge).load(gauge, place, Care::Sure), |seen| Ok(seen.stored))
     })
 }
 
