@@ -59,6 +59,7 @@ use blocks::{blocks, gather, old_bytes};
 pub use change::{Change, Row};
 use erased::erased_in;
 pub use erased::{erased, erased_since, says_erased};
+use guard::Record;
 use io::read_subclass;
 use job::{Job, Landed, Side, converge};
 use keychange::Unfinished;
@@ -69,7 +70,7 @@ pub use pack::distinguishes;
 use pack::{Known, NOTHING};
 use preflight::{Found, KnownPack};
 use schemes::{Care, sequence};
-use session::{Session, in_time};
+use session::Session;
 pub use settle::{Decision, Owed};
 use settle::{Pending, Searched, Shown};
 use state::Copied;
@@ -262,7 +263,7 @@ impl DataFlash {
         }
         self.search_waiting(gauge, waited);
         let waited = waited + (gauge.clock.now() - begun);
-        let outcome = in_time(gauge, waited, |gauge, asked| {
+        let outcome = self.access(gauge, waited, |this, gauge, asked| {
             let found = gauge.seal_anew()?;
             if !allowed(found) {
                 return Ok(None);
@@ -272,71 +273,42 @@ impl DataFlash {
             {
                 return Ok(Some(read));
             }
-            let record = |this: &mut Self, gauge: &mut Gauge, session: &mut Session| {
-                if found == Seal::Sealed { this.record_read(gauge, session) } else { Ok(()) }
+            let session = this.recorded(gauge, found, asked, Record::Read)?;
+            let run = |this: &mut Self, gauge: &mut Gauge, session: &mut Session| {
+                this.read_open(gauge, wanted, session)
             };
-            let read = self.session(gauge, (found, asked), record, |this, gauge, session| {
-                session.open(gauge)?;
-                let is_broken = !session.pack.since().is_some_and(|since| gauge.is_unbroken_since(since));
-                if is_broken {
-                    this.suspect(gauge.chip);
-                }
-                // Marks for later comparison. Failing to read them must not fail the read.
-                match this.learn_marks(gauge) {
-                    Ok(Some(row)) if is_broken => {
-                        session.pack.mark_exchanged();
-                        return Err(this.other_pack(gauge, row));
-                    }
-                    Ok(_) => {}
-                    Err(error) => log::debug!("{}: {error}", gauge.chip.name),
-                }
-                this.refer(gauge, session);
-                let read = wanted.iter().map(|subclass| this.read_subclass(gauge, subclass));
-                let read = read.collect::<Result<_>>()?;
-                this.learn_gate(gauge)?;
-                gauge.note_open();
-                Ok(read)
-            });
-            read.map(Some)
+            this.guard(gauge, session, run, Self::end).map(Some)
         });
         self.noted(outcome)
     }
 
-    /// Records that a sealed gauge is about to be opened for a read.
-    fn record_read(&mut self, gauge: &mut Gauge, session: &mut Session) -> Result<()> {
-        let owed = match self.find_pending() {
-            None => self.owe(gauge, session, 0).and_then(|()| self.note_marks(gauge, session)),
-            Some(_) => self.owe_seal(gauge, session),
-        };
-        match owed {
-            Ok(()) => self.unrecorded = false,
-            // A read changes nothing, so it goes on. What is lost is that a power cut of the host within it leaves the gauge
-            // unsealed.
-            Err(error) if matches!(error.cause(), Cause::Io(_) | Cause::NotPermitted) => {
-                if !std::mem::replace(&mut self.unrecorded, true) {
-                    log::warn!("{error}");
-                }
+    /// The unsealed part of a read.
+    fn read_open(
+        &mut self,
+        gauge: &mut Gauge,
+        wanted: &[&'static Subclass],
+        session: &mut Session,
+    ) -> Result<Vec<Vec<u8>>> {
+        session.open(gauge)?;
+        let is_broken = !session.pack.since().is_some_and(|since| gauge.is_unbroken_since(since));
+        if is_broken {
+            self.suspect(gauge.chip);
+        }
+        // Marks for later comparison. Failing to read them must not fail the read.
+        match self.learn_marks(gauge) {
+            Ok(Some(row)) if is_broken => {
+                session.pack.mark_exchanged();
+                return Err(self.other_pack(gauge, row));
             }
-            Err(error) => return Err(error),
+            Ok(_) => {}
+            Err(error) => log::debug!("{}: {error}", gauge.chip.name),
         }
-        Ok(())
-    }
-
-    /// Goes on with a restoration whose journal cannot be written, as on a full disk: without it the gauge shows nothing, and
-    /// whatever it leaves in RAM is written again by the next one. What is lost is that a power cut of the host within it
-    /// leaves the gauge unsealed, and in CONFIG UPDATE until that ends by itself.
-    fn unless_unrecorded(&mut self, gauge: &Gauge, recorded: Result<()>) -> Result<()> {
-        let Err(Cause::Io(kind)) = recorded.as_ref().map_err(Error::cause) else {
-            self.unrecorded &= recorded.is_err();
-            return recorded;
-        };
-        if !std::mem::replace(&mut self.unrecorded, true) {
-            log::warn!(
-                "{}: no journal can be written ({kind}); the profile is written without one",
-                gauge.chip.name
-            );
-        }
-        Ok(())
+        self.refer(gauge, session);
+        let read = wanted.iter().map(|subclass| self.read_subclass(gauge, subclass));
+        let read = read.collect::<Result<_>>()?;
+        self.learn_gate(gauge)?;
+        gauge.note_open();
+        Ok(read)
     }
 
     /// Forgets the gate's values after any failure: the next write reads them again.
@@ -346,14 +318,14 @@ impl DataFlash {
 
     /// Changes the seal state on request.
     pub fn go_to(&mut self, gauge: &mut Gauge, goal: Seal, waited: Duration) -> Result<()> {
-        let outcome = in_time(gauge, waited, |gauge, _| {
+        let outcome = self.access(gauge, waited, |this, gauge, _| {
             gauge.go_to(goal)?;
-            self.seal_was_chosen(goal);
+            this.seal_was_chosen(goal);
             if goal == Seal::Sealed {
                 return Ok(());
             }
             sequence(gauge).enable(gauge)?;
-            self.learn_gate(gauge)
+            this.learn_gate(gauge)
         });
         self.noted(outcome)
     }
@@ -426,8 +398,20 @@ impl DataFlash {
         options: WriteOptions<'_>,
         waited: Duration,
     ) -> Result<Outcome> {
-        let outcome = self.check_wear(gauge).and_then(|()| {
-            self.counted(gauge, |dataflash, gauge| dataflash.transact(gauge, changes, options, waited))
+        let waited = self.check_wear(gauge).and_then(|()| self.settle_first(gauge, waited));
+        let outcome = waited.and_then(|waited| {
+            self.access(gauge, waited, |this, gauge, asked| {
+                let found = this.look_before(gauge, changes)?;
+                let record = match options.care {
+                    Care::Sure => Record::Change(blocks(changes)),
+                    Care::Quick => Record::Restoration(blocks(changes)),
+                };
+                let session = this.recorded(gauge, found.seal, asked, record)?;
+                let run = |this: &mut Self, gauge: &mut Gauge, session: &mut Session| {
+                    this.change(gauge, changes, found, options, session)
+                };
+                this.guard(gauge, session, run, Self::end).and_then(|written| still_written(gauge, written))
+            })
         });
         let outcome = self.noted(outcome);
         self.learn_from(gauge, changes, &outcome);
@@ -444,9 +428,9 @@ impl DataFlash {
     /// which nothing is written.
     pub(crate) fn ready(&mut self, gauge: &mut Gauge, waited: Duration) -> Result<()> {
         let waited = self.settle_first(gauge, waited)?;
-        in_time(gauge, waited, |gauge, _| {
+        self.access(gauge, waited, |this, gauge, _| {
             gauge.claim()?;
-            self.preflight(gauge, &[]).map(drop)
+            this.preflight(gauge, &[]).map(drop)
         })
     }
 
@@ -454,61 +438,53 @@ impl DataFlash {
     pub(crate) fn leave_calibration(&mut self, gauge: &mut Gauge, waited: Duration) -> Result<bool> {
         let Some(calibration) = gauge.chip.calibration else { return Ok(false) };
         let waited = self.settle_first(gauge, waited)?;
-        in_time(gauge, waited, |gauge, asked| {
+        self.access(gauge, waited, |this, gauge, asked| {
             gauge.claim()?;
             let found = gauge.seal_anew()?;
-            self.session(gauge, (found, asked), Self::owing(0), |this, gauge, session| {
+            let session = this.recorded(gauge, found, asked, Record::Change(0))?;
+            let run = |this: &mut Self, gauge: &mut Gauge, session: &mut Session| {
                 session.now = None;
                 let left = calmode::leave(gauge, calibration);
                 this.in_calibration &= left.is_err();
                 left
-            })
+            };
+            this.guard(gauge, session, run, Self::end)
         })
     }
 
-    /// Settles an interrupted write, then runs one session.
-    fn transact(
+    /// Makes the checks that need no unsealed gauge. The second look at one that was found sealed is that which opens it.
+    fn look_before(&mut self, gauge: &mut Gauge, changes: &[Change]) -> Result<Found> {
+        gauge.claim()?;
+        let mut found = self.first_look(gauge, changes)?;
+        if found.seal != Seal::Sealed {
+            found = self.next_look(gauge, &found, changes)?;
+        }
+        self.check_key(gauge, found.seal, changes)?;
+        Ok(found)
+    }
+
+    /// Opens the gauge and makes the changes.
+    fn change(
         &mut self,
         gauge: &mut Gauge,
         changes: &[Change],
+        found: Found,
         options: WriteOptions<'_>,
-        waited: Duration,
+        session: &mut Session,
     ) -> Result<Outcome> {
-        let waited = self.settle_first(gauge, waited)?;
-        in_time(gauge, waited, |gauge, asked| {
-            gauge.claim()?;
-            let mut found = self.first_look(gauge, changes)?;
-            if found.seal != Seal::Sealed {
-                found = self.next_look(gauge, &found, changes)?;
-            }
-            self.check_key(gauge, found.seal, changes)?;
-            let is_restoration = options.care == Care::Quick;
-            let record = |this: &mut Self, gauge: &mut Gauge, session: &mut Session| {
-                let owed = this.owe(gauge, session, blocks(changes));
-                if is_restoration { this.unless_unrecorded(gauge, owed) } else { owed }
-            };
-            let outcome = self.session(gauge, (found.seal, asked), record, |this, gauge, session| {
-                let opened = match found.seal {
-                    Seal::Sealed => this.look_while_opening(gauge, session, &found, changes),
-                    Seal::Unsealed | Seal::FullAccess => session.open(gauge).map(|()| found),
-                };
-                let outcome = opened.and_then(|found| this.change(gauge, changes, &found, options, session));
-                if outcome.is_err() && this.doubts() {
-                    session.pack.mark_exchanged();
-                }
-                outcome
-            });
-            if matches!(outcome, Ok(Outcome::Written { .. })) && has_lost_memory(gauge) != Ok(false) {
-                let why = "written and verified, but the gauge has lost its power since, or does not answer: its data \
-                           memory may be lost";
-                return Err(Error::new("", Cause::StateUnknown, why));
-            }
-            outcome
-        })
+        let opened = match found.seal {
+            Seal::Sealed => self.look_while_opening(gauge, session, &found, changes),
+            Seal::Unsealed | Seal::FullAccess => session.open(gauge).map(|()| found),
+        };
+        let outcome = opened.and_then(|found| self.change_open(gauge, changes, &found, options, session));
+        if outcome.is_err() && self.doubts() {
+            session.pack.mark_exchanged();
+        }
+        outcome
     }
 
     /// The unsealed part of a write: reads the blocks, checks the change, records it and programs it.
-    fn change(
+    fn change_open(
         &mut self,
         gauge: &mut Gauge,
         changes: &[Change],
@@ -724,6 +700,16 @@ fn load_as_seen(gauge: &mut Gauge, place: Window, mut before: Option<[u8; WINDOW
         before = Some(now);
     }
     sequence(gauge).load(gauge, place, Care::Sure)
+}
+
+/// What was written, if the gauge has not lost its data memory since.
+fn still_written(gauge: &mut Gauge, outcome: Outcome) -> Result<Outcome> {
+    if matches!(outcome, Outcome::Written { .. }) && has_lost_memory(gauge) != Ok(false) {
+        let why = "written and verified, but the gauge has lost its power since, or does not answer: its data memory may be \
+                   lost";
+        return Err(Error::new("", Cause::StateUnknown, why));
+    }
+    Ok(outcome)
 }
 
 /// Whether data memory in RAM, whose flag shows no loss, has lost these values: it holds the part's defaults in their

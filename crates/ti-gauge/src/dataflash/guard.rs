@@ -6,29 +6,74 @@
 use std::time::Duration;
 
 use super::DataFlash;
-use super::session::{Left, Reference, Session};
+use super::session::{Left, Reference, Session, report_mishap};
 use crate::chip::Chip;
-use crate::error::Result;
-use crate::gauge::{Gauge, Seal};
+use crate::error::{Cause, Error, Result};
+use crate::gauge::{Gauge, Seal, Statistics};
 use crate::journal::{Entry, Mark, Plan};
 
+/// From a request to its first commit. Before that a write can be given up at any time.
+const BEFORE: Duration = Duration::from_secs(16);
+
+/// What is put on record before a session sends anything.
+#[derive(Clone, Copy)]
+pub(super) enum Record {
+    /// The state that the gauge was found in, before this many blocks are changed.
+    Change(usize),
+    /// The same before RAM that was lost is written again, which goes on if no journal can be written.
+    Restoration(usize),
+    /// That a gauge was found sealed, before data flash is read. It goes on if no journal can be written.
+    Read,
+    /// Nothing: what would be owed is on record already, or the gauge was found open.
+    Nothing,
+}
+
 impl DataFlash {
-    /// Runs a session with a gauge that was found in a seal state, for a request made at the time `asked`. An error of
-    /// `record` means that nothing was sent; from then on the session is closed on every exit.
-    pub(super) fn session<T>(
+    /// Runs an access, all of whose transfers are within `run`: within its time up to the first commit and with the presence
+    /// of the gauge attended. The blocks that it has programmed are counted, whatever becomes of it. `waited` is the time
+    /// since the request was made; `run` gets the time of the request.
+    pub(super) fn access<T>(
         &mut self,
         gauge: &mut Gauge,
-        (found, asked): (Seal, Duration),
-        record: impl FnOnce(&mut Self, &mut Gauge, &mut Session) -> Result<()>,
-        run: impl FnOnce(&mut Self, &mut Gauge, &mut Session) -> Result<T>,
+        waited: Duration,
+        run: impl FnOnce(&mut Self, &mut Gauge, Duration) -> Result<T>,
     ) -> Result<T> {
-        let mut session = Session::new(found, asked);
-        session.pack.begin(gauge);
-        record(self, gauge, &mut session)?;
-        self.guard(gauge, session, run, Self::end)
+        let asked = gauge.clock.now().saturating_sub(waited);
+        let before = Statistics::read(&gauge.statistics.flash_writes);
+        gauge.limit(Some(BEFORE.saturating_sub(waited)));
+        gauge.attend(true);
+        let outcome = run(self, gauge, asked);
+        let outcome = report_mishap(gauge, outcome);
+        gauge.attend(false);
+        gauge.limit(None);
+        self.count(gauge, before);
+        outcome
     }
 
-    /// Runs a session whose record is on disk already, closes it, and passes what it leaves to `end`.
+    /// A session with a gauge that was found in a seal state, for a request made at the time `asked`, with its record on disk.
+    /// After an error nothing was sent.
+    pub(super) fn recorded(
+        &mut self,
+        gauge: &mut Gauge,
+        found: Seal,
+        asked: Duration,
+        record: Record,
+    ) -> Result<Session> {
+        let mut session = Session::new(found, asked);
+        session.pack.begin(gauge);
+        match record {
+            Record::Change(blocks) => self.owe(gauge, &mut session, blocks)?,
+            Record::Restoration(blocks) => {
+                let owed = self.owe(gauge, &mut session, blocks);
+                self.unless_unrecorded(gauge, owed)?;
+            }
+            Record::Read if found == Seal::Sealed => self.record_read(gauge, &mut session)?,
+            Record::Read | Record::Nothing => {}
+        }
+        Ok(session)
+    }
+
+    /// Runs a session whose record is on disk already, closes it on every exit of `run`, and passes what it leaves to `end`.
     pub(super) fn guard<T>(
         &mut self,
         gauge: &mut Gauge,
@@ -70,11 +115,6 @@ impl DataFlash {
         outcome
     }
 
-    /// The record of a session that is about to change the gauge's state, and this many blocks.
-    pub(super) fn owing(blocks: usize) -> impl FnOnce(&mut Self, &mut Gauge, &mut Session) -> Result<()> {
-        move |this, gauge, session| this.owe(gauge, session, blocks)
-    }
-
     /// Records that a session is about to change the gauge's state.
     pub(super) fn owe(&mut self, gauge: &mut Gauge, session: &mut Session, blocks: usize) -> Result<()> {
         let identity = self.identity(gauge)?;
@@ -84,6 +124,43 @@ impl DataFlash {
         self.refer(gauge, session);
         if let Some(journal) = &self.journal {
             session.journal = Some(journal.begin(&identity, session.found, blocks)?);
+        }
+        Ok(())
+    }
+
+    /// Records that a sealed gauge is about to be opened for a read.
+    fn record_read(&mut self, gauge: &mut Gauge, session: &mut Session) -> Result<()> {
+        let owed = match self.find_pending() {
+            None => self.owe(gauge, session, 0).and_then(|()| self.note_marks(gauge, session)),
+            Some(_) => self.owe_seal(gauge, session),
+        };
+        match owed {
+            Ok(()) => self.unrecorded = false,
+            // A read changes nothing, so it goes on. What is lost is that a power cut of the host within it leaves the gauge
+            // unsealed.
+            Err(error) if matches!(error.cause(), Cause::Io(_) | Cause::NotPermitted) => {
+                if !std::mem::replace(&mut self.unrecorded, true) {
+                    log::warn!("{error}");
+                }
+            }
+            Err(error) => return Err(error),
+        }
+        Ok(())
+    }
+
+    /// Goes on with a restoration whose journal cannot be written, as on a full disk: without it the gauge shows nothing, and
+    /// whatever it leaves in RAM is written again by the next one. What is lost is that a power cut of the host within it
+    /// leaves the gauge unsealed, and in CONFIG UPDATE until that ends by itself.
+    pub(super) fn unless_unrecorded(&mut self, gauge: &Gauge, recorded: Result<()>) -> Result<()> {
+        let Err(Cause::Io(kind)) = recorded.as_ref().map_err(Error::cause) else {
+            self.unrecorded &= recorded.is_err();
+            return recorded;
+        };
+        if !std::mem::replace(&mut self.unrecorded, true) {
+            log::warn!(
+                "{}: no journal can be written ({kind}); the profile is written without one",
+                gauge.chip.name
+            );
         }
         Ok(())
     }

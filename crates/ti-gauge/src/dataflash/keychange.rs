@@ -35,7 +35,7 @@ use crate::authentication::Order;
 use crate::chip::{FLAT, KeyBlock, KeyStorage, Kind};
 use crate::codec::{Bytes, WINDOW};
 use crate::error::{Cause, Error, Reason, Result, Step};
-use crate::gauge::{Gauge, Seal};
+use crate::gauge::{Gauge, Seal, Statistics};
 use crate::journal::{Identity, KEYS_WRITTEN, KeyPlan, Plan};
 use crate::keys::{KeyChange, Name, Secret, wipe_stack};
 
@@ -115,21 +115,25 @@ impl DataFlash {
         waited: Duration,
     ) -> Result<()> {
         let name = change.name.as_str();
-        let outcome = self.counted(gauge, |dataflash, gauge| {
-            report_mishap(gauge, |gauge| dataflash.change_key_unnamed(gauge, change, order, waited))
+        let outcome = self.prepare_keys(gauge, change, waited).and_then(|(block, left, waited)| {
+            let before = Statistics::read(&gauge.statistics.flash_writes);
+            let outcome = self.change_key_unnamed(gauge, (block, change, order), left, waited);
+            self.count(gauge, before);
+            report_mishap(gauge, outcome)
         });
         gauge.limit(None);
         wipe_stack();
         self.noted(outcome).map_err(|error| error.within(&format!("{name} key")))
     }
 
-    fn change_key_unnamed(
+    /// Refuses what may not be changed, and settles what has to be before: all but a change of keys that was cut short, which
+    /// is returned. Also returns the time since the request.
+    fn prepare_keys(
         &mut self,
         gauge: &mut Gauge,
         change: &KeyChange,
-        order: Order,
         waited: Duration,
-    ) -> Result<()> {
+    ) -> Result<(&'static KeyBlock, Option<Plan>, Duration)> {
         let block = block_of(gauge.chip, change.name)?;
         check_new(gauge, change)?;
         // Whoever makes a change that was cut short once more settles it.
@@ -138,6 +142,16 @@ impl DataFlash {
             Some(_) => waited,
             None => self.settle_first(gauge, waited)?,
         };
+        Ok((block, left, waited))
+    }
+
+    fn change_key_unnamed(
+        &mut self,
+        gauge: &mut Gauge,
+        (block, change, order): (&KeyBlock, &KeyChange, Order),
+        left: Option<Plan>,
+        waited: Duration,
+    ) -> Result<()> {
         let asked = gauge.clock.now().saturating_sub(waited);
         gauge.limit(Some((WAY + gauge.chip.security.key_silence * SILENCES).saturating_sub(waited)));
         gauge.claim()?;

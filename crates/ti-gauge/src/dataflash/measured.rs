@@ -7,9 +7,10 @@
 use std::time::Duration;
 
 use super::blocks::gather;
+use super::guard::Record;
 use super::planned;
 use super::schemes::{Care, sequence};
-use super::session::{Session, in_time};
+use super::session::Session;
 use super::{Change, DataFlash, Place, Row, old_bytes};
 use crate::chip::Kind;
 use crate::error::{Cause, Error, Result, Step};
@@ -29,13 +30,15 @@ impl DataFlash {
         waited: Duration,
     ) -> Result<Vec<Value>> {
         let waited = self.settle_first(gauge, waited)?;
-        in_time(gauge, waited, |gauge, asked| {
+        self.access(gauge, waited, |this, gauge, asked| {
             gauge.claim()?;
             let found = gauge.seal_anew()?;
-            self.session(gauge, (found, asked), Self::owing(rows.len()), |this, gauge, session| {
+            let session = this.recorded(gauge, found, asked, Record::Change(rows.len()))?;
+            let run = |this: &mut Self, gauge: &mut Gauge, session: &mut Session| {
                 session.open(gauge)?;
                 this.note_measured(gauge, rows, session)
-            })
+            };
+            this.guard(gauge, session, run, Self::end)
         })
     }
 

@@ -6,7 +6,7 @@
 use std::time::Duration;
 
 use super::DataFlash;
-use super::session::{Reference, Session, in_time};
+use super::session::{Reference, Session};
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::{Gauge, SEAL_LAG, Seal};
 use crate::journal::{Entry, Plan};
@@ -65,7 +65,7 @@ impl DataFlash {
     /// Seals a gauge to which that is owed. Returns a message for the log; `None` if none is owed.
     pub(super) fn pay_seal(&mut self, gauge: &mut Gauge, waited: Duration) -> Result<Option<String>> {
         let Some(OwedSeal { entry, .. }) = self.find_seal().cloned() else { return Ok(None) };
-        let sealed = in_time(gauge, waited, |gauge, asked| {
+        let sealed = self.access(gauge, waited, |_, gauge, asked| {
             gauge.claim()?;
             gauge.confirm_identity()?;
             let part = |entry: &Entry| entry.identity.chip == gauge.chip.name;

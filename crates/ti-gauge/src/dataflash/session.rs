@@ -21,8 +21,6 @@ use assure::Assurance;
 pub(super) use assure::Reference;
 pub(super) use store::{ByKeys, put, store};
 
-/// From a request to its first commit. Before that a write can be given up at any time.
-const BEFORE: Duration = Duration::from_secs(16);
 /// From a request to its last block. A write that takes longer is undone.
 const FORWARD: Duration = Duration::from_secs(18);
 /// From a request to the end of the way back, and least time for it, however long the way forward has taken.
@@ -437,25 +435,8 @@ fn reopen(gauge: &mut Gauge, goal: Seal, stays_open: bool) -> Result<()> {
     }
 }
 
-/// Runs a transaction with a time limit up to its first commit, and passes on when it was requested: `waited`
-/// ago.
-pub(super) fn in_time<T>(
-    gauge: &mut Gauge,
-    waited: Duration,
-    run: impl FnOnce(&mut Gauge, Duration) -> Result<T>,
-) -> Result<T> {
-    let asked = gauge.clock.now().saturating_sub(waited);
-    gauge.limit(Some(BEFORE.saturating_sub(waited)));
-    gauge.attend(true);
-    let outcome = report_mishap(gauge, |gauge| run(gauge, asked));
-    gauge.attend(false);
-    gauge.limit(None);
-    outcome
-}
-
-/// Runs an access. What it has done by mistake is reported as what it is, whatever else has become of it.
-pub(super) fn report_mishap<T>(gauge: &mut Gauge, run: impl FnOnce(&mut Gauge) -> Result<T>) -> Result<T> {
-    let outcome = run(gauge);
+/// The outcome of an access. What it has done by mistake is reported as what it is, whatever else has become of it.
+pub(super) fn report_mishap<T>(gauge: &mut Gauge, outcome: Result<T>) -> Result<T> {
     let Some(mishap) = gauge.take_mishap() else { return outcome };
     let why = match outcome {
         Ok(_) => format!("done; but {mishap}"),

@@ -14,7 +14,7 @@ use std::time::Duration;
 use super::DataFlash;
 use super::pack::{Match, compare};
 use super::schemes::{Care, sequence};
-use super::session::{Reference, Session, in_time};
+use super::session::{Reference, Session};
 use super::state::has_lost_memory;
 use super::verdict::Verdict;
 use super::window::holds_keys;
@@ -143,14 +143,13 @@ impl DataFlash {
         waited: Duration,
     ) -> Result<Option<String>> {
         let verdict = match &pending.entry {
-            Some(_) => self.counted(gauge, |dataflash, gauge| {
+            Some(_) => {
                 let patience = gauge.chip.security.key_silence + Duration::from_secs(3);
                 let watched = pending.watched && gauge.longest_silence() <= patience;
                 let certain = pending.certain.filter(|(_, left)| gauge.clock.now() < *left + SOON);
-                in_time(gauge, waited, |gauge, asked| {
-                    dataflash.act(gauge, &Pending { watched, certain, ..pending.clone() }, decision, asked)
-                })
-            }),
+                let pending = Pending { watched, certain, ..pending.clone() };
+                self.access(gauge, waited, |this, gauge, asked| this.act(gauge, &pending, decision, asked))
+            }
             None if pending.undecided => Ok(Verdict::Undecided(pending.why.clone())),
             None => Err(owed("", pending.why.clone(), false)),
         };

@@ -30,17 +30,10 @@ impl DataFlash {
         }
     }
 
-    /// Runs what may program flash and counts the blocks programmed, whatever the outcome.
-    pub(super) fn counted<T>(
-        &mut self,
-        gauge: &mut Gauge,
-        run: impl FnOnce(&mut Self, &mut Gauge) -> T,
-    ) -> T {
-        let before = Statistics::read(&gauge.statistics.flash_writes);
-        let outcome = run(self, gauge);
+    /// Counts the blocks that were programmed since the gauge had counted `before` of them.
+    pub(super) fn count(&mut self, gauge: &Gauge, before: u64) {
         let blocks = Statistics::read(&gauge.statistics.flash_writes) - before;
         self.wear.record(gauge.clock.now(), blocks);
-        outcome
     }
 }
 

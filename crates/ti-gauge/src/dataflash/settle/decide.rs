@@ -10,10 +10,11 @@ use super::pending::Pending;
 use super::task::{Shown, compare_seen, number_of};
 use crate::chip::{Chip, Kind};
 use crate::codec::WINDOW;
+use crate::dataflash::guard::Record;
 use crate::dataflash::keychange::way_out;
 use crate::dataflash::pack::Match;
 use crate::dataflash::planned::{Seen, look};
-use crate::dataflash::session::{Left, Reference, Session, in_time};
+use crate::dataflash::session::{Left, Reference, Session};
 use crate::dataflash::{DataFlash, Place};
 use crate::error::{Cause, Error, Result};
 use crate::gauge::{Gauge, Seal};
@@ -48,18 +49,19 @@ impl DataFlash {
             };
             return Ok(format!("{text}the {names} key {how}\n"));
         }
-        in_time(gauge, waited, |gauge, asked| {
-            self.now.forget_name();
-            let now = self.identity(gauge)?;
+        self.access(gauge, waited, |this, gauge, asked| {
+            this.now.forget_name();
+            let now = this.identity(gauge)?;
             let found = gauge.seal_anew()?;
             // The seal is owed already.
-            let recorded = |_: &mut Self, _: &mut Gauge, _: &mut Session| Ok(());
-            let (seen, same) = self.session(gauge, (found, asked), recorded, |_, gauge, session| {
+            let session = this.recorded(gauge, found, asked, Record::Nothing)?;
+            let run = |_: &mut Self, gauge: &mut Gauge, session: &mut Session| {
                 session.open(gauge)?;
                 let seen = look(gauge, &plan)?;
                 let same = compare_seen(gauge, [&entry.identity, &now], &plan, &seen)?;
                 Ok((seen, same))
-            })?;
+            };
+            let (seen, same) = this.guard(gauge, session, run, Self::end)?;
             let mut serial = String::new();
             if let Match::Other(name) = same {
                 text += &match number_of(gauge.chip, &now) {
@@ -76,7 +78,7 @@ impl DataFlash {
             let blocks = seen.iter().map(|seen| seen.stored).collect();
             text += &table(gauge.chip, &seen);
             text += &format!("To decide, type one of\n{}{DISCARD}", to_write(&serial));
-            self.shown = Some(Shown { entry, identity: now, blocks });
+            this.shown = Some(Shown { entry, identity: now, blocks });
             Ok(text)
         })
     }
@@ -177,18 +179,18 @@ impl DataFlash {
         let reference = Reference::of(&entry);
         let entry = Entry { plan: None, ..entry };
         let kept = entry.clone();
-        let ended = in_time(gauge, waited, |gauge, asked| {
+        let ended = self.access(gauge, waited, |this, gauge, asked| {
             let now = gauge.seal_anew()?;
             let mut session = Session::new(if owes { Seal::Sealed } else { now }, asked);
             if wrote {
                 session.inherit_modes(gauge)?;
             }
-            if let Some(journal) = self.journal.as_ref().filter(|_| owes) {
+            if let Some(journal) = this.journal.as_ref().filter(|_| owes) {
                 session.journal = Some(journal.begin(&entry.identity, entry.found, 0)?);
             }
             (session.now, session.entry) = (None, Some(entry));
             session.pack.pack = Some(reference);
-            self.guard(gauge, session, |_, _, _| Ok(()), Self::end)
+            this.guard(gauge, session, |_, _, _| Ok(()), Self::end)
         });
         if let Err(error) = &ended {
             // The next write ends a mode that may still be on.

@@ -10,11 +10,12 @@ use super::pending::Pending;
 use super::task::shows;
 use crate::chip::Chip;
 use crate::dataflash::DataFlash;
+use crate::dataflash::guard::Record;
 use crate::dataflash::io::COMMITTED;
 use crate::dataflash::pack::{Match, compare, is_named, shows_another};
 use crate::dataflash::planned::look_by;
 use crate::dataflash::schemes::{Care, sequence};
-use crate::dataflash::session::{Session, in_time};
+use crate::dataflash::session::Session;
 use crate::dataflash::state::has_lost_memory;
 use crate::dataflash::window::Window;
 use crate::error::{Cause, Result};
@@ -96,10 +97,10 @@ impl DataFlash {
         if entries.len() < 2 {
             return Ok(Vec::new());
         }
-        let ruled_out = in_time(gauge, waited, |gauge, asked| {
+        let ruled_out = self.access(gauge, waited, |this, gauge, asked| {
             gauge.claim()?;
-            self.now.forget_name();
-            let now = self.identity(gauge)?;
+            this.now.forget_name();
+            let now = this.identity(gauge)?;
             let (mut others, mut open) = (Vec::new(), Vec::new());
             for (path, entry) in entries {
                 match entry.identity.is_of_part(&now, gauge.chip) && may_be_of(gauge.chip, &entry, &now) {
@@ -111,13 +112,13 @@ impl DataFlash {
                 return Ok(others);
             }
             let found = gauge.seal_anew()?;
-            let record = |this: &mut Self, gauge: &mut Gauge, session: &mut Session| {
-                if found == Seal::Sealed { this.owe(gauge, session, 0) } else { Ok(()) }
-            };
-            others.extend(self.session(gauge, (found, asked), record, |_, gauge, session| {
+            let record = if found == Seal::Sealed { Record::Change(0) } else { Record::Nothing };
+            let session = this.recorded(gauge, found, asked, record)?;
+            let run = |_: &mut Self, gauge: &mut Gauge, session: &mut Session| {
                 session.open(gauge)?;
                 others_of(gauge, &now, &open)
-            })?);
+            };
+            others.extend(this.guard(gauge, session, run, Self::end)?);
             Ok(others)
         });
         match ruled_out {
