@@ -45,13 +45,14 @@ mod owedseal;
 mod pack;
 mod planned;
 mod preflight;
+mod records;
+mod rules;
 mod schemes;
 mod sealed;
 mod session;
 mod settle;
 mod state;
 mod verdict;
-mod wear;
 mod window;
 
 pub use anonymous::{anonymous, sample, samples};
@@ -69,6 +70,9 @@ use owedseal::OwedSeal;
 pub use pack::distinguishes;
 use pack::{Known, NOTHING};
 use preflight::{Found, KnownPack};
+use records::Records;
+use rules::Rules;
+pub use rules::{Limits, WRITES_PER_HOUR};
 use schemes::{Care, sequence};
 use session::Session;
 pub use settle::{Decision, Owed};
@@ -76,7 +80,6 @@ use settle::{Pending, Searched, Shown};
 use state::Copied;
 pub use state::has_lost_memory;
 pub(crate) use state::{read_bits, read_word};
-use wear::Wear;
 use window::learned;
 use window::{Planned, Window};
 
@@ -106,30 +109,13 @@ pub enum Outcome {
 /// Times that a block is loaded that is not as it was last seen.
 const LOADS: u32 = 3;
 
-/// Limits that a user may change.
-#[derive(Clone, Copy, Debug)]
-pub struct Limits {
-    /// Allow writes during a learning cycle, which end it.
-    pub allow_learning: bool,
-    /// Blocks of flash that may be programmed within an hour; 0 for no limit.
-    pub writes_per_hour: u32,
-}
-
-/// Default limit. A runaway script needs more than a weekend (66 h) to use up the 20,000 cycles of a block
-/// (SLUSBZ5D 6.12), and every parameter of the largest table can still be written once.
-pub const WRITES_PER_HOUR: u32 = 300;
-
-impl Default for Limits {
-    fn default() -> Self {
-        Self { allow_learning: false, writes_per_hour: WRITES_PER_HOUR }
-    }
-}
-
 /// State that is kept between transactions on one gauge.
 #[derive(Debug, Default)]
 pub struct DataFlash {
-    limits: Limits,
-    wear: Wear,
+    /// What a user allows.
+    rules: Rules,
+    /// What is on disk of each access.
+    records: Records,
     /// The gauge whose values were read.
     known_pack: Option<KnownPack>,
     /// Since when what is known holds.
@@ -144,8 +130,6 @@ pub struct DataFlash {
     in_calibration: bool,
     /// The signature rows, which show whether the table fits this firmware, have been checked.
     signed: Fact<(), Pack>,
-    /// Records each write before it starts.
-    journal: Option<Journal>,
     /// Identity of the gauge for the journal.
     identity: Fact<Identity, Name>,
     /// Blocks of this gauge as they were last read or written.
@@ -167,14 +151,12 @@ pub struct DataFlash {
     no_erased_key: Fact<(), Arrival>,
     /// A seal that is owed beside it.
     owed_seal: Option<OwedSeal>,
-    /// The journal of an access that goes on without one could not be written, which has been reported.
-    unrecorded: bool,
 }
 
 impl DataFlash {
     /// Starts with no knowledge of the gauge. With a journal, writes survive a power cut of the host.
     pub fn new(limits: Limits, journal: Option<Journal>) -> Self {
-        Self { limits, journal, ..Self::default() }
+        Self { rules: Rules::new(limits), records: Records::new(journal), ..Self::default() }
     }
 
     /// Forgets what was read from data flash: the gauge has lost it, or is another one.
@@ -215,8 +197,8 @@ impl DataFlash {
 
     /// Forgets everything, after an access that was not brought to its end. What it has left is found in the journal.
     pub fn start_over(&mut self) {
-        let Self { limits, wear, journal, .. } = std::mem::take(self);
-        *self = Self { limits, wear, journal, ..Self::default() };
+        let Self { rules, records, .. } = std::mem::take(self);
+        *self = Self { rules, records: records.anew(), ..Self::default() };
     }
 
     /// Reads whole subclasses in one session and restores the seal state. `waited` is the time since the
@@ -379,7 +361,7 @@ impl DataFlash {
     /// Removes the journals of restorations that were interrupted at this place: one is begun anew whenever the memory is lost,
     /// and there would be more and more of them.
     fn drop_restorations(&mut self, changes: &[Change]) {
-        let Some(journal) = &self.journal else { return };
+        let Some(journal) = self.records.journal() else { return };
         let is_over = |entry: &Entry| entry.plan.as_ref().is_some_and(|plan| plan.is_part_of(changes));
         let dropped = journal.waiting().and_then(|waiting| {
             let mut over = waiting.into_iter().filter(|(_, entry)| is_over(entry));
@@ -398,7 +380,7 @@ impl DataFlash {
         options: WriteOptions<'_>,
         waited: Duration,
     ) -> Result<Outcome> {
-        let waited = self.check_wear(gauge).and_then(|()| self.settle_first(gauge, waited));
+        let waited = self.rules.check_wear(gauge).and_then(|()| self.settle_first(gauge, waited));
         let outcome = waited.and_then(|waited| {
             self.access(gauge, waited, |this, gauge, asked| {
                 let found = this.look_before(gauge, changes)?;
@@ -548,11 +530,7 @@ impl DataFlash {
             }
         }
         let in_window = !self.check_gate_after(gauge, changes, &mut planned, voltage_mv)? && in_window;
-        match learning {
-            Some(error) if !self.limits.allow_learning => return Err(error),
-            Some(_) => log::warn!("{}: this write ends a learning cycle", gauge.chip.name),
-            None => {}
-        }
+        self.rules.check_learning(gauge, learning)?;
         if options.only_check {
             return Ok(Outcome::Unchanged);
         }
@@ -562,7 +540,7 @@ impl DataFlash {
         let plan = planned::plan(gauge, reset, &planned, &neighbours, self.known().marks(gauge.chip));
         if let Err(error) = self.note(session, plan.clone()) {
             match is_restoration {
-                true => self.unless_unrecorded(gauge, Err(error))?,
+                true => self.records.go_on_without(gauge, Err(error))?,
                 false => return Err(error),
             }
             session.remove_journal();

@@ -8,7 +8,7 @@ use std::time::Duration;
 use super::DataFlash;
 use super::session::{Left, Reference, Session, report_mishap};
 use crate::chip::Chip;
-use crate::error::{Cause, Error, Result};
+use crate::error::Result;
 use crate::gauge::{Gauge, Seal, Statistics};
 use crate::journal::{Entry, Mark, Plan};
 
@@ -46,7 +46,7 @@ impl DataFlash {
         let outcome = report_mishap(gauge, outcome);
         gauge.attend(false);
         gauge.limit(None);
-        self.count(gauge, before);
+        self.rules.count(gauge, before);
         outcome
     }
 
@@ -65,7 +65,7 @@ impl DataFlash {
             Record::Change(blocks) => self.owe(gauge, &mut session, blocks)?,
             Record::Restoration(blocks) => {
                 let owed = self.owe(gauge, &mut session, blocks);
-                self.unless_unrecorded(gauge, owed)?;
+                self.records.go_on_without(gauge, owed)?;
             }
             Record::Read if found == Seal::Sealed => self.record_read(gauge, &mut session)?,
             Record::Read | Record::Nothing => {}
@@ -122,7 +122,7 @@ impl DataFlash {
         let entry = Entry { identity: identity.clone(), machine: None, found: session.found, plan: None };
         session.entry = Some(entry);
         self.refer(gauge, session);
-        if let Some(journal) = &self.journal {
+        if let Some(journal) = self.records.journal() {
             session.journal = Some(journal.begin(&identity, session.found, blocks)?);
         }
         Ok(())
@@ -134,35 +134,7 @@ impl DataFlash {
             None => self.owe(gauge, session, 0).and_then(|()| self.note_marks(gauge, session)),
             Some(_) => self.owe_seal(gauge, session),
         };
-        match owed {
-            Ok(()) => self.unrecorded = false,
-            // A read changes nothing, so it goes on. What is lost is that a power cut of the host within it leaves the gauge
-            // unsealed.
-            Err(error) if matches!(error.cause(), Cause::Io(_) | Cause::NotPermitted) => {
-                if !std::mem::replace(&mut self.unrecorded, true) {
-                    log::warn!("{error}");
-                }
-            }
-            Err(error) => return Err(error),
-        }
-        Ok(())
-    }
-
-    /// Goes on with a restoration whose journal cannot be written, as on a full disk: without it the gauge shows nothing, and
-    /// whatever it leaves in RAM is written again by the next one. What is lost is that a power cut of the host within it
-    /// leaves the gauge unsealed, and in CONFIG UPDATE until that ends by itself.
-    pub(super) fn unless_unrecorded(&mut self, gauge: &Gauge, recorded: Result<()>) -> Result<()> {
-        let Err(Cause::Io(kind)) = recorded.as_ref().map_err(Error::cause) else {
-            self.unrecorded &= recorded.is_err();
-            return recorded;
-        };
-        if !std::mem::replace(&mut self.unrecorded, true) {
-            log::warn!(
-                "{}: no journal can be written ({kind}); the profile is written without one",
-                gauge.chip.name
-            );
-        }
-        Ok(())
+        self.records.read_without(owed)
     }
 
     pub(super) fn note(&self, session: &mut Session, plan: Plan) -> Result<()> {

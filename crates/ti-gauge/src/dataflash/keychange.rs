@@ -118,7 +118,7 @@ impl DataFlash {
         let outcome = self.prepare_keys(gauge, change, waited).and_then(|(block, left, waited)| {
             let before = Statistics::read(&gauge.statistics.flash_writes);
             let outcome = self.change_key_unnamed(gauge, (block, change, order), left, waited);
-            self.count(gauge, before);
+            self.rules.count(gauge, before);
             report_mishap(gauge, outcome)
         });
         gauge.limit(None);

@@ -27,7 +27,7 @@ impl DataFlash {
         let entry = Entry { identity: identity.clone(), machine: None, found: session.found, plan };
         session.entry = Some(entry);
         self.refer(gauge, session);
-        if let Some(journal) = &self.journal {
+        if let Some(journal) = self.records.journal() {
             session.journal = Some(journal.owe_seal(&identity)?);
         }
         Ok(())
@@ -41,7 +41,7 @@ impl DataFlash {
     /// The seal that is owed, also by an earlier process.
     pub(super) fn find_seal(&mut self) -> Option<&OwedSeal> {
         if self.owed_seal.is_none()
-            && let Some(journal) = &self.journal
+            && let Some(journal) = self.records.journal()
         {
             let why = || "a gauge that was found sealed may have been left open".to_string();
             self.owed_seal = match journal.seal_owed() {
@@ -57,7 +57,7 @@ impl DataFlash {
     /// No seal is owed any more: it is restored, or somebody has changed the seal state on purpose.
     pub(super) fn forget_seal(&mut self) {
         self.owed_seal = None;
-        if let Some(Err(error)) = self.journal.as_ref().map(|journal| journal.seal_paid()) {
+        if let Some(Err(error)) = self.records.journal().map(|journal| journal.seal_paid()) {
             log::warn!("{error}");
         }
     }

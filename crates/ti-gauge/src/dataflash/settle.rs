@@ -234,7 +234,7 @@ impl DataFlash {
         session.pack.pack = Some(Reference::of(entry));
         session.journal = match self.held.take() {
             Some(held) => Some(held),
-            None => match self.journal.as_ref().zip(pending.file.as_ref()) {
+            None => match self.records.journal().zip(pending.file.as_ref()) {
                 Some((journal, file)) => match journal.open(file)? {
                     Some(opened) => Some(opened),
                     // It has been settled elsewhere.
@@ -269,7 +269,7 @@ impl DataFlash {
                 (Ok(Verdict::Done(_)), None) => session.remove_journal(),
                 (Ok(Verdict::Plausible(message)), None) => {
                     let opened = session.journal.take();
-                    let Some((journal, opened)) = this.journal.as_ref().zip(opened.as_ref()) else {
+                    let Some((journal, opened)) = this.records.journal().zip(opened.as_ref()) else {
                         return outcome;
                     };
                     let kept = journal.wait(opened.path())?;

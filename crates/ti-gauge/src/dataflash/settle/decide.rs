@@ -85,7 +85,7 @@ impl DataFlash {
 
     /// The journals of this place that wait for their packs, which may never come back, or be this one.
     fn waiting(&self) -> String {
-        let waiting = self.journal.as_ref().and_then(|journal| journal.waiting().ok()).unwrap_or_default();
+        let waiting = self.records.journal().and_then(|journal| journal.waiting().ok()).unwrap_or_default();
         let line = |(path, entry): &(PathBuf, Entry)| {
             let Identity { chip, serial, .. } = &entry.identity;
             let what = entry.subject();
@@ -101,7 +101,7 @@ impl DataFlash {
 
     /// Gives up the journals of this place that wait for their packs. Returns a message for the log, empty without one.
     fn dismiss_waiting(&self) -> Result<String> {
-        let Some(journal) = &self.journal else { return Ok(String::new()) };
+        let Some(journal) = self.records.journal() else { return Ok(String::new()) };
         let mut kept = Vec::new();
         for (path, _) in journal.waiting()? {
             kept.push(journal.dismiss(&path)?.display().to_string());
@@ -138,7 +138,7 @@ impl DataFlash {
             let told = self.resolve(gauge, &pending, Some(decision), waited)?;
             return Ok(told.unwrap_or_else(|| "there is nothing to settle".into()));
         }
-        let aside = match self.journal.as_ref().zip(pending.file.as_ref()) {
+        let aside = match self.records.journal().zip(pending.file.as_ref()) {
             Some((journal, file)) if journal.look(file).is_some() => Some(journal.dismiss(file)?),
             _ => None,
         };
@@ -154,7 +154,7 @@ impl DataFlash {
         pending: Pending,
         waited: Duration,
     ) -> Result<()> {
-        if let Some((journal, file)) = self.journal.as_ref().zip(pending.file.as_ref())
+        if let Some((journal, file)) = self.records.journal().zip(pending.file.as_ref())
             && journal.look(file).is_some()
         {
             journal.withdraw(file)?;
@@ -185,7 +185,7 @@ impl DataFlash {
             if wrote {
                 session.inherit_modes(gauge)?;
             }
-            if let Some(journal) = this.journal.as_ref().filter(|_| owes) {
+            if let Some(journal) = this.records.journal().filter(|_| owes) {
                 session.journal = Some(journal.begin(&entry.identity, entry.found, 0)?);
             }
             (session.now, session.entry) = (None, Some(entry));

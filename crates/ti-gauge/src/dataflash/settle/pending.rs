@@ -90,7 +90,7 @@ impl DataFlash {
             }
             // One whose key has changed is not opened to compare its marks.
             let owed = Plan { reset: !has_key, ..Plan::of_marks(marks) };
-            let replaced = self.journal.as_ref().zip(self.held.as_ref());
+            let replaced = self.records.journal().zip(self.held.as_ref());
             let replaced = replaced.map(|(journal, held)| -> Result<OpenJournal> {
                 let mut replaced = journal.replace(held.path(), &entry.identity, entry.found)?;
                 replaced.plan(&owed)?;
@@ -121,7 +121,7 @@ impl DataFlash {
             session.found = Seal::Sealed;
         }
         let file = self.pending.as_ref().and_then(|pending| pending.file.clone());
-        session.journal = match (self.held.take(), self.journal.as_ref().zip(file)) {
+        session.journal = match (self.held.take(), self.records.journal().zip(file)) {
             (Some(held), _) => Some(held),
             (None, Some((journal, file))) => journal.open(&file)?,
             (None, None) => None,
@@ -157,7 +157,7 @@ impl DataFlash {
 
     /// Whether what is pending has been settled at another place, or its journal was moved away.
     fn is_over(&self, pending: &Pending) -> bool {
-        let Some((journal, file)) = self.journal.as_ref().zip(pending.file.as_ref()) else {
+        let Some((journal, file)) = self.records.journal().zip(pending.file.as_ref()) else {
             return pending.entry.is_none();
         };
         self.held.is_none() && (pending.entry.is_none() || journal.look(file).is_none())
@@ -169,7 +169,7 @@ impl DataFlash {
             self.pending = None;
         }
         if self.pending.is_none()
-            && let Some(journal) = &self.journal
+            && let Some(journal) = self.records.journal()
         {
             self.pending = match journal.search(false, &self.known_files()) {
                 Ok(found) => found.into_iter().find(|found| found.is_here).map(Pending::found),

@@ -52,7 +52,7 @@ impl DataFlash {
             Where::Places => searched.places,
             Where::Waiting => searched.waiting,
         });
-        let Some(journal) = self.journal.as_ref().filter(|_| !done && self.pending.is_none()) else {
+        let Some(journal) = self.records.journal().filter(|_| !done && self.pending.is_none()) else {
             return Ok(told);
         };
         let mut found = journal.search(place == Where::Waiting, &self.known_files())?;

@@ -1,26 +1,48 @@
 // SPDX-License-Identifier: MIT
 
-//! Limits how often data flash is programmed. Its cells last for 20,000 cycles (SLUSBZ5D 6.12), and the gauge
+//! What a user allows: how often data flash is programmed, and whether a write may end a learning cycle. The cells of flash last for 20,000 cycles (SLUSBZ5D 6.12), and the gauge
 //! itself does not stop a runaway script from using them up.
 
 use std::collections::VecDeque;
 use std::time::Duration;
 
-use super::DataFlash;
 use crate::error::{Error, Reason, Result, Step};
 use crate::gauge::{Gauge, Statistics};
 
 /// The period over which blocks are counted.
 const HOUR: Duration = Duration::from_secs(3600);
 
-/// The blocks that this process programmed within the last hour.
-#[derive(Debug, Default)]
-pub(super) struct Wear {
-    /// Time and number of blocks, oldest first.
-    spent: VecDeque<(Duration, u64)>,
+/// Limits that a user may change.
+#[derive(Clone, Copy, Debug)]
+pub struct Limits {
+    /// Allow writes during a learning cycle, which end it.
+    pub allow_learning: bool,
+    /// Blocks of flash that may be programmed within an hour; 0 for no limit.
+    pub writes_per_hour: u32,
 }
 
-impl DataFlash {
+/// Default limit. A runaway script needs more than a weekend (66 h) to use up the 20,000 cycles of a block
+/// (SLUSBZ5D 6.12), and every parameter of the largest table can still be written once.
+pub const WRITES_PER_HOUR: u32 = 300;
+
+impl Default for Limits {
+    fn default() -> Self {
+        Self { allow_learning: false, writes_per_hour: WRITES_PER_HOUR }
+    }
+}
+
+/// The limits, and how far they are used up.
+#[derive(Debug, Default)]
+pub(super) struct Rules {
+    limits: Limits,
+    wear: Wear,
+}
+
+impl Rules {
+    pub(super) fn new(limits: Limits) -> Self {
+        Self { limits, wear: Wear::default() }
+    }
+
     /// Refuses a write while the limit is reached. RAM does not wear out, so parts with RAM have no limit.
     pub(super) fn check_wear(&mut self, gauge: &Gauge) -> Result<()> {
         match self.limits.writes_per_hour {
@@ -35,11 +57,30 @@ impl DataFlash {
         let blocks = Statistics::read(&gauge.statistics.flash_writes) - before;
         self.wear.record(gauge.clock.now(), blocks);
     }
+
+    /// Lets a write end the learning cycle that is going on, or refuses it for this reason.
+    pub(super) fn check_learning(&self, gauge: &Gauge, learning: Option<Error>) -> Result<()> {
+        match learning {
+            Some(error) if !self.limits.allow_learning => Err(error),
+            Some(_) => {
+                log::warn!("{}: this write ends a learning cycle", gauge.chip.name);
+                Ok(())
+            }
+            None => Ok(()),
+        }
+    }
+}
+
+/// The blocks that this process programmed within the last hour.
+#[derive(Debug, Default)]
+struct Wear {
+    /// Time and number of blocks, oldest first.
+    spent: VecDeque<(Duration, u64)>,
 }
 
 impl Wear {
     /// Records blocks that have just been programmed.
-    pub(super) fn record(&mut self, now: Duration, blocks: u64) {
+    fn record(&mut self, now: Duration, blocks: u64) {
         if blocks > 0 {
             self.spent.push_back((now, blocks));
         }
@@ -47,7 +88,7 @@ impl Wear {
 
     /// Refuses a transaction while the limit has been reached within the last hour. The limit is checked only
     /// before a transaction, so one of any size can complete.
-    pub(super) fn check(&mut self, now: Duration, limit: u32) -> Result<()> {
+    fn check(&mut self, now: Duration, limit: u32) -> Result<()> {
         while self.spent.front().is_some_and(|(at, _)| *at + HOUR <= now) {
             self.spent.pop_front();
         }
