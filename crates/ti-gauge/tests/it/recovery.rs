@@ -15,7 +15,7 @@ use gauge_sim::Sim;
 use ti_gauge::authentication::Order;
 use ti_gauge::chip::{CHIPS, Chip, FLAT, KeyStorage, Kind, Scheme};
 use ti_gauge::codec::WINDOW;
-use ti_gauge::dataflash::{Change, DataFlash, Decision, Outcome};
+use ti_gauge::dataflash::{Change, DataFlash, Decision, Limits, Outcome};
 use ti_gauge::error::Result;
 use ti_gauge::gauge::{Gauge, Seal};
 use ti_gauge::keys::{KeyChange, Keys, Name};
@@ -1165,6 +1165,52 @@ fn regression_a_value_that_was_rewritten_after_an_interrupted_write_needed_a_per
             }
         }
     }
+}
+
+/// The gauge rewrites one of two values with its reset, and the other one reads wrong, so the write goes back. That the first
+/// is neither old nor new makes it the gauge's own.
+#[test]
+fn what_the_gauge_has_rewritten_does_not_go_back() {
+    let folder = Folder::new("rewritten-back");
+    const OTHER: (u8, u16) = (80, 53);
+    for (chip, place @ (id, offset), [_, new, own]) in REWRITTEN.into_iter().take(2) {
+        let mut rig = Rig::calibrated(chip, Seal::Sealed);
+        let other = rig.read(OTHER.0, OTHER.1).expect("the default key");
+        let changes = [rig.change(id, offset, &new.to_string()), rig.change(OTHER.0, OTHER.1, "3100")];
+        let (sim, mut fails) = (rig.sim.clone(), true);
+        rig.start_with(&folder, Keys::default(), move |bus, _, write, read| {
+            let done = bus.transfer(write, read);
+            if fails && matches!(write, [0x00, 0x41, 0x00]) {
+                fails = false;
+                set(&sim, place, &own.to_be_bytes());
+                set(&sim, OTHER, &[0x11, 0x11]);
+            }
+            done
+        });
+        let outcome = rig.dataflash.write(&mut rig.gauge, &changes, Duration::ZERO);
+        let error = outcome.expect_err("one value reads wrong after the reset");
+        assert_eq!(cause(&error), "rolled-back", "{chip}: {error}");
+        assert_eq!(rig.read(OTHER.0, OTHER.1), Ok(other), "{chip}");
+        assert_eq!(rig.read(id, offset), Ok(own.to_be_bytes().to_vec()), "{chip}");
+        assert_eq!((rig.get("seal").as_str(), folder.files()), ("sealed", vec![]), "{chip}");
+    }
+}
+
+/// One block is put back before the first of two writes of a block each.
+#[test]
+fn regression_blocks_that_a_write_had_settled_first_counted_twice() {
+    let folder = Folder::new("settled-first");
+    let mut rig = Rig::calibrated("bq34z100-g1", Seal::Sealed);
+    half_way(&mut rig, &folder);
+    rig.start(&folder);
+    let limits = Limits { writes_per_hour: 3, ..Limits::default() };
+    rig.dataflash = DataFlash::new(limits, Some(folder.journal()));
+    for text in ["3201", "3202"] {
+        let outcome = rig.write(80, 53, text);
+        assert!(matches!(outcome, Ok(Outcome::Written { .. })), "{text}: {outcome:?}");
+    }
+    let error = rig.write(80, 53, "3203").expect_err("three an hour");
+    assert!(cause(&error) == "not-now" && error.to_string().contains("3 blocks"), "{error}");
 }
 
 /// The value moves at each transfer of a write in turn, which succeeds or is rolled back. It has moved afterwards, unless
