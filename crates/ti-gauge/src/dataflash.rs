@@ -20,12 +20,12 @@ use std::fmt;
 use std::path::PathBuf;
 use std::time::Duration;
 
-use crate::chip::{Chip, FLAT, Kind, Subclass};
-use crate::codec::{Bytes, WINDOW};
+use crate::chip::{Chip, FLAT, Kind, Source, Subclass};
+use crate::codec::WINDOW;
 use crate::epoch::Fact;
 use crate::error::{Cause, Error, Result, Step};
-use crate::gauge::{Gauge, Moment, Seal};
-use crate::journal::{Entry, Identity, Journal, OpenJournal};
+use crate::gauge::{Answers, Gauge, Moment, Seal};
+use crate::journal::{Entry, Journal, OpenJournal};
 
 mod anonymous;
 mod blocks;
@@ -39,12 +39,11 @@ mod io;
 mod job;
 mod keychange;
 mod keyrow;
+mod knowledge;
 mod measured;
-mod now;
 mod owedseal;
 mod pack;
 mod planned;
-mod preflight;
 mod records;
 mod rules;
 mod schemes;
@@ -58,18 +57,16 @@ mod window;
 pub use anonymous::{anonymous, sample, samples};
 use blocks::{blocks, gather, old_bytes};
 pub use change::{Change, Row};
+use checks::check_safe;
 use erased::erased_in;
 pub use erased::{erased, erased_since, says_erased};
 use guard::Record;
-use io::read_subclass;
 use job::{Job, Landed, Side, converge};
 use keychange::Unfinished;
+use knowledge::{Arrival, Found, Knowledge, check_unsealed, learning};
 pub(crate) use measured::{BEGINS, assure_same};
-use now::{Arrival, Name, Now, Pack, Values};
 use owedseal::OwedSeal;
 pub use pack::distinguishes;
-use pack::{Known, NOTHING};
-use preflight::{Found, KnownPack};
 use records::Records;
 use rules::Rules;
 pub use rules::{Limits, WRITES_PER_HOUR};
@@ -80,8 +77,8 @@ use settle::{Pending, Searched, Shown};
 use state::Copied;
 pub use state::has_lost_memory;
 pub(crate) use state::{read_bits, read_word};
+use window::Window;
 use window::learned;
-use window::{Planned, Window};
 
 /// A place in data flash.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -116,26 +113,8 @@ pub struct DataFlash {
     rules: Rules,
     /// What is on disk of each access.
     records: Records,
-    /// The gauge whose values were read.
-    known_pack: Option<KnownPack>,
-    /// Since when what is known holds.
-    now: Now,
-    /// Another gauge has answered at its address.
-    doubts: Fact<(), Arrival>,
-    /// A failed write left its mode on; the next write ends it.
-    mode_left_on: bool,
-    /// Limit and divider of the flash-voltage gate, read while the gauge was unsealed.
-    gate: Fact<(i16, u16), Values>,
-    /// A session of ours may have left calibration mode on.
-    in_calibration: bool,
-    /// The signature rows, which show whether the table fits this firmware, have been checked.
-    signed: Fact<(), Pack>,
-    /// Identity of the gauge for the journal.
-    identity: Fact<Identity, Name>,
-    /// Blocks of this gauge as they were last read or written.
-    known: Fact<Known, Pack>,
-    /// What distinguishes the pack, from before a time in which it may have been exchanged; empty once compared.
-    fingerprint: Fact<Known, Pack>,
+    /// What is known of the gauge and its pack.
+    knowledge: Knowledge,
     /// A write that is neither done nor undone, or a seal that is owed.
     pending: Option<Pending>,
     /// What was last shown of it.
@@ -147,8 +126,6 @@ pub struct DataFlash {
     judged: Fact<Vec<PathBuf>, Arrival>,
     /// A change of keys that is neither done nor undone, with the keys, for as long as this process runs.
     unfinished: Option<Unfinished>,
-    /// The gauge has refused the key of erased flash.
-    no_erased_key: Fact<(), Arrival>,
     /// A seal that is owed beside it.
     owed_seal: Option<OwedSeal>,
 }
@@ -161,38 +138,56 @@ impl DataFlash {
 
     /// Forgets what was read from data flash: the gauge has lost it, or is another one.
     pub fn forget(&mut self) {
-        self.now.forget_pack();
+        self.knowledge.forget_pack();
     }
 
     /// The pack may have been exchanged unnoticed. Forgets what was read of it, but for what distinguishes it: that is
     /// compared when data flash is open for the next time.
     pub fn suspect(&mut self, chip: &'static Chip) {
-        let fingerprint = self.fingerprint_now(chip);
-        self.now.forget_pack();
-        // An exchange of a gauge with RAM is a loss of power, which it reports.
-        if chip.volatile.is_none() {
-            self.fingerprint.learn(self.now.pack, fingerprint);
-        }
-    }
-
-    /// What distinguishes the pack, as far as it is known.
-    fn fingerprint_now(&self, chip: &'static Chip) -> Known {
-        let mut fingerprint = self.fingerprint().clone();
-        for place in pack::mark_windows(chip) {
-            if let Some(content) = self.known().get(place) {
-                fingerprint.note(chip, place, content);
-            }
-        }
-        fingerprint
+        self.knowledge.suspect(chip);
     }
 
     /// Compares the pack with the suspected one, if the gauge is open. See [`Self::doubts`].
     pub fn compare(&mut self, gauge: &mut Gauge) -> Result<()> {
-        if self.fingerprint().is_empty() || gauge.seal()? == Seal::Sealed {
-            return Ok(());
-        }
-        sequence(gauge).enable(gauge)?;
-        self.learn_marks(gauge).map(drop)
+        self.knowledge.compare(gauge)
+    }
+
+    /// Notes a gauge that was connected, or has returned, with its answers; its values are read again.
+    pub fn meet(&mut self, chip: &Chip, answers: &Answers) {
+        self.knowledge.meet(chip, answers);
+        self.look_again();
+    }
+
+    /// Whether another gauge has answered instead of the one whose values were read.
+    pub fn doubts(&self) -> bool {
+        self.knowledge.doubts()
+    }
+
+    /// The gauge has answered otherwise than when it was identified.
+    pub fn doubt_pack(&mut self) {
+        self.knowledge.doubt_pack();
+    }
+
+    /// Whether the registers of a poll have to be read again before they are believed: they show another pack, or another
+    /// count of cycles, by which later polls are judged. I2C has no error detection.
+    pub fn needs_second_poll(&self, chip: &Chip, value: impl Fn(Source) -> Option<u32>) -> bool {
+        self.knowledge.needs_second_poll(chip, value)
+    }
+
+    /// Whether the flags of a poll show a loss of data memory that was not known, or no longer show one, and the gauge does
+    /// not say the same once more. The profile is written for a loss.
+    pub fn misreads_loss(&self, gauge: &mut Gauge, value: impl Fn(Source) -> Option<u32>) -> Result<bool> {
+        self.knowledge.misreads_loss(gauge, value)
+    }
+
+    /// The register of a poll that contradicts what is known of the pack, by its name; `value` returns what is read there.
+    pub fn contradicted(&self, chip: &Chip, value: impl Fn(Source) -> Option<u32>) -> Option<&'static str> {
+        self.knowledge.contradicted(chip, value)
+    }
+
+    /// Notes a poll; `value` returns what is read there. Returns whether another pack answers now.
+    pub fn polled(&mut self, chip: &Chip, value: impl Fn(Source) -> Option<u32>) -> bool {
+        self.knowledge.polled(chip, value)
     }
 
     /// Forgets everything, after an access that was not brought to its end. What it has left is found in the journal.
@@ -216,7 +211,9 @@ impl DataFlash {
     /// Reads what distinguishes the pack, unless that is known. A gauge with RAM reports what an exchange is to it.
     pub fn learn_pack(&mut self, gauge: &mut Gauge, waited: Duration) -> Result<()> {
         let windows = pack::mark_windows(gauge.chip);
-        if gauge.chip.volatile.is_some() || windows.iter().all(|place| self.known().get(*place).is_some()) {
+        if gauge.chip.volatile.is_some()
+            || windows.iter().all(|place| self.knowledge.known().get(*place).is_some())
+        {
             return Ok(());
         }
         self.read(gauge, &[], waited).map(drop)
@@ -274,28 +271,28 @@ impl DataFlash {
         session.open(gauge)?;
         let is_broken = !session.pack.since().is_some_and(|since| gauge.is_unbroken_since(since));
         if is_broken {
-            self.suspect(gauge.chip);
+            self.knowledge.suspect(gauge.chip);
         }
         // Marks for later comparison. Failing to read them must not fail the read.
-        match self.learn_marks(gauge) {
+        match self.knowledge.learn_marks(gauge) {
             Ok(Some(row)) if is_broken => {
                 session.pack.mark_exchanged();
-                return Err(self.other_pack(gauge, row));
+                return Err(self.knowledge.other_pack(gauge, row));
             }
             Ok(_) => {}
             Err(error) => log::debug!("{}: {error}", gauge.chip.name),
         }
-        self.refer(gauge, session);
-        let read = wanted.iter().map(|subclass| self.read_subclass(gauge, subclass));
+        self.knowledge.refer(gauge, session);
+        let read = wanted.iter().map(|subclass| self.knowledge.read_subclass(gauge, subclass));
         let read = read.collect::<Result<_>>()?;
-        self.learn_gate(gauge)?;
+        self.knowledge.learn_gate(gauge)?;
         gauge.note_open();
         Ok(read)
     }
 
     /// Forgets the gate's values after any failure: the next write reads them again.
     fn noted<T>(&mut self, outcome: Result<T>) -> Result<T> {
-        outcome.inspect_err(|_| self.now.forget_values())
+        outcome.inspect_err(|_| self.knowledge.forget_values())
     }
 
     /// Changes the seal state on request.
@@ -307,7 +304,7 @@ impl DataFlash {
                 return Ok(());
             }
             sequence(gauge).enable(gauge)?;
-            this.learn_gate(gauge)
+            this.knowledge.learn_gate(gauge)
         });
         self.noted(outcome)
     }
@@ -396,7 +393,7 @@ impl DataFlash {
             })
         });
         let outcome = self.noted(outcome);
-        self.learn_from(gauge, changes, &outcome);
+        self.knowledge.learn_from(gauge, changes, &outcome);
         gauge.statistics.progress.end();
         match changes {
             [change] => {
@@ -412,7 +409,7 @@ impl DataFlash {
         let waited = self.settle_first(gauge, waited)?;
         self.access(gauge, waited, |this, gauge, _| {
             gauge.claim()?;
-            this.preflight(gauge, &[]).map(drop)
+            this.knowledge.preflight(gauge, &[]).map(drop)
         })
     }
 
@@ -427,7 +424,7 @@ impl DataFlash {
             let run = |this: &mut Self, gauge: &mut Gauge, session: &mut Session| {
                 session.now = None;
                 let left = calmode::leave(gauge, calibration);
-                this.in_calibration &= left.is_err();
+                this.knowledge.left_calibration(left.is_err());
                 left
             };
             this.guard(gauge, session, run, Self::end)
@@ -437,11 +434,11 @@ impl DataFlash {
     /// Makes the checks that need no unsealed gauge. The second look at one that was found sealed is that which opens it.
     fn look_before(&mut self, gauge: &mut Gauge, changes: &[Change]) -> Result<Found> {
         gauge.claim()?;
-        let mut found = self.first_look(gauge, changes)?;
+        let mut found = self.knowledge.first_look(gauge, changes)?;
         if found.seal != Seal::Sealed {
-            found = self.next_look(gauge, &found, changes)?;
+            found = self.knowledge.next_look(gauge, &found, changes)?;
         }
-        self.check_key(gauge, found.seal, changes)?;
+        self.knowledge.check_key(gauge, found.seal, changes)?;
         Ok(found)
     }
 
@@ -455,7 +452,7 @@ impl DataFlash {
         session: &mut Session,
     ) -> Result<Outcome> {
         let opened = match found.seal {
-            Seal::Sealed => self.look_while_opening(gauge, session, &found, changes),
+            Seal::Sealed => self.knowledge.look_while_opening(gauge, session, &found, changes),
             Seal::Unsealed | Seal::FullAccess => session.open(gauge).map(|()| found),
         };
         let outcome = opened.and_then(|found| self.change_open(gauge, changes, &found, options, session));
@@ -479,40 +476,40 @@ impl DataFlash {
         options.since.map_or(Ok(()), |since| assure_same(gauge, since))?;
         if !gauge.is_unbroken_since(found.moment) {
             // It may have been exchanged since it was confirmed. Nothing was written yet.
-            if found.seal == Seal::Sealed && !gauge.was_opened() && !self.is_certain(gauge)? {
+            if found.seal == Seal::Sealed && !gauge.was_opened() && !self.knowledge.is_certain(gauge)? {
                 let why = "it was away for a moment after it was unsealed; nothing was written, try again";
                 return Err(Error::new(gauge.chip.model, Cause::NotNow, why).at(Step::Check));
             }
             // The reset that this write needs may seal it.
-            self.check_key(gauge, found.seal, changes)?;
-            self.suspect(gauge.chip);
-            self.confirm(gauge)?;
+            self.knowledge.check_key(gauge, found.seal, changes)?;
+            self.knowledge.suspect(gauge.chip);
+            self.knowledge.confirm(gauge)?;
             session.pack.begin(gauge);
         }
-        self.check_signature(gauge)?;
+        self.knowledge.check_signature(gauge)?;
         if options.calibrate {
             session.enter_calibration(gauge)?;
         }
-        self.check_gate(gauge, voltage_mv)?;
-        preflight::check_unsealed(gauge)?;
-        let learning = self.learning(gauge, found.status, changes)?;
+        self.knowledge.check_gate(gauge, voltage_mv)?;
+        check_unsealed(gauge)?;
+        let learning = learning(gauge, found.status, changes)?;
         // What a pack is known by is lost with its memory.
         if !(is_restoration && found.lost)
-            && let Some(row) = self.learn_marks(gauge)?
+            && let Some(row) = self.knowledge.learn_marks(gauge)?
         {
-            return Err(self.other_pack(gauge, row));
+            return Err(self.knowledge.other_pack(gauge, row));
         }
-        let known = self.known();
+        let known = self.knowledge.known();
         let mut planned = gather(gauge, changes, |gauge, place| match options.care {
             Care::Quick => sequence(gauge).load(gauge, place, Care::Quick),
             Care::Sure => load_as_seen(gauge, place, known.get(place)),
         })?;
-        planned.iter().try_for_each(|block| self.recognise(gauge, block.place, &block.old))?;
+        planned.iter().try_for_each(|block| self.knowledge.recognise(gauge, block.place, &block.old))?;
         gauge.note_open();
         // The window holds the block that was read last, so a single block need not be loaded again.
         let in_window = planned.len() == 1 && !sequence(gauge).always_finishes();
         for change in changes {
-            self.check_safe(change, &planned)?;
+            check_safe(change, &planned)?;
         }
         let old: Vec<_> = changes.iter().map(|change| old_bytes(change, &planned)).collect();
         if is_restoration && !options.lost && !found.lost && !is_forgotten(gauge.chip, changes, &old) {
@@ -529,15 +526,18 @@ impl DataFlash {
                 return Err(says_erased(&lost, "").at(Step::Check));
             }
         }
-        let in_window = !self.check_gate_after(gauge, changes, &mut planned, voltage_mv)? && in_window;
+        let in_window =
+            !self.knowledge.check_gate_after(gauge, changes, &mut planned, voltage_mv)? && in_window;
         self.rules.check_learning(gauge, learning)?;
         if options.only_check {
             return Ok(Outcome::Unchanged);
         }
         let reset = changes.iter().any(|change| change.kind(gauge.chip) == Kind::Reset);
         // A loss of power takes all of RAM, and disturbs no row beside the one that is written.
-        let neighbours = if is_restoration { Vec::new() } else { self.neighbours(gauge, &planned)? };
-        let plan = planned::plan(gauge, reset, &planned, &neighbours, self.known().marks(gauge.chip));
+        let neighbours =
+            if is_restoration { Vec::new() } else { self.knowledge.neighbours(gauge, &planned)? };
+        let plan =
+            planned::plan(gauge, reset, &planned, &neighbours, self.knowledge.known().marks(gauge.chip));
         if let Err(error) = self.note(session, plan.clone()) {
             match is_restoration {
                 true => self.records.go_on_without(gauge, Err(error))?,
@@ -546,9 +546,9 @@ impl DataFlash {
             session.remove_journal();
             self.note(session, plan)?;
         }
-        self.refer(gauge, session);
+        self.knowledge.refer(gauge, session);
         // The write may change the serial number.
-        self.now.forget_name();
+        self.knowledge.forget_name();
         gauge.statistics.progress.begin(planned.len());
         let mut job = Job::write(planned, neighbours, reset);
         (job.in_window, job.was_lost, job.care) = (in_window && !is_restoration, found.lost, options.care);
@@ -557,111 +557,14 @@ impl DataFlash {
         let landed = converge(gauge, session, &mut job, Side::New, options.accept);
         for block in job.changed() {
             match landed {
-                Landed::There => self.note_block(gauge, block.place, block.new),
-                Landed::Back(_) | Landed::Unknown(_) => {
-                    self.known.in_epoch(self.now.pack).forget(block.place)
-                }
+                Landed::There => self.knowledge.note_block(gauge, block.place, block.new),
+                Landed::Back(_) | Landed::Unknown(_) => self.knowledge.forget_block(block.place),
             }
         }
         match landed {
             Landed::There => Ok(Outcome::Written { reset, old }),
             Landed::Back(error) | Landed::Unknown(error) => Err(error),
         }
-    }
-
-    /// Reads, once after the gauge has arrived, what distinguishes its pack. Returns what shows that it is another
-    /// one than before; then it is in doubt.
-    fn learn_marks(&mut self, gauge: &mut Gauge) -> Result<Option<Row>> {
-        let mut other = None;
-        for place in pack::mark_windows(gauge.chip) {
-            if self.known().get(place).is_none() {
-                let content = sequence(gauge).load(gauge, place, Care::Quick)?;
-                other = other.or(self.fingerprint().contradicts(gauge.chip, place, &content));
-                self.note_block(gauge, place, content);
-            }
-        }
-        // It has been compared.
-        self.fingerprint = Fact::default();
-        if other.is_some() {
-            self.doubt_pack();
-        }
-        Ok(other)
-    }
-
-    fn read_subclass(&mut self, gauge: &mut Gauge, subclass: &'static Subclass) -> Result<Vec<u8>> {
-        let chip = gauge.chip;
-        read_subclass(gauge, subclass, |place, content| {
-            if chip.volatile.is_none() && self.contradicted_mark(chip, place, content).is_some() {
-                self.now.forget_pack();
-                self.doubt_pack();
-            }
-            self.known.in_epoch(self.now.pack).note(chip, place, *content);
-        })
-    }
-
-    fn note_block(&mut self, gauge: &Gauge, place: Window, content: [u8; WINDOW]) {
-        self.known.in_epoch(self.now.pack).note(gauge.chip, place, content);
-    }
-
-    /// Blocks of this pack as they were last read or written.
-    fn known(&self) -> &Known {
-        self.known.get(self.now.pack).unwrap_or(&NOTHING)
-    }
-
-    /// What distinguished the pack before it may have been exchanged; empty once that was compared.
-    fn fingerprint(&self) -> &Known {
-        self.fingerprint.get(self.now.pack).unwrap_or(&NOTHING)
-    }
-
-    /// Makes sure that a block just read is of the pack whose values are known, and notes it.
-    fn recognise(&mut self, gauge: &Gauge, place: Window, content: &[u8; WINDOW]) -> Result<()> {
-        let Some(row) = self.contradicted_mark(gauge.chip, place, content) else {
-            self.note_block(gauge, place, *content);
-            return Ok(());
-        };
-        Err(self.other_pack(gauge, row))
-    }
-
-    /// The mark in a block just read that is not as this pack had it, as far as that is known. What a suspected pack was known
-    /// by counts as well: its marks may not have been compared yet, because it did not answer.
-    fn contradicted_mark(&self, chip: &'static Chip, place: Window, content: &[u8; WINDOW]) -> Option<Row> {
-        [self.known(), self.fingerprint()].iter().find_map(|before| before.contradicts(chip, place, content))
-    }
-
-    fn other_pack(&mut self, gauge: &Gauge, row: Row) -> Error {
-        let why = format!(
-            "{} ({}) is not what it was when it was read: another pack answers, or another program has written to \
-             it; check its values before you write",
-            row.1.name,
-            Place::of(row)
-        );
-        self.now.forget_pack();
-        self.doubt_pack();
-        Error::new(gauge.chip.model, Cause::Gone, why).at(Step::Identify)
-    }
-
-    /// The blocks next to those that change, where they are known. On a part with a flat address space they are
-    /// read first: a row may hold bytes that no manual names.
-    fn neighbours(&mut self, gauge: &mut Gauge, planned: &[Planned]) -> Result<Vec<Planned>> {
-        let mut found: Vec<Planned> = Vec::new();
-        let apart = |one: Window, other: Window| {
-            one.subclass != other.subclass || one.base.abs_diff(other.base) >= WINDOW as u16
-        };
-        for place in planned.iter().flat_map(|block| pack::neighbours(gauge.chip, block.place)) {
-            if place.subclass == FLAT && self.known().get(place).is_none() {
-                // Beyond the end of data flash there is none.
-                if let Ok(content) = sequence(gauge).load(gauge, place, Care::Sure) {
-                    self.note_block(gauge, place, content);
-                }
-            }
-            let is_new = found.iter().all(|block| apart(block.place, place))
-                && planned.iter().all(|block| apart(block.place, place));
-            if let Some(content) = self.known().get(place).filter(|_| is_new) {
-                let learned = learned(gauge.chip, place);
-                found.push(Planned { place, old: content, new: content, written: Bytes::default(), learned });
-            }
-        }
-        Ok(found)
     }
 }
 

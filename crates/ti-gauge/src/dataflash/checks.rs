@@ -3,200 +3,49 @@
 //! Checks that need the unsealed gauge: whether the table's addresses are this firmware's, whether the
 //! voltage lets the gauge program flash and will let it, and whether the values are safe.
 
-use super::blocks::{arrange, old_bytes};
+use super::blocks::old_bytes;
 use super::schemes::{Care, sequence};
 use super::state::{once_measured, read_bits, read_word};
 use super::window::locate;
 use super::window::{Planned, Window};
-use super::{Change, DataFlash, Place};
-use crate::chip::{Gate, Parameter, Role, Safe, Scheme};
+use super::{Change, Place};
+use crate::chip::{Gate, Parameter, Role, Safe};
 use crate::codec::{Layout, WINDOW};
-use crate::error::{Cause, Error, Reason, Result, Step};
+use crate::error::{Error, Reason, Result, Step};
 use crate::gauge::{Gauge, agreed};
 use crate::value::Value;
 
-impl DataFlash {
-    /// Checks, before the first write, rows with known content, which show whether this firmware keeps its
-    /// data flash at the addresses in the table.
-    pub(super) fn check_signature(&mut self, gauge: &mut Gauge) -> Result<()> {
-        if self.signed.is_known(self.now.pack) {
-            return Ok(());
-        }
-        for row in gauge.chip.signature {
-            let size = row.kind.size();
-            let (place, at) = locate(row.subclass, row.offset);
-            let window = sequence(gauge).load(gauge, place, Care::Sure)?;
-            let Value::Int(found) = gauge.chip.layout.decode(row.kind, &window[at..at + size]) else {
-                continue;
-            };
-            if !row.holds(found) {
-                let why = format!(
-                    "{} holds {found}, which cannot be: this firmware keeps its data flash elsewhere, and nothing \
-                     is written to it",
-                    place.name(at)
-                );
-                return Err(Error::new("", Cause::Gone, why).at(Step::Check));
-            }
-        }
-        self.signed.learn(self.now.pack, ());
-        Ok(())
-    }
-
-    /// Reads the limit and the divider of the flash-voltage gate, unless they are known. UNSEALED only.
-    pub(super) fn learn_gate(&mut self, gauge: &mut Gauge) -> Result<()> {
-        let Some(gate) = &gauge.chip.gate else { return Ok(()) };
-        if !self.gate.is_known(self.now.values) {
-            let divider = gate.divider.map(|row| self.word(gauge, row)).transpose()?;
-            let limit = match divider {
-                // Loading the divider's block has shown that the window shows data flash.
-                Some(_) => short_word(gauge, gate.limit)?,
-                None => self.word(gauge, gate.limit)?,
-            };
-            self.gate.learn(self.now.values, (limit as i16, divider.unwrap_or(1)));
-        }
-        Ok(())
-    }
-
-    /// A word of a block whose checksum was verified.
-    fn word(&mut self, gauge: &mut Gauge, row: (u8, u16)) -> Result<u16> {
-        let (place, at) = place_of(row);
-        let window = sequence(gauge).load(gauge, place, Care::Sure)?;
-        self.recognise(gauge, place, &window)?;
-        Ok(gauge.chip.layout.word([window[at], window[at + 1]]))
-    }
-
-    /// Checks that the gate is open now.
-    pub(super) fn check_gate(&mut self, gauge: &mut Gauge, voltage_mv: u16) -> Result<()> {
-        self.learn_gate(gauge)?;
-        let (Some(gate), Some(&(limit, divider))) = (&gauge.chip.gate, self.gate.get(self.now.values)) else {
-            return Ok(());
-        };
-        let now = Setting::now(limit, divider);
-        let remedy = || format!(": charge the pack{}", remedy(gate));
-        let Some(shut) = now.shut(gate, voltage_mv.into(), remedy) else { return Ok(()) };
-        if calibration_enabled(gauge)? {
-            return Ok(());
-        }
-        // It is read again before the next write.
-        self.now.forget_values();
-        Err(Error::of("", shut).at_place(gate.limit).at(Step::Check))
-    }
-
-    /// Checks that the gate stays open with all changes of the transaction, and after each of their blocks, and
-    /// puts these in the order in which it does. Returns whether another block was loaded into the window.
-    pub(super) fn check_gate_after(
-        &mut self,
-        gauge: &mut Gauge,
-        changes: &[Change],
-        planned: &mut [Planned],
-        voltage_mv: u16,
-    ) -> Result<bool> {
-        let (Some(gate), Some(&known)) = (&gauge.chip.gate, self.gate.get(self.now.values)) else {
-            return Ok(false);
-        };
-        let mut cells = 1;
-        let layout = gauge.chip.layout;
-        let (before, after) = (
-            Setting::of((gate, layout), known, cells, planned, 0),
-            Setting::of((gate, layout), known, cells, planned, planned.len()),
-        );
-        if before == after {
-            return Ok(false);
-        }
-        // From here on the values that were read before the write no longer count.
-        self.now.forget_values();
-        let mut loaded = false;
-        if let Some(row) = gate.cells.filter(|row| !planned.iter().any(|block| block.at(*row).is_some())) {
-            let (place, at) = place_of(row);
-            cells = sequence(gauge).load(gauge, place, Care::Sure)?[at];
-            loaded = true;
-        }
-        // A limit is lowered first and raised last.
-        if gauge.chip.access.scheme == Scheme::Block {
-            let raised = after.limit > before.limit;
-            let [high, low] = both(gate.limit);
-            let holds = |block: &Planned| block.changes(high) || block.changes(low);
-            let is_late = |block: &Planned| after.limit != before.limit && holds(block) == raised;
-            arrange(planned, &|block| (is_late(block).into(), 0));
-        }
-        let setting = |stored: usize| Setting::of((gate, layout), known, cells, planned, stored);
-        let before = setting(0);
-        // One reading may have a wrong bit.
-        let (mut low, mut high) = (voltage_mv, voltage_mv);
-        let voltage = gauge.chip.register(Role::VoltageNow).map(|register| register.source);
-        for _ in 0..2 {
-            let Some(voltage) = voltage else { break };
-            let again = read_word(gauge, voltage)?;
-            (low, high) = (low.min(again), high.max(again));
-        }
-        let refuse = |why: String| {
-            let of_gate = |change: &&Change| gate.rows().any(|row| change.covers(row));
-            let subject = changes.iter().find(of_gate).map_or_else(String::new, Change::subject);
-            Err(Error::new(subject, Cause::OutOfRange, why).at(Step::Check))
-        };
-        let after = setting(planned.len());
-        // No source says that Voltage() follows a new divider before somebody calibrates, so with the limit as it is
-        // flash has to stay open if it does not.
-        let only_divider = before.limit == after.limit && before.external == after.external;
-        let shut = |now: &Setting| now.shut(gate, low.into(), String::new).map(|shut| shut.to_string());
-        let stays = (only_divider && before.divider != after.divider).then(|| shut(&after)).flatten();
-        if let Some(shut) = before.shut_after(&after, gate, low, high).or(stays) {
-            let why = format!(
-                "with this write {shut}, so flash would be shut for good: write all values of the divider together, \
-                 or set the limit to 0 until they are right"
-            );
-            return refuse(why);
-        }
-        // The gauge may measure anew after each block, or not before the reset.
-        let shut = |stored: usize| {
-            let next = setting(stored);
-            before.shut_after(&next, gate, low, high).or_else(|| shut(&next))
-        };
-        let shut = (1..planned.len()).find_map(shut);
-        if let Some(shut) = shut
-            && !calibration_enabled(gauge)?
-        {
-            let why = format!(
-                "before the last block is stored {shut}, so the rest would not be stored: set the limit to 0, then \
-                 write the other values, then the limit"
-            );
-            return refuse(why);
-        }
-        Ok(loaded)
-    }
-
-    /// Checks the safety limits of one value, which are narrower than the manual's.
-    pub(super) fn check_safe(&self, change: &Change, planned: &[Planned]) -> Result<()> {
-        let Some((_, parameter)) = change.row else { return Ok(()) };
-        match &parameter.safe {
-            Some(Safe::AtLeast(..)) => change.check_least(),
-            // `check_gate_after` judges it together with the other values.
-            Some(Safe::BelowVoltage(_)) | None => Ok(()),
-            Some(Safe::Keep(..)) if change.saved => Ok(()),
-            Some(Safe::Keep(..)) => change.check_reserved(&old_bytes(change, planned)),
-        }
+/// Checks the safety limits of one value, which are narrower than the manual's.
+pub(super) fn check_safe(change: &Change, planned: &[Planned]) -> Result<()> {
+    let Some((_, parameter)) = change.row else { return Ok(()) };
+    match &parameter.safe {
+        Some(Safe::AtLeast(..)) => change.check_least(),
+        // `check_gate_after` judges it together with the other values.
+        Some(Safe::BelowVoltage(_)) | None => Ok(()),
+        Some(Safe::Keep(..)) if change.saved => Ok(()),
+        Some(Safe::Keep(..)) => change.check_reserved(&old_bytes(change, planned)),
     }
 }
 
 /// The values that decide whether the gauge programs flash.
 #[derive(Clone, Copy, PartialEq, Eq)]
-struct Setting {
-    limit: i64,
+pub(super) struct Setting {
+    pub(super) limit: i64,
     /// 1 if the part has none.
-    divider: i64,
-    external: bool,
+    pub(super) divider: i64,
+    pub(super) external: bool,
     cells: i64,
 }
 
 impl Setting {
     /// The values that a gauge has now. The number of cells is left out: should it count, the gauge stores nothing and the
     /// write fails.
-    fn now(limit: i16, divider: u16) -> Self {
+    pub(super) fn now(limit: i16, divider: u16) -> Self {
         Self { limit: limit.into(), divider: divider.into(), external: false, cells: 1 }
     }
 
     /// The values after the first `stored` of the blocks. What no block holds is as `known` and `cells` say.
-    fn of(
+    pub(super) fn of(
         (gate, layout): (&Gate, Layout),
         known: (i16, u16),
         cells: u8,
@@ -231,7 +80,12 @@ impl Setting {
 
     /// Why the gate is shut at a Voltage(). Every way in which the documents let the gauge compare must open it,
     /// and no division rounds.
-    fn shut(&self, gate: &Gate, voltage_mv: i64, remedy: impl FnOnce() -> String) -> Option<Reason> {
+    pub(super) fn shut(
+        &self,
+        gate: &Gate,
+        voltage_mv: i64,
+        remedy: impl FnOnce() -> String,
+    ) -> Option<Reason> {
         let Self { limit, divider, .. } = *self;
         let cells = self.cells.max(1);
         let scaled = gate.cell_divider.map(i64::from).filter(|cell| voltage_mv * cell < limit * divider);
@@ -246,7 +100,7 @@ impl Setting {
     }
 
     /// Why the gate is shut with the values `after`, from the lowest and the highest Voltage() with these.
-    fn shut_after(&self, after: &Self, gate: &Gate, low_mv: u16, high_mv: u16) -> Option<String> {
+    pub(super) fn shut_after(&self, after: &Self, gate: &Gate, low_mv: u16, high_mv: u16) -> Option<String> {
         let (mut low, mut high) = (i64::from(low_mv), i64::from(high_mv));
         if after.limit <= 0 {
             return None;
@@ -280,14 +134,14 @@ impl Setting {
 
 impl Gate {
     /// Every byte that decides whether it is open.
-    fn rows(&self) -> impl Iterator<Item = (u8, u16)> {
+    pub(super) fn rows(&self) -> impl Iterator<Item = (u8, u16)> {
         let words = [Some(self.limit), self.divider].into_iter().flatten().flat_map(both);
         words.chain(self.external.as_ref().map(|external| external.byte)).chain(self.cells)
     }
 }
 
 impl Change {
-    fn covers(&self, (subclass, offset): (u8, u16)) -> bool {
+    pub(super) fn covers(&self, (subclass, offset): (u8, u16)) -> bool {
         let start = usize::from(self.place.offset);
         self.place.subclass == subclass && (start..start + self.bytes.len()).contains(&offset.into())
     }
@@ -295,34 +149,34 @@ impl Change {
 
 impl Planned {
     /// The position of a byte in this block, if it is there.
-    fn at(&self, (subclass, offset): (u8, u16)) -> Option<usize> {
+    pub(super) fn at(&self, (subclass, offset): (u8, u16)) -> Option<usize> {
         let at = usize::from(offset.checked_sub(self.place.base)?);
         (self.place.subclass == subclass && at < WINDOW).then_some(at)
     }
 
     /// Whether it changes a byte.
-    fn changes(&self, row: (u8, u16)) -> bool {
+    pub(super) fn changes(&self, row: (u8, u16)) -> bool {
         self.at(row).is_some_and(|at| self.old[at] != self.new[at])
     }
 }
 
 /// The two bytes of a word.
-fn both((subclass, offset): (u8, u16)) -> [(u8, u16); 2] {
+pub(super) fn both((subclass, offset): (u8, u16)) -> [(u8, u16); 2] {
     [(subclass, offset), (subclass, offset + 1)]
 }
 
-fn place_of((subclass, offset): (u8, u16)) -> (Window, usize) {
+pub(super) fn place_of((subclass, offset): (u8, u16)) -> (Window, usize) {
     locate(subclass, offset)
 }
 
 /// A word that is read twice.
-fn short_word(gauge: &mut Gauge, row: (u8, u16)) -> Result<u16> {
+pub(super) fn short_word(gauge: &mut Gauge, row: (u8, u16)) -> Result<u16> {
     let (place, at) = place_of(row);
     sequence(gauge).word(gauge, place, at)
 }
 
 /// Whether calibration is enabled, in which the gauge ignores its gate.
-fn calibration_enabled(gauge: &mut Gauge) -> Result<bool> {
+pub(super) fn calibration_enabled(gauge: &mut Gauge) -> Result<bool> {
     let Some((source, mask)) = gauge.chip.gate.as_ref().and_then(|gate| gate.calibration) else {
         return Ok(false);
     };
@@ -330,7 +184,7 @@ fn calibration_enabled(gauge: &mut Gauge) -> Result<bool> {
 }
 
 /// How flash is opened where Voltage() is low because the divider is not set.
-fn remedy(gate: &Gate) -> String {
+pub(super) fn remedy(gate: &Gate) -> String {
     let Some(divider) = gate.divider else { return String::new() };
     let (limit, divider) = (Place::from(gate.limit), Place::from(divider));
     let external = gate.external.as_ref().map_or("", |external| external.name);

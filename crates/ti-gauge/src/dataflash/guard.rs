@@ -6,11 +6,10 @@
 use std::time::Duration;
 
 use super::DataFlash;
-use super::session::{Left, Reference, Session, report_mishap};
-use crate::chip::Chip;
+use super::session::{Left, Session, report_mishap};
 use crate::error::Result;
 use crate::gauge::{Gauge, Seal, Statistics};
-use crate::journal::{Entry, Mark, Plan};
+use crate::journal::{Entry, Plan};
 
 /// From a request to its first commit. Before that a write can be given up at any time.
 const BEFORE: Duration = Duration::from_secs(16);
@@ -83,7 +82,7 @@ impl DataFlash {
     ) -> Result<T> {
         let outcome = run(self, gauge, &mut session);
         let (outcome, left) = session.close(gauge, outcome);
-        self.in_calibration |= session.calibrating.is_some();
+        self.knowledge.note_calibration(session.calibrating.is_some());
         end(self, session, gauge, outcome, left)
     }
 
@@ -96,8 +95,7 @@ impl DataFlash {
         left: Option<Left>,
     ) -> Result<T> {
         if session.pack.is_another {
-            self.now.forget_pack();
-            self.doubt_pack();
+            self.knowledge.note_another();
         }
         if left.is_some() && session.entry.as_ref().is_some_and(|entry| entry.plan.is_none()) {
             // Nothing was written: what its pack is known by is all that is left of it.
@@ -117,11 +115,11 @@ impl DataFlash {
 
     /// Records that a session is about to change the gauge's state.
     pub(super) fn owe(&mut self, gauge: &mut Gauge, session: &mut Session, blocks: usize) -> Result<()> {
-        let identity = self.identity(gauge)?;
+        let identity = self.knowledge.identity(gauge)?;
         gauge.watch();
         let entry = Entry { identity: identity.clone(), machine: None, found: session.found, plan: None };
         session.entry = Some(entry);
-        self.refer(gauge, session);
+        self.knowledge.refer(gauge, session);
         if let Some(journal) = self.records.journal() {
             session.journal = Some(journal.begin(&identity, session.found, blocks)?);
         }
@@ -149,27 +147,11 @@ impl DataFlash {
 
     /// Records what is known of the pack of which only the seal will be owed.
     pub(super) fn note_marks(&mut self, gauge: &Gauge, session: &mut Session) -> Result<()> {
-        let marks = self.marks(gauge.chip);
+        let marks = self.knowledge.marks(gauge.chip);
         if marks.is_empty() {
             return Ok(());
         }
         self.note(session, Plan::of_marks(marks))
-    }
-
-    /// What distinguishes the pack, as far as it is known.
-    pub(super) fn marks(&self, chip: &'static Chip) -> Vec<Mark> {
-        let known = if self.fingerprint().is_empty() { self.known() } else { self.fingerprint() };
-        known.marks(chip)
-    }
-
-    /// From now on the session's pack is compared with what is known of it.
-    pub(super) fn refer(&mut self, gauge: &Gauge, session: &mut Session) {
-        let Some(entry) = &session.entry else { return };
-        let mut reference = Reference::of(entry);
-        if entry.owes_seal() {
-            reference.plan.marks = self.marks(gauge.chip);
-        }
-        session.pack.pack = Some(reference);
     }
 
     /// Keeps what a session leaves, with its record.

@@ -22,17 +22,17 @@ use std::time::Duration;
 
 use zeroize::Zeroizing;
 
+use super::DataFlash;
 use super::io::COMMITTED;
-use super::keyrow::{keeps_unseal_key, quietly};
+use super::keyrow::quietly;
 use super::pack::Match;
 use super::planned;
 use super::schemes::{Care, sequence};
 use super::session::{Left, Patience, RESTORES, Session, report_mishap};
 use super::verdict::Verdict;
 use super::window::{Planned, Window, learned, locate};
-use super::{Change, DataFlash};
 use crate::authentication::Order;
-use crate::chip::{FLAT, KeyBlock, KeyStorage, Kind};
+use crate::chip::{FLAT, KeyBlock, KeyStorage};
 use crate::codec::{Bytes, WINDOW};
 use crate::error::{Cause, Error, Reason, Result, Step};
 use crate::gauge::{Gauge, Seal, Statistics};
@@ -155,7 +155,7 @@ impl DataFlash {
         let asked = gauge.clock.now().saturating_sub(waited);
         gauge.limit(Some((WAY + gauge.chip.security.key_silence * SILENCES).saturating_sub(waited)));
         gauge.claim()?;
-        let found = self.preflight(gauge, &[])?;
+        let found = self.knowledge.preflight(gauge, &[])?;
         let mut session = Session::new(found.seal, asked);
         session.pack.begin(gauge);
         match &left {
@@ -260,31 +260,6 @@ impl DataFlash {
         wipe_stack();
         verdict
     }
-
-    /// Refuses a write whose reset would seal a gauge that was found open and may not open again: its key must have
-    /// been used, or be the one that it keeps, which only FULL ACCESS lets one read.
-    pub(super) fn check_key(&mut self, gauge: &mut Gauge, found: Seal, changes: &[Change]) -> Result<()> {
-        let resets = changes.iter().any(|change| change.kind(gauge.chip) == Kind::Reset);
-        let volatile = gauge.chip.volatile.is_some();
-        if found == Seal::Sealed || !resets || volatile || gauge.key_is_proven() {
-            return Ok(());
-        }
-        if found == Seal::FullAccess && keeps_unseal_key(gauge)? {
-            return Ok(());
-        }
-        // It has worked, and the pack that it has worked on is still there.
-        if gauge.key_has_worked() && self.is_certain(gauge)? {
-            gauge.prove_key();
-            return Ok(());
-        }
-        let why = format!(
-            "found {}, and the reset that this write needs may seal it, but its unseal key has not been tried; seal \
-             and unseal it once (echo sealed > gauge/seal, then echo unsealed), with the right key in {}",
-            found.as_str(),
-            gauge.key_file
-        );
-        Err(Error::new(gauge.chip.model, Cause::NotPermitted, why).at(Step::Check))
-    }
 }
 
 impl<'a> Task<'a> {
@@ -317,19 +292,19 @@ impl<'a> Task<'a> {
         let KeyChange { name, old, new } = self.change;
         let taken = self.enter(gauge)?;
         sequence(gauge).enable(gauge)?;
-        if let Some(row) = dataflash.learn_marks(gauge)? {
-            return Err(dataflash.other_pack(gauge, row));
+        if let Some(row) = dataflash.knowledge.learn_marks(gauge)? {
+            return Err(dataflash.knowledge.other_pack(gauge, row));
         }
         let left =
             session.entry.as_ref().and_then(|entry| Some((entry.identity.clone(), entry.plan.clone()?)));
         if let Some((then, plan)) = &left {
-            let now = dataflash.identity(gauge)?;
+            let now = dataflash.knowledge.identity(gauge)?;
             self.check_pack(gauge, [then, &now], plan)?;
             // What shows that the table fits may have been erased with the keys. It was checked before.
             restore_rows(gauge, session, plan)?;
         }
-        dataflash.check_signature(gauge)?;
-        dataflash.check_gate(gauge, voltage_mv)?;
+        dataflash.knowledge.check_signature(gauge)?;
+        dataflash.knowledge.check_gate(gauge, voltage_mv)?;
         let before = self.read(gauge)?;
         let ring = self.ring_of(&before, taken)?;
         let held = match name {
@@ -364,7 +339,7 @@ impl<'a> Task<'a> {
             if *name == Name::Authentication { Some(key.clone()) } else { authentication.clone() }
         };
         self.announce(dataflash, gauge, session, &before, &before_ring)?;
-        dataflash.refer(gauge, session);
+        dataflash.knowledge.refer(gauge, session);
         let mut touched = 0;
         let written = self.write(gauge, &after, &mut touched);
         let proven = written.and_then(|()| {
@@ -461,7 +436,7 @@ impl<'a> Task<'a> {
                 rows.push(Planned { place, old: content, new: content, written: Bytes::default(), learned });
             }
         }
-        let marks = dataflash.known().marks(gauge.chip);
+        let marks = dataflash.knowledge.known().marks(gauge.chip);
         let mut plan = planned::plan(gauge, false, &[], &rows, marks);
         let is_erased = |name: &Name| match name {
             Name::Authentication => {

@@ -48,8 +48,8 @@ impl DataFlash {
         rows: &[Row],
         session: &mut Session,
     ) -> Result<Vec<Value>> {
-        if let Some(row) = self.learn_marks(gauge)? {
-            return Err(self.other_pack(gauge, row));
+        if let Some(row) = self.knowledge.learn_marks(gauge)? {
+            return Err(self.knowledge.other_pack(gauge, row));
         }
         let layout = gauge.chip.layout;
         let as_they_are = rows.iter().map(|&row| {
@@ -60,20 +60,18 @@ impl DataFlash {
         let mut blocks =
             gather(gauge, &as_they_are, |gauge, place| sequence(gauge).load(gauge, place, Care::Sure))?;
         blocks.iter_mut().for_each(|block| block.new = block.old);
-        blocks.iter().try_for_each(|block| self.recognise(gauge, block.place, &block.old))?;
+        blocks.iter().try_for_each(|block| self.knowledge.recognise(gauge, block.place, &block.old))?;
         let olds = as_they_are
             .iter()
             .zip(rows)
             .map(|(change, (_, parameter))| layout.decode(parameter.kind, &old_bytes(change, &blocks)));
         let olds = olds.collect();
-        let neighbours = self.neighbours(gauge, &blocks)?;
+        let neighbours = self.knowledge.neighbours(gauge, &blocks)?;
         let reset = as_they_are.iter().any(|change| change.kind(gauge.chip) == Kind::Reset);
-        let plan = planned::plan(gauge, reset, &blocks, &neighbours, self.marks(gauge.chip));
+        let plan = planned::plan(gauge, reset, &blocks, &neighbours, self.knowledge.marks(gauge.chip));
         self.note(session, Plan { by_gauge: true, ..plan })?;
         // The rows stand in a block with marks.
-        let fingerprint = self.fingerprint_now(gauge.chip);
-        blocks.iter().for_each(|block| self.known.in_epoch(self.now.pack).forget(block.place));
-        self.fingerprint.learn(self.now.pack, fingerprint);
+        self.knowledge.expect_rewritten(gauge.chip, &blocks);
         Ok(olds)
     }
 

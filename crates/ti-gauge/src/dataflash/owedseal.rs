@@ -22,11 +22,11 @@ pub(super) struct OwedSeal {
 impl DataFlash {
     /// Records that a sealed gauge is about to be opened while a write waits to be settled.
     pub(super) fn owe_seal(&mut self, gauge: &mut Gauge, session: &mut Session) -> Result<()> {
-        let identity = self.identity(gauge)?;
-        let plan = Some(Plan::of_marks(self.marks(gauge.chip)));
+        let identity = self.knowledge.identity(gauge)?;
+        let plan = Some(Plan::of_marks(self.knowledge.marks(gauge.chip)));
         let entry = Entry { identity: identity.clone(), machine: None, found: session.found, plan };
         session.entry = Some(entry);
-        self.refer(gauge, session);
+        self.knowledge.refer(gauge, session);
         if let Some(journal) = self.records.journal() {
             session.journal = Some(journal.owe_seal(&identity)?);
         }

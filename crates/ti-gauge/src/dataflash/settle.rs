@@ -153,7 +153,7 @@ impl DataFlash {
             None if pending.undecided => Ok(Verdict::Undecided(pending.why.clone())),
             None => Err(owed("", pending.why.clone(), false)),
         };
-        self.now.forget_name();
+        self.knowledge.forget_name();
         let reads_wrong = verdict.as_ref().is_err_and(|error| {
             matches!(error.cause(), Cause::StateUnknown) && error.step() == Some(Step::Restore)
         });
@@ -162,10 +162,7 @@ impl DataFlash {
         let (error, undecided) = match verdict {
             Ok(Verdict::Done(message) | Verdict::Plausible(message)) => {
                 self.pending = None;
-                self.now.forget_pack();
-                if let Some(known_pack) = &mut self.known_pack {
-                    known_pack.rewritten();
-                }
+                self.knowledge.note_settled();
                 return Ok(Some(message));
             }
             Ok(Verdict::Another) => {
@@ -217,8 +214,8 @@ impl DataFlash {
         let elsewhere = pending.elsewhere && decision.is_none();
         gauge.claim()?;
         gauge.confirm_identity()?;
-        self.now.forget_name();
-        let identity = self.identity(gauge)?;
+        self.knowledge.forget_name();
+        let identity = self.knowledge.identity(gauge)?;
         if !entry.identity.is_of_part(&identity, gauge.chip) {
             let Identity { chip, firmware, .. } = &entry.identity;
             let why = format!("it was begun on another part, a {chip} with firmware 0x{firmware:04x}");
@@ -259,7 +256,7 @@ impl DataFlash {
             outcome
         };
         self.guard(gauge, session, run, |this, mut session, _, outcome, left| {
-            this.in_calibration &= session.calibrating.is_some();
+            this.knowledge.left_calibration(session.calibrating.is_some());
             let mut held = || session.journal.take().filter(|_| pending.watched);
             if let Some(left_open) = session.pack.left_open.take() {
                 this.held = held();
@@ -274,7 +271,7 @@ impl DataFlash {
                     };
                     let kept = journal.wait(opened.path())?;
                     let message = format!("{message}; its journal waits for its pack as {}", kept.display());
-                    this.judged.in_epoch(this.now.arrival).push(kept);
+                    this.judged.in_epoch(this.knowledge.arrival()).push(kept);
                     return Ok(Verdict::Plausible(message));
                 }
                 _ => this.held = held(),
@@ -321,7 +318,7 @@ impl DataFlash {
                         return Ok(Verdict::Another);
                     }
                     // It may be on its way into CONFIG UPDATE, which its flags show up to a second later.
-                    self.mode_left_on = true;
+                    self.knowledge.note_mode_left_on();
                     let why = format!(
                         "{} was interrupted, and the gauge has since lost power and with it its data memory",
                         entry.subject()
@@ -346,7 +343,7 @@ impl DataFlash {
             session.found = Seal::Sealed;
         }
         let may_calibrate = entry.plan.as_ref().is_some_and(|plan| !plan.blocks.is_empty());
-        if self.in_calibration || may_calibrate {
+        if self.knowledge.may_calibrate() || may_calibrate {
             session.inherit_modes(gauge)?;
         }
         Ok(())
@@ -359,13 +356,13 @@ impl DataFlash {
             done => return done,
         };
         // No journal has the keys. Each wrong one locks the gauge for a while, so it is tried once.
-        if !self.no_erased_key.is_known(self.now.arrival)
+        if !self.knowledge.refuses_erased_key()
             && plan.blocks.iter().any(|block| holds_keys(gauge.chip, block.place()))
         {
             if gauge.takes(&ERASED_KEY.into(), Seal::Unsealed)? {
                 return Ok(());
             }
-            self.no_erased_key.learn(self.now.arrival, ());
+            self.knowledge.note_refused_erased_key();
         }
         Err(refused)
     }

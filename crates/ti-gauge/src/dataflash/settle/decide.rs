@@ -50,8 +50,8 @@ impl DataFlash {
             return Ok(format!("{text}the {names} key {how}\n"));
         }
         self.access(gauge, waited, |this, gauge, asked| {
-            this.now.forget_name();
-            let now = this.identity(gauge)?;
+            this.knowledge.forget_name();
+            let now = this.knowledge.identity(gauge)?;
             let found = gauge.seal_anew()?;
             // The seal is owed already.
             let session = this.recorded(gauge, found, asked, Record::Nothing)?;
@@ -194,7 +194,9 @@ impl DataFlash {
         });
         if let Err(error) = &ended {
             // The next write ends a mode that may still be on.
-            self.mode_left_on |= wrote;
+            if wrote {
+                self.knowledge.note_mode_left_on();
+            }
             if owes && self.pending.is_none() {
                 self.keep(gauge, Some(kept), None, Left::of(false, error.to_string()));
             }

@@ -112,8 +112,8 @@ impl DataFlash {
 
     /// Adopts what is left of a change of keys, for somebody who makes it once more.
     pub(in crate::dataflash) fn adopt(&mut self, gauge: &mut Gauge, session: &mut Session) -> Result<()> {
-        self.now.forget_name();
-        self.identity(gauge)?;
+        self.knowledge.forget_name();
+        self.knowledge.identity(gauge)?;
         session.decided = true;
         session.entry = self.pending.as_ref().and_then(|pending| pending.entry.clone());
         session.pack.pack = session.entry.as_ref().map(Reference::of);
@@ -152,7 +152,7 @@ impl DataFlash {
     /// The files that need not be looked at: what they say of this gauge is known.
     pub(super) fn known_files(&self) -> Vec<PathBuf> {
         let held = self.held.iter().map(|held| held.path().to_path_buf());
-        held.chain(self.judged.get(self.now.arrival).into_iter().flatten().cloned()).collect()
+        held.chain(self.judged.get(self.knowledge.arrival()).into_iter().flatten().cloned()).collect()
     }
 
     /// Whether what is pending has been settled at another place, or its journal was moved away.

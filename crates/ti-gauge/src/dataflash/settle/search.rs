@@ -48,7 +48,7 @@ impl DataFlash {
         waited: Duration,
     ) -> Result<Vec<String>> {
         let (begun, mut told) = (gauge.clock.now(), Vec::new());
-        let done = self.searched.get(self.now.arrival).is_some_and(|searched| match place {
+        let done = self.searched.get(self.knowledge.arrival()).is_some_and(|searched| match place {
             Where::Places => searched.places,
             Where::Waiting => searched.waiting,
         });
@@ -58,7 +58,7 @@ impl DataFlash {
         let mut found = journal.search(place == Where::Waiting, &self.known_files())?;
         found.retain(|found| !found.is_here);
         let others = self.rule_out(gauge, &found, waited)?;
-        self.judged.in_epoch(self.now.arrival).extend(others.iter().cloned());
+        self.judged.in_epoch(self.knowledge.arrival()).extend(others.iter().cloned());
         found.retain(|found| !others.contains(&found.path));
         for found in found {
             let file = found.path.clone();
@@ -72,9 +72,9 @@ impl DataFlash {
                 return settled.map(|_| told);
             }
             told.extend(settled?);
-            self.judged.in_epoch(self.now.arrival).push(file);
+            self.judged.in_epoch(self.knowledge.arrival()).push(file);
         }
-        let searched = self.searched.in_epoch(self.now.arrival);
+        let searched = self.searched.in_epoch(self.knowledge.arrival());
         match place {
             Where::Places => searched.places = true,
             Where::Waiting => searched.waiting = true,
@@ -99,8 +99,8 @@ impl DataFlash {
         }
         let ruled_out = self.access(gauge, waited, |this, gauge, asked| {
             gauge.claim()?;
-            this.now.forget_name();
-            let now = this.identity(gauge)?;
+            this.knowledge.forget_name();
+            let now = this.knowledge.identity(gauge)?;
             let (mut others, mut open) = (Vec::new(), Vec::new());
             for (path, entry) in entries {
                 match entry.identity.is_of_part(&now, gauge.chip) && may_be_of(gauge.chip, &entry, &now) {

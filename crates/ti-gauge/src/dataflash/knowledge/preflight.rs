@@ -5,12 +5,13 @@
 //!
 //! I2C has no error detection, so what blocks a write is what two looks agree on, and so is what permits it.
 
-use super::io::read_byte;
-use super::schemes::sequence;
-use super::session::Session;
-use super::state::{lost_flag, once_measured, read_bits, read_word};
-use super::{Change, DataFlash, Outcome};
+use super::Knowledge;
 use crate::chip::{Chip, Kind, Learning, Mode, Role, Source};
+use crate::dataflash::io::read_byte;
+use crate::dataflash::schemes::sequence;
+use crate::dataflash::session::Session;
+use crate::dataflash::state::{lost_flag, once_measured, read_bits, read_word};
+use crate::dataflash::{Change, Outcome};
 use crate::error::{Cause, Error, Reason, Result, Step};
 use crate::gauge::{Answers, Gauge, Look, Moment, Seal, Statistics, agreed};
 use crate::journal::Identity;
@@ -20,8 +21,8 @@ const ROM_MODE: u16 = 0x0F00;
 
 /// The gauge whose values were read.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct KnownPack {
-    pub(super) firmware_version: u16,
+pub(in crate::dataflash) struct KnownPack {
+    pub(in crate::dataflash) firmware_version: u16,
     /// The word that distinguishes packs; `None` until it has been read.
     pack: Option<u16>,
     /// CycleCount(), which only rises, and DesignCapacity(), as last polled; `None` since a write.
@@ -37,7 +38,7 @@ impl KnownPack {
     }
 
     /// Data flash has been written, and with it what the registers show of it.
-    pub(super) fn rewritten(&mut self) {
+    pub(in crate::dataflash) fn rewritten(&mut self) {
         (self.pack, self.cycles, self.design) = (None, None, None);
     }
 }
@@ -67,24 +68,23 @@ const LOOKS: u32 = 4;
 
 /// State of the gauge before a write.
 #[derive(Clone, Copy)]
-pub(super) struct Found {
-    pub(super) seal: Seal,
+pub(in crate::dataflash) struct Found {
+    pub(in crate::dataflash) seal: Seal,
     /// CONTROL_STATUS.
-    pub(super) status: u32,
+    pub(in crate::dataflash) status: u32,
     /// Voltage().
-    pub(super) voltage_mv: u16,
+    pub(in crate::dataflash) voltage_mv: u16,
     /// The gauge's data memory is RAM and has been lost.
-    pub(super) lost: bool,
+    pub(in crate::dataflash) lost: bool,
     /// When the gauge was confirmed.
-    pub(super) moment: Moment,
+    pub(in crate::dataflash) moment: Moment,
     look: Look,
 }
 
-impl DataFlash {
+impl Knowledge {
     /// Notes a gauge that was connected, or has returned, with its answers; its values are read again.
-    pub fn meet(&mut self, chip: &Chip, answers: &Answers) {
+    pub(in crate::dataflash) fn meet(&mut self, chip: &Chip, answers: &Answers) {
         self.now.arrives();
-        self.look_again();
         let pack = match chip.preflight.pack.as_ref().map(|pack| pack.word) {
             // All subcommands that distinguish packs are named CHEM_ID.
             Some(Source::Answer(_)) => answers.chem_id,
@@ -95,25 +95,33 @@ impl DataFlash {
     }
 
     /// Whether another gauge has answered instead of the one whose values were read.
-    pub fn doubts(&self) -> bool {
+    pub(in crate::dataflash) fn doubts(&self) -> bool {
         self.doubts.is_known(self.now.arrival)
     }
 
     /// The gauge has answered otherwise than when it was identified.
-    pub fn doubt_pack(&mut self) {
+    pub(in crate::dataflash) fn doubt_pack(&mut self) {
         self.doubts.learn(self.now.arrival, ());
     }
 
     /// Whether the registers of a poll have to be read again before they are believed: they show another pack, or another
     /// count of cycles, by which later polls are judged. I2C has no error detection.
-    pub fn needs_second_poll(&self, chip: &Chip, value: impl Fn(Source) -> Option<u32>) -> bool {
+    pub(in crate::dataflash) fn needs_second_poll(
+        &self,
+        chip: &Chip,
+        value: impl Fn(Source) -> Option<u32>,
+    ) -> bool {
         let cycles = self.known_pack.and_then(|known| known.cycles.zip(Distinct::of(chip, &value).cycles));
         cycles.is_some_and(|(then, now)| then != now) || self.contradicted(chip, value).is_some()
     }
 
     /// Whether the flags of a poll show a loss of data memory that was not known, or no longer show one, and the gauge does
     /// not say the same once more. The profile is written for a loss.
-    pub fn misreads_loss(&self, gauge: &mut Gauge, value: impl Fn(Source) -> Option<u32>) -> Result<bool> {
+    pub(in crate::dataflash) fn misreads_loss(
+        &self,
+        gauge: &mut Gauge,
+        value: impl Fn(Source) -> Option<u32>,
+    ) -> Result<bool> {
         let Some((flags, lost)) = lost_flag(gauge.chip) else { return Ok(false) };
         let shown = value(flags).map(|word| word & lost != 0);
         let Some(shown) =
@@ -127,7 +135,11 @@ impl DataFlash {
 
     /// The register of a poll that contradicts what is known of the pack, by its name; `value` returns a register by
     /// its source.
-    pub fn contradicted(&self, chip: &Chip, value: impl Fn(Source) -> Option<u32>) -> Option<&'static str> {
+    pub(in crate::dataflash) fn contradicted(
+        &self,
+        chip: &Chip,
+        value: impl Fn(Source) -> Option<u32>,
+    ) -> Option<&'static str> {
         let known = self.known_pack?;
         let now = Distinct::of(chip, value);
         let changes =
@@ -143,7 +155,11 @@ impl DataFlash {
     }
 
     /// Notes a poll; `value` returns a register by its source. Returns whether another pack answers now.
-    pub fn polled(&mut self, chip: &Chip, value: impl Fn(Source) -> Option<u32>) -> bool {
+    pub(in crate::dataflash) fn polled(
+        &mut self,
+        chip: &Chip,
+        value: impl Fn(Source) -> Option<u32>,
+    ) -> bool {
         let flags = chip.register(Role::Flags).and_then(|flags| value(flags.source));
         let contradicted = self.contradicted(chip, &value).is_some();
         let Distinct { pack, cycles, design } = Distinct::of(chip, value);
@@ -160,14 +176,18 @@ impl DataFlash {
     }
 
     /// Runs the checks that do not need an unsealed gauge.
-    pub(super) fn preflight(&mut self, gauge: &mut Gauge, changes: &[Change]) -> Result<Found> {
+    pub(in crate::dataflash) fn preflight(&mut self, gauge: &mut Gauge, changes: &[Change]) -> Result<Found> {
         let first = self.first_look(gauge, changes)?;
         self.next_look(gauge, &first, changes)
     }
 
     /// Runs the checks with one look. What it permits is permitted when a second one agrees: that which opens the gauge, see
     /// [`Self::look_while_opening`], or [`Self::next_look`].
-    pub(super) fn first_look(&mut self, gauge: &mut Gauge, changes: &[Change]) -> Result<Found> {
+    pub(in crate::dataflash) fn first_look(
+        &mut self,
+        gauge: &mut Gauge,
+        changes: &[Change],
+    ) -> Result<Found> {
         let moment = gauge.moment();
         self.confirm(gauge).map_err(|error| in_rom(gauge.chip, error))?;
         let state = match needs_voltage(gauge.chip, changes) {
@@ -184,7 +204,7 @@ impl DataFlash {
     }
 
     /// Opens a session with a gauge that was found sealed. The look that shows it open is the second one at its state.
-    pub(super) fn look_while_opening(
+    pub(in crate::dataflash) fn look_while_opening(
         &mut self,
         gauge: &mut Gauge,
         session: &mut Session,
@@ -200,7 +220,7 @@ impl DataFlash {
     }
 
     /// Looks at the state of a gauge once more.
-    pub(super) fn next_look(
+    pub(in crate::dataflash) fn next_look(
         &mut self,
         gauge: &mut Gauge,
         first: &Found,
@@ -237,7 +257,7 @@ impl DataFlash {
     /// Makes sure that the gauge is the one whose values were read: type, firmware, and the word that
     /// distinguishes packs. If that word is a register the type is not read: another part would have to
     /// report this firmware and hold this number at an address where it has something else.
-    pub(super) fn confirm(&mut self, gauge: &mut Gauge) -> Result<()> {
+    pub(in crate::dataflash) fn confirm(&mut self, gauge: &mut Gauge) -> Result<()> {
         let chip = gauge.chip;
         let pack = chip.preflight.pack.as_ref();
         if chip.serial_register().is_none() {
@@ -316,32 +336,13 @@ impl DataFlash {
         }
     }
 
-    /// Returns why these changes, if they need a reset, must wait for the end of a learning cycle. Called
-    /// before any block is read because reading Update Status may use the window.
-    pub(super) fn learning(
-        &self,
-        gauge: &mut Gauge,
-        status: u32,
-        changes: &[Change],
-    ) -> Result<Option<Error>> {
-        let resets = changes.iter().any(|change| change.kind(gauge.chip) == Kind::Reset)
-            || sequence(gauge).always_finishes();
-        let Some(learning) = gauge.chip.preflight.learning.as_ref().filter(|_| resets) else {
-            return Ok(None);
-        };
-        if !learning.may_run(status) || matches!(changes, [one] if one.is_at(learning.row)) {
-            return Ok(None);
-        }
-        if !agreed(learning.name, || learning.runs(gauge))? {
-            return Ok(None);
-        }
-        let why = "a learning cycle is active, and the reset that this write needs would end it: wait until Qmax and Ra are \
-                   learned, or mount with --allow-learning";
-        Ok(Some(Error::new(learning.name, Cause::Busy, why).at(Step::Check)))
-    }
-
     /// Updates what is known of the gauge after a write.
-    pub(super) fn learn_from(&mut self, gauge: &Gauge, changes: &[Change], outcome: &Result<Outcome>) {
+    pub(in crate::dataflash) fn learn_from(
+        &mut self,
+        gauge: &Gauge,
+        changes: &[Change],
+        outcome: &Result<Outcome>,
+    ) {
         let rows = gauge.chip.preflight.pack.as_ref().map_or(&[][..], |pack| pack.rows);
         let touched = changes.iter().any(|change| rows.iter().any(|&row| change.is_at(row)));
         let Some(known_pack) = &mut self.known_pack else { return };
@@ -366,6 +367,29 @@ impl DataFlash {
             }
         }
     }
+}
+
+/// Returns why these changes, if they need a reset, must wait for the end of a learning cycle. Called
+/// before any block is read because reading Update Status may use the window.
+pub(in crate::dataflash) fn learning(
+    gauge: &mut Gauge,
+    status: u32,
+    changes: &[Change],
+) -> Result<Option<Error>> {
+    let resets = changes.iter().any(|change| change.kind(gauge.chip) == Kind::Reset)
+        || sequence(gauge).always_finishes();
+    let Some(learning) = gauge.chip.preflight.learning.as_ref().filter(|_| resets) else {
+        return Ok(None);
+    };
+    if !learning.may_run(status) || matches!(changes, [one] if one.is_at(learning.row)) {
+        return Ok(None);
+    }
+    if !agreed(learning.name, || learning.runs(gauge))? {
+        return Ok(None);
+    }
+    let why = "a learning cycle is active, and the reset that this write needs would end it: wait until Qmax and Ra are \
+               learned, or mount with --allow-learning";
+    Ok(Some(Error::new(learning.name, Cause::Busy, why).at(Step::Check)))
 }
 
 impl Change {
@@ -459,7 +483,7 @@ fn read_state(gauge: &mut Gauge) -> Result<Found> {
 }
 
 /// Checks the modes that only an unsealed gauge reports.
-pub(super) fn check_unsealed(gauge: &mut Gauge) -> Result<()> {
+pub(in crate::dataflash) fn check_unsealed(gauge: &mut Gauge) -> Result<()> {
     for mode in gauge.chip.preflight.modes {
         let Source::Answer(code) = mode.word else { continue };
         off(mode, agreed(mode.name, || Ok(u32::from(gauge.ask(code)?) & mode.mask))?)?;

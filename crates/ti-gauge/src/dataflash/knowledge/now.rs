@@ -6,7 +6,7 @@
 use crate::epoch::Epoch;
 
 /// While no other gauge has been connected.
-pub(super) enum Arrival {}
+pub(in crate::dataflash) enum Arrival {}
 
 /// While nobody may have exchanged the pack without its being noticed.
 pub(super) enum Pack {}

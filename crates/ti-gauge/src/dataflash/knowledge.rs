@@ -1,0 +1,328 @@
+// SPDX-License-Identifier: MIT
+
+//! What is known of the gauge and its pack: who it is, what its data flash holds, which modes may be on, and for how long
+//! each of that holds. Nothing is written here.
+
+use super::identity::{identify, serial_number};
+use super::io;
+use super::keyrow::keeps_unseal_key;
+use super::pack::{self, Known, Match, NOTHING, compare};
+use super::schemes::{Care, sequence};
+use super::session::{Reference, Session};
+use super::window::{Planned, Window, learned};
+use super::{Change, Place, Row};
+use crate::chip::{Chip, FLAT, Kind, Subclass};
+use crate::codec::{Bytes, WINDOW};
+use crate::epoch::{Epoch, Fact};
+use crate::error::{Cause, Error, Result, Step};
+use crate::gauge::{Gauge, Seal, agreed};
+use crate::journal::{Identity, Mark, Plan};
+
+mod gate;
+mod now;
+mod preflight;
+
+pub(super) use now::Arrival;
+use now::{Name, Now, Pack, Values};
+use preflight::KnownPack;
+pub(super) use preflight::{Found, check_unsealed, learning};
+
+/// What is known of the gauge and its pack.
+#[derive(Debug, Default)]
+pub(super) struct Knowledge {
+    /// Since when what is known holds.
+    now: Now,
+    /// The gauge whose values were read.
+    known_pack: Option<KnownPack>,
+    /// Another gauge has answered at its address.
+    doubts: Fact<(), Arrival>,
+    /// Identity of the gauge for the journal.
+    identity: Fact<Identity, Name>,
+    /// Blocks of this gauge as they were last read or written.
+    known: Fact<Known, Pack>,
+    /// What distinguishes the pack, from before a time in which it may have been exchanged; empty once compared.
+    fingerprint: Fact<Known, Pack>,
+    /// Limit and divider of the flash-voltage gate, read while the gauge was unsealed.
+    gate: Fact<(i16, u16), Values>,
+    /// The signature rows, which show whether the table fits this firmware, have been checked.
+    signed: Fact<(), Pack>,
+    /// The gauge has refused the key of erased flash.
+    no_erased_key: Fact<(), Arrival>,
+    /// A failed write left its mode on; the next write ends it.
+    mode_left_on: bool,
+    /// A session of ours may have left calibration mode on.
+    in_calibration: bool,
+}
+
+impl Knowledge {
+    /// The present arrival of a gauge, with which other facts are kept.
+    pub(super) fn arrival(&self) -> Epoch<Arrival> {
+        self.now.arrival
+    }
+
+    /// Its data memory is lost, or another pack may be there.
+    pub(super) fn forget_pack(&mut self) {
+        self.now.forget_pack();
+    }
+
+    /// An access has failed, or has changed what permits the next one.
+    pub(super) fn forget_values(&mut self) {
+        self.now.forget_values();
+    }
+
+    /// Its serial number may have been written.
+    pub(super) fn forget_name(&mut self) {
+        self.now.forget_name();
+    }
+
+    /// A block may hold anything.
+    pub(super) fn forget_block(&mut self, place: Window) {
+        self.known.in_epoch(self.now.pack).forget(place);
+    }
+
+    /// The gauge is about to rewrite these blocks, which may hold marks: those count until they are compared.
+    pub(super) fn expect_rewritten(&mut self, chip: &'static Chip, blocks: &[Planned]) {
+        let fingerprint = self.fingerprint_now(chip);
+        blocks.iter().for_each(|block| self.forget_block(block.place));
+        self.fingerprint.learn(self.now.pack, fingerprint);
+    }
+
+    /// An interrupted write was settled, so data flash is not what was read of it.
+    pub(super) fn note_settled(&mut self) {
+        self.now.forget_pack();
+        if let Some(known_pack) = &mut self.known_pack {
+            known_pack.rewritten();
+        }
+    }
+
+    /// Another pack answers.
+    pub(super) fn note_another(&mut self) {
+        self.now.forget_pack();
+        self.doubt_pack();
+    }
+
+    /// A mode of a write may be on; the next write ends it.
+    pub(super) fn note_mode_left_on(&mut self) {
+        self.mode_left_on = true;
+    }
+
+    /// A session may have left calibration mode on.
+    pub(super) fn note_calibration(&mut self, is_on: bool) {
+        self.in_calibration |= is_on;
+    }
+
+    /// A session has ended calibration mode, unless it `is_on` still.
+    pub(super) fn left_calibration(&mut self, is_on: bool) {
+        self.in_calibration &= is_on;
+    }
+
+    /// Whether a session of ours may have left calibration mode on.
+    pub(super) fn may_calibrate(&self) -> bool {
+        self.in_calibration
+    }
+
+    /// Whether the gauge has refused the key of erased flash since it has arrived.
+    pub(super) fn refuses_erased_key(&self) -> bool {
+        self.no_erased_key.is_known(self.now.arrival)
+    }
+
+    pub(super) fn note_refused_erased_key(&mut self) {
+        self.no_erased_key.learn(self.now.arrival, ());
+    }
+
+    /// The pack may have been exchanged unnoticed. Forgets what was read of it, but for what distinguishes it: that is
+    /// compared when data flash is open for the next time.
+    pub(super) fn suspect(&mut self, chip: &'static Chip) {
+        let fingerprint = self.fingerprint_now(chip);
+        self.now.forget_pack();
+        // An exchange of a gauge with RAM is a loss of power, which it reports.
+        if chip.volatile.is_none() {
+            self.fingerprint.learn(self.now.pack, fingerprint);
+        }
+    }
+
+    /// What distinguishes the pack, as far as it is known.
+    pub(super) fn fingerprint_now(&self, chip: &'static Chip) -> Known {
+        let mut fingerprint = self.fingerprint().clone();
+        for place in pack::mark_windows(chip) {
+            if let Some(content) = self.known().get(place) {
+                fingerprint.note(chip, place, content);
+            }
+        }
+        fingerprint
+    }
+
+    /// Compares the pack with the suspected one, if the gauge is open. See [`Self::doubts`].
+    pub(super) fn compare(&mut self, gauge: &mut Gauge) -> Result<()> {
+        if self.fingerprint().is_empty() || gauge.seal()? == Seal::Sealed {
+            return Ok(());
+        }
+        sequence(gauge).enable(gauge)?;
+        self.learn_marks(gauge).map(drop)
+    }
+
+    /// Reads, once after the gauge has arrived, what distinguishes its pack. Returns what shows that it is another
+    /// one than before; then it is in doubt.
+    pub(super) fn learn_marks(&mut self, gauge: &mut Gauge) -> Result<Option<Row>> {
+        let mut other = None;
+        for place in pack::mark_windows(gauge.chip) {
+            if self.known().get(place).is_none() {
+                let content = sequence(gauge).load(gauge, place, Care::Quick)?;
+                other = other.or(self.fingerprint().contradicts(gauge.chip, place, &content));
+                self.note_block(gauge, place, content);
+            }
+        }
+        // It has been compared.
+        self.fingerprint = Fact::default();
+        if other.is_some() {
+            self.doubt_pack();
+        }
+        Ok(other)
+    }
+
+    pub(super) fn read_subclass(
+        &mut self,
+        gauge: &mut Gauge,
+        subclass: &'static Subclass,
+    ) -> Result<Vec<u8>> {
+        let chip = gauge.chip;
+        io::read_subclass(gauge, subclass, |place, content| {
+            if chip.volatile.is_none() && self.contradicted_mark(chip, place, content).is_some() {
+                self.now.forget_pack();
+                self.doubt_pack();
+            }
+            self.known.in_epoch(self.now.pack).note(chip, place, *content);
+        })
+    }
+
+    pub(super) fn note_block(&mut self, gauge: &Gauge, place: Window, content: [u8; WINDOW]) {
+        self.known.in_epoch(self.now.pack).note(gauge.chip, place, content);
+    }
+
+    /// Blocks of this pack as they were last read or written.
+    pub(super) fn known(&self) -> &Known {
+        self.known.get(self.now.pack).unwrap_or(&NOTHING)
+    }
+
+    /// What distinguished the pack before it may have been exchanged; empty once that was compared.
+    fn fingerprint(&self) -> &Known {
+        self.fingerprint.get(self.now.pack).unwrap_or(&NOTHING)
+    }
+
+    /// Makes sure that a block just read is of the pack whose values are known, and notes it.
+    pub(super) fn recognise(&mut self, gauge: &Gauge, place: Window, content: &[u8; WINDOW]) -> Result<()> {
+        let Some(row) = self.contradicted_mark(gauge.chip, place, content) else {
+            self.note_block(gauge, place, *content);
+            return Ok(());
+        };
+        Err(self.other_pack(gauge, row))
+    }
+
+    /// The mark in a block just read that is not as this pack had it, as far as that is known. What a suspected pack was known
+    /// by counts as well: its marks may not have been compared yet, because it did not answer.
+    fn contradicted_mark(&self, chip: &'static Chip, place: Window, content: &[u8; WINDOW]) -> Option<Row> {
+        [self.known(), self.fingerprint()].iter().find_map(|before| before.contradicts(chip, place, content))
+    }
+
+    pub(super) fn other_pack(&mut self, gauge: &Gauge, row: Row) -> Error {
+        let why = format!(
+            "{} ({}) is not what it was when it was read: another pack answers, or another program has written to \
+             it; check its values before you write",
+            row.1.name,
+            Place::of(row)
+        );
+        self.now.forget_pack();
+        self.doubt_pack();
+        Error::new(gauge.chip.model, Cause::Gone, why).at(Step::Identify)
+    }
+
+    /// The blocks next to those that change, where they are known. On a part with a flat address space they are
+    /// read first: a row may hold bytes that no manual names.
+    pub(super) fn neighbours(&mut self, gauge: &mut Gauge, planned: &[Planned]) -> Result<Vec<Planned>> {
+        let mut found: Vec<Planned> = Vec::new();
+        let apart = |one: Window, other: Window| {
+            one.subclass != other.subclass || one.base.abs_diff(other.base) >= WINDOW as u16
+        };
+        for place in planned.iter().flat_map(|block| pack::neighbours(gauge.chip, block.place)) {
+            if place.subclass == FLAT && self.known().get(place).is_none() {
+                // Beyond the end of data flash there is none.
+                if let Ok(content) = sequence(gauge).load(gauge, place, Care::Sure) {
+                    self.note_block(gauge, place, content);
+                }
+            }
+            let is_new = found.iter().all(|block| apart(block.place, place))
+                && planned.iter().all(|block| apart(block.place, place));
+            if let Some(content) = self.known().get(place).filter(|_| is_new) {
+                let learned = learned(gauge.chip, place);
+                found.push(Planned { place, old: content, new: content, written: Bytes::default(), learned });
+            }
+        }
+        Ok(found)
+    }
+
+    /// What distinguishes the pack, as far as it is known.
+    pub(super) fn marks(&self, chip: &'static Chip) -> Vec<Mark> {
+        let known = if self.fingerprint().is_empty() { self.known() } else { self.fingerprint() };
+        known.marks(chip)
+    }
+
+    /// From now on the session's pack is compared with what is known of it.
+    pub(super) fn refer(&mut self, gauge: &Gauge, session: &mut Session) {
+        let Some(entry) = &session.entry else { return };
+        let mut reference = Reference::of(entry);
+        if entry.owes_seal() {
+            reference.plan.marks = self.marks(gauge.chip);
+        }
+        session.pack.pack = Some(reference);
+    }
+
+    /// Identity of the gauge for the journal, read on first use after the gauge was connected.
+    pub(super) fn identity(&mut self, gauge: &mut Gauge) -> Result<Identity> {
+        if let Some(identity) = self.identity.get(self.now.name) {
+            return Ok(identity.clone());
+        }
+        let firmware = match self.known_pack {
+            Some(known_pack) => known_pack.firmware_version,
+            None => agreed("Control(FW_VERSION)", || gauge.firmware_version())?,
+        };
+        let identity = Identity::of(gauge.chip, firmware, serial_number(gauge)?);
+        self.identity.learn(self.now.name, identity.clone());
+        Ok(identity)
+    }
+
+    /// Whether the gauge, which is open, is certainly the one whose values were read.
+    pub(super) fn is_certain(&mut self, gauge: &mut Gauge) -> Result<bool> {
+        let plan = Plan::of_marks(self.marks(gauge.chip));
+        let Some(then) = self.identity.get(self.now.name).cloned() else { return Ok(false) };
+        let now = identify(gauge)?;
+        sequence(gauge).enable(gauge)?;
+        let same =
+            compare(gauge.chip, &then, &now, &plan, |place| sequence(gauge).load(gauge, place, Care::Sure))?;
+        Ok(then.is_of_part(&now, gauge.chip) && same == Match::Certain)
+    }
+
+    /// Refuses a write whose reset would seal a gauge that was found open and may not open again: its key must have
+    /// been used, or be the one that it keeps, which only FULL ACCESS lets one read.
+    pub(super) fn check_key(&mut self, gauge: &mut Gauge, found: Seal, changes: &[Change]) -> Result<()> {
+        let resets = changes.iter().any(|change| change.kind(gauge.chip) == Kind::Reset);
+        let volatile = gauge.chip.volatile.is_some();
+        if found == Seal::Sealed || !resets || volatile || gauge.key_is_proven() {
+            return Ok(());
+        }
+        if found == Seal::FullAccess && keeps_unseal_key(gauge)? {
+            return Ok(());
+        }
+        // It has worked, and the pack that it has worked on is still there.
+        if gauge.key_has_worked() && self.is_certain(gauge)? {
+            gauge.prove_key();
+            return Ok(());
+        }
+        let why = format!(
+            "found {}, and the reset that this write needs may seal it, but its unseal key has not been tried; seal \
+             and unseal it once (echo sealed > gauge/seal, then echo unsealed), with the right key in {}",
+            found.as_str(),
+            gauge.key_file
+        );
+        Err(Error::new(gauge.chip.model, Cause::NotPermitted, why).at(Step::Check))
+    }
+}
