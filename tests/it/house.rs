@@ -441,6 +441,25 @@ fn a_question_without_answer_is_found() {
     }
 }
 
+/// What is known of a pack, or owed to it, is set by its room alone: few files have methods that reach all rooms of the engine,
+/// and no field of a room is public.
+#[test]
+fn the_state_of_the_engine_is_in_rooms() {
+    let crate_ = Path::new(env!("CARGO_MANIFEST_DIR")).join("crates/ti-gauge");
+    let modules = modules(&crate_.join("src"));
+    let has = |text: &str| text.lines().any(|line| line == "impl DataFlash {");
+    let reach_all: Vec<_> =
+        modules.iter().filter(|(_, text)| has(text)).map(|(name, _)| name.join("/")).collect();
+    assert!((1..=3).contains(&reach_all.len()), "{reach_all:?}");
+    for room in ["DataFlash", "Knowledge", "Debts", "Records", "Rules"] {
+        let start = format!(" struct {room} {{\n");
+        let fields: Vec<&str> =
+            modules.values().filter_map(|text| text.split(&*start).nth(1)?.split("\n}").next()).collect();
+        assert!(fields.len() == 1 && fields[0].contains(": "), "{room}: {fields:?}");
+        assert!(!fields[0].contains("pub"), "{room} has a field that others reach: {}", fields[0]);
+    }
+}
+
 /// Every file below a folder, but for what a build makes and what git keeps.
 fn files(folder: &Path, found: &mut Vec<std::path::PathBuf>) {
     for entry in fs::read_dir(folder).expect("a folder of the checkout") {

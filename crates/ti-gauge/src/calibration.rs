@@ -11,7 +11,8 @@ use std::time::Duration;
 
 use crate::chip::{Calibration, Chip, Offset, Parameter, Role, Subclass};
 use crate::dataflash::{
-    BEGINS, Change, DataFlash, Outcome, Place, Row, WriteOptions, assure_same, read_bits, read_word,
+    BEGINS, Change, DataFlash, Outcome, Place, Row, WriteOptions, accept_measured, assure_same,
+    expect_measured, read_bits, read_word, undo_measured,
 };
 use crate::error::{Cause, Error, Reason, Result, Step};
 use crate::gauge::{Gauge, Moment, agreed};
@@ -397,7 +398,7 @@ impl Task<'_> {
             rows.push(row(self.gauge.chip, self.calibration.cc_offset.row)?);
         }
         let waited = self.waited();
-        let values = self.dataflash.expect_measured(self.gauge, &rows, waited)?;
+        let values = expect_measured(self.dataflash, self.gauge, &rows, waited)?;
         let olds: Vec<(Row, Value)> = rows.into_iter().zip(values).collect();
         let (kind, name) = (olds[0].0.1.kind, olds[0].0.1.name);
         let was = notation::render(kind, &olds[0].1);
@@ -407,7 +408,7 @@ impl Task<'_> {
         let measured = measured.and_then(|()| self.save_again(&olds));
         let error = match measured.and_then(|()| self.judge(&olds, before)) {
             Ok((after, new)) if after.mean.abs() <= before.mean.abs() + 1.0 => {
-                self.dataflash.accept_measured();
+                accept_measured(self.dataflash);
                 self.note(target, before, after);
                 if let (Value::Int(old), Value::Int(new)) = (&olds[0].1, &new) {
                     let (before, after) = (*old as f64, *new as f64);
@@ -537,7 +538,7 @@ impl Task<'_> {
             }
             self.gauge.wait(wait);
         }
-        match self.dataflash.undo_measured(self.gauge) {
+        match undo_measured(self.dataflash, self.gauge) {
             Ok(()) => {
                 let what = format!("the old value was restored and verified: {was}");
                 Err(Error::of("", Reason::RolledBack { failed: error, what }))

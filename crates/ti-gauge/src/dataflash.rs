@@ -17,21 +17,22 @@
 //! certain is undone; the journal stays until the outcome has been read back; in doubt nothing is touched.
 
 use std::fmt;
-use std::path::PathBuf;
 use std::time::Duration;
 
+use crate::authentication::Order;
 use crate::chip::{Chip, FLAT, Kind, Source, Subclass};
 use crate::codec::WINDOW;
-use crate::epoch::Fact;
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::{Answers, Gauge, Moment, Seal};
-use crate::journal::{Entry, Journal, OpenJournal};
+use crate::journal::{Entry, Journal};
+use crate::keys::KeyChange;
 
 mod anonymous;
 mod blocks;
 mod calmode;
 mod change;
 mod checks;
+mod debts;
 mod erased;
 mod guard;
 mod identity;
@@ -41,7 +42,6 @@ mod keychange;
 mod keyrow;
 mod knowledge;
 mod measured;
-mod owedseal;
 mod pack;
 mod planned;
 mod records;
@@ -58,27 +58,28 @@ pub use anonymous::{anonymous, sample, samples};
 use blocks::{blocks, gather, old_bytes};
 pub use change::{Change, Row};
 use checks::check_safe;
+use debts::Debts;
+pub use debts::Owed;
 use erased::erased_in;
 pub use erased::{erased, erased_since, says_erased};
 use guard::Record;
 use job::{Job, Landed, Side, converge};
-use keychange::Unfinished;
-use knowledge::{Arrival, Found, Knowledge, check_unsealed, learning};
-pub(crate) use measured::{BEGINS, assure_same};
-use owedseal::OwedSeal;
+use keychange::Begun;
+use knowledge::{Found, Knowledge, check_unsealed, learning};
+pub(crate) use measured::{BEGINS, accept_measured, assure_same, expect_measured, undo_measured};
 pub use pack::distinguishes;
 use records::Records;
 use rules::Rules;
 pub use rules::{Limits, WRITES_PER_HOUR};
 use schemes::{Care, sequence};
 use session::Session;
-pub use settle::{Decision, Owed};
-use settle::{Pending, Searched, Shown};
+pub use settle::Decision;
+use settle::search_waiting;
 use state::Copied;
 pub use state::has_lost_memory;
 pub(crate) use state::{read_bits, read_word};
-use window::Window;
 use window::learned;
+use window::{Planned, Window};
 
 /// A place in data flash.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -115,19 +116,10 @@ pub struct DataFlash {
     records: Records,
     /// What is known of the gauge and its pack.
     knowledge: Knowledge,
-    /// A write that is neither done nor undone, or a seal that is owed.
-    pending: Option<Pending>,
-    /// What was last shown of it.
-    shown: Option<Shown>,
-    /// Its journal, locked while this process may go on with it.
-    held: Option<OpenJournal>,
-    /// How far the journals of other gauges have been compared with this one, and those that are not of it.
-    searched: Fact<Searched, Arrival>,
-    judged: Fact<Vec<PathBuf>, Arrival>,
+    /// What is left to do.
+    debts: Debts,
     /// A change of keys that is neither done nor undone, with the keys, for as long as this process runs.
-    unfinished: Option<Unfinished>,
-    /// A seal that is owed beside it.
-    owed_seal: Option<OwedSeal>,
+    unfinished: Begun,
 }
 
 impl DataFlash {
@@ -155,7 +147,7 @@ impl DataFlash {
     /// Notes a gauge that was connected, or has returned, with its answers; its values are read again.
     pub fn meet(&mut self, chip: &Chip, answers: &Answers) {
         self.knowledge.meet(chip, answers);
-        self.look_again();
+        self.debts.look_again();
     }
 
     /// Whether another gauge has answered instead of the one whose values were read.
@@ -240,7 +232,7 @@ impl DataFlash {
         if !allowed(Seal::Sealed) && gauge.seal_anew()? == Seal::Sealed {
             return Ok(None);
         }
-        self.search_waiting(gauge, waited);
+        search_waiting(self, gauge, waited);
         let waited = waited + (gauge.clock.now() - begun);
         let outcome = self.access(gauge, waited, |this, gauge, asked| {
             let found = gauge.seal_anew()?;
@@ -307,6 +299,17 @@ impl DataFlash {
             this.knowledge.learn_gate(gauge)
         });
         self.noted(outcome)
+    }
+
+    /// Changes a key. `waited` is the time since the request was made.
+    pub fn change_key(
+        &mut self,
+        gauge: &mut Gauge,
+        change: &KeyChange,
+        order: Order,
+        waited: Duration,
+    ) -> Result<()> {
+        keychange::change(self, gauge, change, order, waited)
     }
 
     /// Makes all changes, or none, in one transaction.
@@ -462,7 +465,7 @@ impl DataFlash {
         outcome
     }
 
-    /// The unsealed part of a write: reads the blocks, checks the change, records it and programs it.
+    /// The unsealed part of a write: checks the gauge, plans the blocks, records them and programs them.
     fn change_open(
         &mut self,
         gauge: &mut Gauge,
@@ -471,89 +474,30 @@ impl DataFlash {
         options: WriteOptions<'_>,
         session: &mut Session,
     ) -> Result<Outcome> {
-        let voltage_mv = found.voltage_mv;
-        let is_restoration = options.care == Care::Quick;
         options.since.map_or(Ok(()), |since| assure_same(gauge, since))?;
         if !gauge.is_unbroken_since(found.moment) {
-            // It may have been exchanged since it was confirmed. Nothing was written yet.
-            if found.seal == Seal::Sealed && !gauge.was_opened() && !self.knowledge.is_certain(gauge)? {
-                let why = "it was away for a moment after it was unsealed; nothing was written, try again";
-                return Err(Error::new(gauge.chip.model, Cause::NotNow, why).at(Step::Check));
-            }
-            // The reset that this write needs may seal it.
-            self.knowledge.check_key(gauge, found.seal, changes)?;
-            self.knowledge.suspect(gauge.chip);
-            self.knowledge.confirm(gauge)?;
+            self.confirm_anew(gauge, changes, found)?;
             session.pack.begin(gauge);
         }
         self.knowledge.check_signature(gauge)?;
         if options.calibrate {
             session.enter_calibration(gauge)?;
         }
-        self.knowledge.check_gate(gauge, voltage_mv)?;
-        check_unsealed(gauge)?;
-        let learning = learning(gauge, found.status, changes)?;
-        // What a pack is known by is lost with its memory.
-        if !(is_restoration && found.lost)
-            && let Some(row) = self.knowledge.learn_marks(gauge)?
-        {
-            return Err(self.knowledge.other_pack(gauge, row));
-        }
-        let known = self.knowledge.known();
-        let mut planned = gather(gauge, changes, |gauge, place| match options.care {
-            Care::Quick => sequence(gauge).load(gauge, place, Care::Quick),
-            Care::Sure => load_as_seen(gauge, place, known.get(place)),
-        })?;
-        planned.iter().try_for_each(|block| self.knowledge.recognise(gauge, block.place, &block.old))?;
-        gauge.note_open();
-        // The window holds the block that was read last, so a single block need not be loaded again.
-        let in_window = planned.len() == 1 && !sequence(gauge).always_finishes();
-        for change in changes {
-            check_safe(change, &planned)?;
-        }
-        let old: Vec<_> = changes.iter().map(|change| old_bytes(change, &planned)).collect();
-        if is_restoration && !options.lost && !found.lost && !is_forgotten(gauge.chip, changes, &old) {
+        let learning = self.check_open(gauge, changes, found, &options)?;
+        let Some(Prepared { planned, old, in_window }) = self.plan_blocks(gauge, changes, found, &options)?
+        else {
             return Ok(Outcome::Unchanged);
-        }
-        planned.retain(|block| block.old != block.new);
-        // The flag of a loss is cleared by the end of CONFIG UPDATE only, and would hide the next one.
-        if planned.is_empty() && !(is_restoration && found.lost) {
-            return Ok(Outcome::Unchanged);
-        }
-        for block in &planned {
-            let lost = erased_in(gauge.chip, block.place, &block.new);
-            if !lost.is_empty() {
-                return Err(says_erased(&lost, "").at(Step::Check));
-            }
-        }
-        let in_window =
-            !self.knowledge.check_gate_after(gauge, changes, &mut planned, voltage_mv)? && in_window;
+        };
         self.rules.check_learning(gauge, learning)?;
         if options.only_check {
             return Ok(Outcome::Unchanged);
         }
         let reset = changes.iter().any(|change| change.kind(gauge.chip) == Kind::Reset);
-        // A loss of power takes all of RAM, and disturbs no row beside the one that is written.
-        let neighbours =
-            if is_restoration { Vec::new() } else { self.knowledge.neighbours(gauge, &planned)? };
-        let plan =
-            planned::plan(gauge, reset, &planned, &neighbours, self.knowledge.known().marks(gauge.chip));
-        if let Err(error) = self.note(session, plan.clone()) {
-            match is_restoration {
-                true => self.records.go_on_without(gauge, Err(error))?,
-                false => return Err(error),
-            }
-            session.remove_journal();
-            self.note(session, plan)?;
-        }
-        self.knowledge.refer(gauge, session);
-        // The write may change the serial number.
-        self.knowledge.forget_name();
-        gauge.statistics.progress.begin(planned.len());
-        let mut job = Job::write(planned, neighbours, reset);
-        (job.in_window, job.was_lost, job.care) = (in_window && !is_restoration, found.lost, options.care);
+        let mut job = self.record_plan(gauge, session, planned, reset, options.care)?;
+        gauge.statistics.progress.begin(job.changed().count());
+        (job.in_window, job.was_lost, job.care) = (in_window, found.lost, options.care);
         job.copied = Copied::of(gauge.chip, changes, &old);
-        session.stays_open = is_restoration && found.lost && found.seal != Seal::Sealed;
+        session.stays_open = options.is_restoration() && found.lost && found.seal != Seal::Sealed;
         let landed = converge(gauge, session, &mut job, Side::New, options.accept);
         for block in job.changed() {
             match landed {
@@ -566,6 +510,118 @@ impl DataFlash {
             Landed::Back(error) | Landed::Unknown(error) => Err(error),
         }
     }
+
+    /// Confirms a gauge that may have been exchanged since it was confirmed. Nothing was written yet.
+    fn confirm_anew(&mut self, gauge: &mut Gauge, changes: &[Change], found: &Found) -> Result<()> {
+        if found.seal == Seal::Sealed && !gauge.was_opened() && !self.knowledge.is_certain(gauge)? {
+            let why = "it was away for a moment after it was unsealed; nothing was written, try again";
+            return Err(Error::new(gauge.chip.model, Cause::NotNow, why).at(Step::Check));
+        }
+        // The reset that this write needs may seal it.
+        self.knowledge.check_key(gauge, found.seal, changes)?;
+        self.knowledge.suspect(gauge.chip);
+        self.knowledge.confirm(gauge)
+    }
+
+    /// Makes the checks of an open gauge that need none of the blocks to be changed. Returns why a write that needs a reset has
+    /// to wait for the end of a learning cycle.
+    fn check_open(
+        &mut self,
+        gauge: &mut Gauge,
+        changes: &[Change],
+        found: &Found,
+        options: &WriteOptions<'_>,
+    ) -> Result<Option<Error>> {
+        self.knowledge.check_gate(gauge, found.voltage_mv)?;
+        check_unsealed(gauge)?;
+        let learning = learning(gauge, found.status, changes)?;
+        // What a pack is known by is lost with its memory.
+        if !(options.is_restoration() && found.lost)
+            && let Some(row) = self.knowledge.learn_marks(gauge)?
+        {
+            return Err(self.knowledge.other_pack(gauge, row));
+        }
+        Ok(learning)
+    }
+
+    /// Reads the blocks and checks what the changes make of them. `None` if nothing is to be written.
+    fn plan_blocks(
+        &mut self,
+        gauge: &mut Gauge,
+        changes: &[Change],
+        found: &Found,
+        options: &WriteOptions<'_>,
+    ) -> Result<Option<Prepared>> {
+        let is_restoration = options.is_restoration();
+        let known = self.knowledge.known();
+        let mut planned = gather(gauge, changes, |gauge, place| match options.care {
+            Care::Quick => sequence(gauge).load(gauge, place, Care::Quick),
+            Care::Sure => load_as_seen(gauge, place, known.get(place)),
+        })?;
+        planned.iter().try_for_each(|block| self.knowledge.recognise(gauge, block.place, &block.old))?;
+        gauge.note_open();
+        // The window holds the block that was read last, so a single block need not be loaded again.
+        let in_window = planned.len() == 1 && !sequence(gauge).always_finishes() && !is_restoration;
+        for change in changes {
+            check_safe(change, &planned)?;
+        }
+        let old: Vec<_> = changes.iter().map(|change| old_bytes(change, &planned)).collect();
+        if is_restoration && !options.lost && !found.lost && !is_forgotten(gauge.chip, changes, &old) {
+            return Ok(None);
+        }
+        planned.retain(|block| block.old != block.new);
+        // The flag of a loss is cleared by the end of CONFIG UPDATE only, and would hide the next one.
+        if planned.is_empty() && !(is_restoration && found.lost) {
+            return Ok(None);
+        }
+        for block in &planned {
+            let lost = erased_in(gauge.chip, block.place, &block.new);
+            if !lost.is_empty() {
+                return Err(says_erased(&lost, "").at(Step::Check));
+            }
+        }
+        let loaded = self.knowledge.check_gate_after(gauge, changes, &mut planned, found.voltage_mv)?;
+        Ok(Some(Prepared { planned, old, in_window: in_window && !loaded }))
+    }
+
+    /// Puts the plan of the blocks into the journal, after which they may be programmed.
+    fn record_plan(
+        &mut self,
+        gauge: &mut Gauge,
+        session: &mut Session,
+        planned: Vec<Planned>,
+        reset: bool,
+        care: Care,
+    ) -> Result<Job> {
+        // A loss of power takes all of RAM, and disturbs no row beside the one that is written.
+        let neighbours = match care {
+            Care::Quick => Vec::new(),
+            Care::Sure => self.knowledge.neighbours(gauge, &planned)?,
+        };
+        let marks = self.knowledge.known().marks(gauge.chip);
+        let plan = planned::plan(gauge, reset, &planned, &neighbours, marks);
+        if let Err(error) = self.note(session, plan.clone()) {
+            match care {
+                Care::Quick => self.records.go_on_without(gauge, Err(error))?,
+                Care::Sure => return Err(error),
+            }
+            session.remove_journal();
+            self.note(session, plan)?;
+        }
+        self.knowledge.refer(gauge, session);
+        // The write may change the serial number.
+        self.knowledge.forget_name();
+        Ok(Job::write(planned, neighbours, reset))
+    }
+}
+
+/// The blocks of a write, all of whose checks it has passed.
+struct Prepared {
+    planned: Vec<Planned>,
+    /// For each change, the bytes that it replaces.
+    old: Vec<Vec<u8>>,
+    /// The only block is in the window.
+    in_window: bool,
 }
 
 /// Loads a block to which a write may have to go back, until it is as it was last seen: the sum of one run of wrong bytes
@@ -632,6 +688,13 @@ pub(crate) struct WriteOptions<'a> {
     pub(crate) only_check: bool,
     /// What is written was measured on the gauge that has answered since then, and is for no other one.
     pub(crate) since: Option<Moment>,
+}
+
+impl WriteOptions<'_> {
+    /// Whether the configuration of a gauge with RAM is written again.
+    fn is_restoration(&self) -> bool {
+        self.care == Care::Quick
+    }
 }
 
 impl Place {

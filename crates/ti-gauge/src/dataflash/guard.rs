@@ -135,6 +135,19 @@ impl DataFlash {
         self.records.read_without(owed)
     }
 
+    /// Records that a sealed gauge is about to be opened while a write waits to be settled.
+    fn owe_seal(&mut self, gauge: &mut Gauge, session: &mut Session) -> Result<()> {
+        let identity = self.knowledge.identity(gauge)?;
+        let plan = Some(Plan::of_marks(self.knowledge.marks(gauge.chip)));
+        let entry = Entry { identity: identity.clone(), machine: None, found: session.found, plan };
+        session.entry = Some(entry);
+        self.knowledge.refer(gauge, session);
+        if let Some(journal) = self.records.journal() {
+            session.journal = Some(journal.owe_seal(&identity)?);
+        }
+        Ok(())
+    }
+
     pub(super) fn note(&self, session: &mut Session, plan: Plan) -> Result<()> {
         if let Some(journal) = &mut session.journal {
             journal.plan(&plan)?;
@@ -157,6 +170,6 @@ impl DataFlash {
     /// Keeps what a session leaves, with its record.
     pub(super) fn leave(&mut self, gauge: &Gauge, mut session: Session, left: Left) {
         let journal = session.journal.take();
-        self.keep(gauge, session.entry.take(), journal, left);
+        self.debts.keep(&self.records, gauge, session.entry.take(), journal, left);
     }
 }

@@ -62,8 +62,12 @@ const SILENCES: u32 = 14;
 /// Time that a gauge may take to restart before it answers.
 const START: Duration = Duration::from_secs(3);
 
+/// A change that this process has begun and that is neither done nor undone, if there is one.
+#[derive(Debug, Default)]
+pub(super) struct Begun(Option<Unfinished>);
+
 /// A change that this process has begun and that is neither done nor undone. What is in memory ends with the process.
-pub(super) struct Unfinished {
+struct Unfinished {
     change: KeyChange,
     ring: Ring,
     /// The key that has to answer a challenge when the old keys are back.
@@ -105,123 +109,24 @@ struct Task<'a> {
     is_unknown: bool,
 }
 
-impl DataFlash {
-    /// Changes a key. `waited` is the time since the request was made.
-    pub fn change_key(
-        &mut self,
-        gauge: &mut Gauge,
-        change: &KeyChange,
-        order: Order,
-        waited: Duration,
-    ) -> Result<()> {
-        let name = change.name.as_str();
-        let outcome = self.prepare_keys(gauge, change, waited).and_then(|(block, left, waited)| {
-            let before = Statistics::read(&gauge.statistics.flash_writes);
-            let outcome = self.change_key_unnamed(gauge, (block, change, order), left, waited);
-            self.rules.count(gauge, before);
-            report_mishap(gauge, outcome)
-        });
-        gauge.limit(None);
-        wipe_stack();
-        self.noted(outcome).map_err(|error| error.within(&format!("{name} key")))
+impl Begun {
+    pub(super) fn is_none(&self) -> bool {
+        self.0.is_none()
     }
 
-    /// Refuses what may not be changed, and settles what has to be before: all but a change of keys that was cut short, which
-    /// is returned. Also returns the time since the request.
-    fn prepare_keys(
-        &mut self,
-        gauge: &mut Gauge,
-        change: &KeyChange,
-        waited: Duration,
-    ) -> Result<(&'static KeyBlock, Option<Plan>, Duration)> {
-        let block = block_of(gauge.chip, change.name)?;
-        check_new(gauge, change)?;
-        // Whoever makes a change that was cut short once more settles it.
-        let left = self.pending_keys();
-        let waited = match left {
-            Some(_) => waited,
-            None => self.settle_first(gauge, waited)?,
-        };
-        Ok((block, left, waited))
+    /// It is done, undone or given up.
+    pub(super) fn forget(&mut self) {
+        self.0 = None;
     }
 
-    fn change_key_unnamed(
-        &mut self,
-        gauge: &mut Gauge,
-        (block, change, order): (&KeyBlock, &KeyChange, Order),
-        left: Option<Plan>,
-        waited: Duration,
-    ) -> Result<()> {
-        let asked = gauge.clock.now().saturating_sub(waited);
-        gauge.limit(Some((WAY + gauge.chip.security.key_silence * SILENCES).saturating_sub(waited)));
-        gauge.claim()?;
-        let found = self.knowledge.preflight(gauge, &[])?;
-        let mut session = Session::new(found.seal, asked);
-        session.pack.begin(gauge);
-        match &left {
-            Some(_) => self.adopt(gauge, &mut session)?,
-            None => self.owe(gauge, &mut session, 0)?,
-        }
-        session.patience =
-            Some(Patience { silence: START, refusals: WAY + gauge.chip.security.key_silence * 2 * RESTORES });
-        let mut task = Task::new(gauge, block, change, order, found.seal);
-        task.torn = left.is_some();
-        let known = OnceCell::new();
-        let run = |this: &mut Self, gauge: &mut Gauge, session: &mut Session| {
-            let outcome = task.run(this, gauge, found.voltage_mv, session);
-            let is_known = match outcome.as_ref().map_err(Error::cause) {
-                Ok(()) | Err(Cause::RolledBack) => true,
-                Err(_) => false,
-            };
-            // All keys but those that are lost have been used.
-            known.get_or_init(|| is_known.then(|| std::mem::take(&mut task.lost)));
-            if task.moved {
-                session.now = None;
-            }
-            if session.found == Seal::Sealed && task.is_to_stay_open(gauge) {
-                session.stays(Seal::FullAccess);
-            }
-            outcome
-        };
-        self.guard(gauge, session, run, |this, mut session, gauge, outcome, owed| {
-            let lost = known.get().cloned().flatten();
-            match owed {
-                // Which keys it has is not known.
-                Some(owed) if owed.data => this.leave(gauge, session, owed),
-                // A change that was cut short before is as it was.
-                _ if left.is_some() && lost.is_none() => {}
-                owed => {
-                    (this.pending, this.unfinished) = (None, None);
-                    let lost = lost.unwrap_or_default();
-                    if !lost.is_empty() {
-                        for &name in &lost {
-                            session.note_keys(|key| key.begin(name), &keys_line(name));
-                        }
-                        let why = still_lost(&lost);
-                        log::warn!("{}: {why}", gauge.chip.name);
-                        this.leave(gauge, session, Left::of(true, why));
-                        this.leave_to_person();
-                    } else if let Some(owed) = owed {
-                        this.leave(gauge, session, owed);
-                    } else {
-                        session.remove_journal();
-                    }
-                }
-            }
-            outcome
-        })
-    }
-
-    /// The change of keys that was cut short and is to be settled, if there is one.
-    fn pending_keys(&mut self) -> Option<Plan> {
-        let plan = self.find_pending()?.plan()?;
-        plan.key.as_ref().filter(|key| !key.is_over())?;
-        Some(plan)
+    /// The row of keys as it was before.
+    fn row_before(&self) -> Option<&[u8; WINDOW]> {
+        self.0.as_ref().map(|kept| &*kept.before)
     }
 
     /// What a gauge has of a change that was cut short, found out by using the keys that this process has. Nothing is
     /// written but by the process that has begun it.
-    pub(super) fn settle_keys(
+    pub(super) fn settle(
         &mut self,
         gauge: &mut Gauge,
         plan: &Plan,
@@ -244,14 +149,14 @@ impl DataFlash {
         gauge.wait(COMMITTED);
         let found = gauge.seal()?;
         gauge.limit(Some(WAY + gauge.chip.security.key_silence * SILENCES));
-        let verdict = match self.unfinished.take() {
+        let verdict = match self.0.take() {
             Some(unfinished) => {
                 let mut task = Task::new(gauge, block, &unfinished.change, unfinished.order, found);
                 task.torn = true;
                 task.mine = SEALS.map(|name| Some(unfinished.ring.get(name).clone()));
                 let verdict = task.undo(gauge, plan, identities, watched, &unfinished, session);
                 if !matches!(verdict, Ok(Verdict::Done(_))) {
-                    self.unfinished = Some(unfinished);
+                    self.0 = Some(unfinished);
                 }
                 verdict
             }
@@ -260,6 +165,120 @@ impl DataFlash {
         wipe_stack();
         verdict
     }
+}
+
+/// Changes a key. `waited` is the time since the request was made.
+pub(super) fn change(
+    flash: &mut DataFlash,
+    gauge: &mut Gauge,
+    change: &KeyChange,
+    order: Order,
+    waited: Duration,
+) -> Result<()> {
+    let name = change.name.as_str();
+    let outcome = prepare(flash, gauge, change, waited).and_then(|(block, left, waited)| {
+        let before = Statistics::read(&gauge.statistics.flash_writes);
+        let outcome = change_unnamed(flash, gauge, (block, change, order), left, waited);
+        flash.rules.count(gauge, before);
+        report_mishap(gauge, outcome)
+    });
+    gauge.limit(None);
+    wipe_stack();
+    flash.noted(outcome).map_err(|error| error.within(&format!("{name} key")))
+}
+
+/// Refuses what may not be changed, and settles what has to be before: all but a change of keys that was cut short, which
+/// is returned. Also returns the time since the request.
+fn prepare(
+    flash: &mut DataFlash,
+    gauge: &mut Gauge,
+    change: &KeyChange,
+    waited: Duration,
+) -> Result<(&'static KeyBlock, Option<Plan>, Duration)> {
+    let block = block_of(gauge.chip, change.name)?;
+    check_new(gauge, change)?;
+    // Whoever makes a change that was cut short once more settles it.
+    let left = pending_keys(flash);
+    let waited = match left {
+        Some(_) => waited,
+        None => flash.settle_first(gauge, waited)?,
+    };
+    Ok((block, left, waited))
+}
+
+fn change_unnamed(
+    flash: &mut DataFlash,
+    gauge: &mut Gauge,
+    (block, change, order): (&KeyBlock, &KeyChange, Order),
+    left: Option<Plan>,
+    waited: Duration,
+) -> Result<()> {
+    let asked = gauge.clock.now().saturating_sub(waited);
+    gauge.limit(Some((WAY + gauge.chip.security.key_silence * SILENCES).saturating_sub(waited)));
+    gauge.claim()?;
+    let found = flash.knowledge.preflight(gauge, &[])?;
+    let mut session = Session::new(found.seal, asked);
+    session.pack.begin(gauge);
+    match &left {
+        Some(_) => flash.adopt(gauge, &mut session)?,
+        None => flash.owe(gauge, &mut session, 0)?,
+    }
+    session.patience =
+        Some(Patience { silence: START, refusals: WAY + gauge.chip.security.key_silence * 2 * RESTORES });
+    let mut task = Task::new(gauge, block, change, order, found.seal);
+    task.torn = left.is_some();
+    let known = OnceCell::new();
+    let run = |this: &mut DataFlash, gauge: &mut Gauge, session: &mut Session| {
+        let outcome = task.run(this, gauge, found.voltage_mv, session);
+        let is_known = match outcome.as_ref().map_err(Error::cause) {
+            Ok(()) | Err(Cause::RolledBack) => true,
+            Err(_) => false,
+        };
+        // All keys but those that are lost have been used.
+        known.get_or_init(|| is_known.then(|| std::mem::take(&mut task.lost)));
+        if task.moved {
+            session.now = None;
+        }
+        if session.found == Seal::Sealed && task.is_to_stay_open(gauge) {
+            session.stays(Seal::FullAccess);
+        }
+        outcome
+    };
+    flash.guard(gauge, session, run, |this, mut session, gauge, outcome, owed| {
+        let lost = known.get().cloned().flatten();
+        match owed {
+            // Which keys it has is not known.
+            Some(owed) if owed.data => this.leave(gauge, session, owed),
+            // A change that was cut short before is as it was.
+            _ if left.is_some() && lost.is_none() => {}
+            owed => {
+                this.debts.settled();
+                this.unfinished.forget();
+                let lost = lost.unwrap_or_default();
+                if !lost.is_empty() {
+                    for &name in &lost {
+                        session.note_keys(|key| key.begin(name), &keys_line(name));
+                    }
+                    let why = still_lost(&lost);
+                    log::warn!("{}: {why}", gauge.chip.name);
+                    this.leave(gauge, session, Left::of(true, why));
+                    this.debts.leave_to_person();
+                } else if let Some(owed) = owed {
+                    this.leave(gauge, session, owed);
+                } else {
+                    session.remove_journal();
+                }
+            }
+        }
+        outcome
+    })
+}
+
+/// The change of keys that was cut short and is to be settled, if there is one.
+fn pending_keys(flash: &mut DataFlash) -> Option<Plan> {
+    let plan = flash.find_pending()?.plan()?;
+    plan.key.as_ref().filter(|key| !key.is_over())?;
+    Some(plan)
 }
 
 impl<'a> Task<'a> {
@@ -291,27 +310,15 @@ impl<'a> Task<'a> {
     ) -> Result<()> {
         let KeyChange { name, old, new } = self.change;
         let taken = self.enter(gauge)?;
-        sequence(gauge).enable(gauge)?;
-        if let Some(row) = dataflash.knowledge.learn_marks(gauge)? {
-            return Err(dataflash.knowledge.other_pack(gauge, row));
-        }
-        let left =
-            session.entry.as_ref().and_then(|entry| Some((entry.identity.clone(), entry.plan.clone()?)));
-        if let Some((then, plan)) = &left {
-            let now = dataflash.knowledge.identity(gauge)?;
-            self.check_pack(gauge, [then, &now], plan)?;
-            // What shows that the table fits may have been erased with the keys. It was checked before.
-            restore_rows(gauge, session, plan)?;
-        }
-        dataflash.knowledge.check_signature(gauge)?;
-        dataflash.knowledge.check_gate(gauge, voltage_mv)?;
+        let left = session.entry.as_ref().and_then(|entry| entry.plan.clone());
+        self.check_open(dataflash, gauge, voltage_mv, session)?;
         let before = self.read(gauge)?;
         let ring = self.ring_of(&before, taken)?;
         let held = match name {
             Name::Authentication => self.held_authentication(gauge, &before)?,
             _ => ring.get(*name).clone(),
         };
-        let key = left.as_ref().and_then(|(_, plan)| plan.key.as_ref());
+        let key = left.as_ref().and_then(|plan| plan.key.as_ref());
         self.compare_with(gauge, &before, &ring, &held, key)?;
         // Restoring the seal state needs these keys.
         gauge.set_key(*name, &held);
@@ -357,25 +364,62 @@ impl<'a> Task<'a> {
         if touched == 0 {
             return Err(error);
         }
-        gauge.limit(Some(WAY + gauge.chip.security.key_silence * SILENCES));
-        self.torn = true;
-        session.note_keys(|key| key.begin(*name), &keys_line(*name));
         let unfinished = Unfinished {
             change: self.change.clone(),
-            ring: before_ring.clone(),
+            ring: before_ring,
             authentication: proof(old),
             before: back,
             order: self.order,
         };
-        let mut error = self.back(gauge, &unfinished, &error);
+        Err(self.give_up(dataflash, gauge, session, unfinished, &error))
+    }
+
+    /// Checks the pack of a gauge that is open, and that flash can be written.
+    fn check_open(
+        &self,
+        dataflash: &mut DataFlash,
+        gauge: &mut Gauge,
+        voltage_mv: u16,
+        session: &mut Session,
+    ) -> Result<()> {
+        sequence(gauge).enable(gauge)?;
+        if let Some(row) = dataflash.knowledge.learn_marks(gauge)? {
+            return Err(dataflash.knowledge.other_pack(gauge, row));
+        }
+        let left =
+            session.entry.as_ref().and_then(|entry| Some((entry.identity.clone(), entry.plan.clone()?)));
+        if let Some((then, plan)) = &left {
+            let now = dataflash.knowledge.identity(gauge)?;
+            self.check_pack(gauge, [then, &now], plan)?;
+            // What shows that the table fits may have been erased with the keys. It was checked before.
+            restore_rows(gauge, session, plan)?;
+        }
+        dataflash.knowledge.check_signature(gauge)?;
+        dataflash.knowledge.check_gate(gauge, voltage_mv)
+    }
+
+    /// Puts the old keys back after a change that failed, and keeps what is needed to do so later.
+    fn give_up(
+        &mut self,
+        dataflash: &mut DataFlash,
+        gauge: &mut Gauge,
+        session: &mut Session,
+        unfinished: Unfinished,
+        failed: &Error,
+    ) -> Error {
+        let name = self.change.name;
+        gauge.limit(Some(WAY + gauge.chip.security.key_silence * SILENCES));
+        self.torn = true;
+        session.note_keys(|key| key.begin(name), &keys_line(name));
+        let mut error = self.back(gauge, &unfinished, failed);
         if matches!(error.cause(), Cause::RolledBack)
             && let Some(plan) = session.entry.as_ref().and_then(|entry| entry.plan.clone())
             && let Err(second) = restore_rows(gauge, session, &plan)
         {
             error = Error::of("", Reason::KeyUnknown { failed: error, what: format!("but {second}") });
         }
-        dataflash.unfinished = Some(unfinished);
-        Err(error)
+        dataflash.unfinished.0 = Some(unfinished);
+        error
     }
 
     /// The mount's key of that name, which is not the one that is changed.

@@ -21,73 +21,71 @@ use crate::value::Value;
 /// Until it shows that the gauge measures.
 pub(crate) const BEGINS: Duration = Duration::from_secs(2);
 
-impl DataFlash {
-    /// Records that the gauge is about to store values of its own in these rows. Returns the old values.
-    pub(crate) fn expect_measured(
-        &mut self,
-        gauge: &mut Gauge,
-        rows: &[Row],
-        waited: Duration,
-    ) -> Result<Vec<Value>> {
-        let waited = self.settle_first(gauge, waited)?;
-        self.access(gauge, waited, |this, gauge, asked| {
-            gauge.claim()?;
-            let found = gauge.seal_anew()?;
-            let session = this.recorded(gauge, found, asked, Record::Change(rows.len()))?;
-            let run = |this: &mut Self, gauge: &mut Gauge, session: &mut Session| {
-                session.open(gauge)?;
-                this.note_measured(gauge, rows, session)
-            };
-            this.guard(gauge, session, run, Self::end)
-        })
-    }
+/// Records that the gauge is about to store values of its own in these rows. Returns the old values.
+pub(crate) fn expect_measured(
+    flash: &mut DataFlash,
+    gauge: &mut Gauge,
+    rows: &[Row],
+    waited: Duration,
+) -> Result<Vec<Value>> {
+    let waited = flash.settle_first(gauge, waited)?;
+    flash.access(gauge, waited, |this, gauge, asked| {
+        gauge.claim()?;
+        let found = gauge.seal_anew()?;
+        let session = this.recorded(gauge, found, asked, Record::Change(rows.len()))?;
+        let run = |this: &mut DataFlash, gauge: &mut Gauge, session: &mut Session| {
+            session.open(gauge)?;
+            note_measured(this, gauge, rows, session)
+        };
+        this.guard(gauge, session, run, DataFlash::end)
+    })
+}
 
-    fn note_measured(
-        &mut self,
-        gauge: &mut Gauge,
-        rows: &[Row],
-        session: &mut Session,
-    ) -> Result<Vec<Value>> {
-        if let Some(row) = self.knowledge.learn_marks(gauge)? {
-            return Err(self.knowledge.other_pack(gauge, row));
-        }
-        let layout = gauge.chip.layout;
-        let as_they_are = rows.iter().map(|&row| {
-            let bytes = vec![0; row.1.kind.size()];
-            Change { place: Place::of(row), bytes, row: Some(row), saved: false, layout }
-        });
-        let as_they_are: Vec<Change> = as_they_are.collect();
-        let mut blocks =
-            gather(gauge, &as_they_are, |gauge, place| sequence(gauge).load(gauge, place, Care::Sure))?;
-        blocks.iter_mut().for_each(|block| block.new = block.old);
-        blocks.iter().try_for_each(|block| self.knowledge.recognise(gauge, block.place, &block.old))?;
-        let olds = as_they_are
-            .iter()
-            .zip(rows)
-            .map(|(change, (_, parameter))| layout.decode(parameter.kind, &old_bytes(change, &blocks)));
-        let olds = olds.collect();
-        let neighbours = self.knowledge.neighbours(gauge, &blocks)?;
-        let reset = as_they_are.iter().any(|change| change.kind(gauge.chip) == Kind::Reset);
-        let plan = planned::plan(gauge, reset, &blocks, &neighbours, self.knowledge.marks(gauge.chip));
-        self.note(session, Plan { by_gauge: true, ..plan })?;
-        // The rows stand in a block with marks.
-        self.knowledge.expect_rewritten(gauge.chip, &blocks);
-        Ok(olds)
+fn note_measured(
+    flash: &mut DataFlash,
+    gauge: &mut Gauge,
+    rows: &[Row],
+    session: &mut Session,
+) -> Result<Vec<Value>> {
+    if let Some(row) = flash.knowledge.learn_marks(gauge)? {
+        return Err(flash.knowledge.other_pack(gauge, row));
     }
+    let layout = gauge.chip.layout;
+    let as_they_are = rows.iter().map(|&row| {
+        let bytes = vec![0; row.1.kind.size()];
+        Change { place: Place::of(row), bytes, row: Some(row), saved: false, layout }
+    });
+    let as_they_are: Vec<Change> = as_they_are.collect();
+    let mut blocks =
+        gather(gauge, &as_they_are, |gauge, place| sequence(gauge).load(gauge, place, Care::Sure))?;
+    blocks.iter_mut().for_each(|block| block.new = block.old);
+    blocks.iter().try_for_each(|block| flash.knowledge.recognise(gauge, block.place, &block.old))?;
+    let olds = as_they_are
+        .iter()
+        .zip(rows)
+        .map(|(change, (_, parameter))| layout.decode(parameter.kind, &old_bytes(change, &blocks)));
+    let olds = olds.collect();
+    let neighbours = flash.knowledge.neighbours(gauge, &blocks)?;
+    let reset = as_they_are.iter().any(|change| change.kind(gauge.chip) == Kind::Reset);
+    let plan = planned::plan(gauge, reset, &blocks, &neighbours, flash.knowledge.marks(gauge.chip));
+    flash.note(session, Plan { by_gauge: true, ..plan })?;
+    // The rows stand in a block with marks.
+    flash.knowledge.expect_rewritten(gauge.chip, &blocks);
+    Ok(olds)
+}
 
-    /// What the gauge has stored is right.
-    pub(crate) fn accept_measured(&mut self) {
-        self.pending = None;
-        if let Some(Err(error)) = self.held.take().map(OpenJournal::remove) {
-            log::warn!("{error}");
-        }
+/// What the gauge has stored is right.
+pub(crate) fn accept_measured(flash: &mut DataFlash) {
+    flash.debts.settled();
+    if let Some(Err(error)) = flash.debts.take_held().map(OpenJournal::remove) {
+        log::warn!("{error}");
     }
+}
 
-    /// Puts the old values back.
-    pub(crate) fn undo_measured(&mut self, gauge: &mut Gauge) -> Result<()> {
-        self.still_certain(gauge);
-        self.settle(gauge, Duration::ZERO).map(drop)
-    }
+/// Puts the old values back.
+pub(crate) fn undo_measured(flash: &mut DataFlash, gauge: &mut Gauge) -> Result<()> {
+    flash.debts.still_certain(gauge);
+    flash.settle(gauge, Duration::ZERO).map(drop)
 }
 
 /// Makes sure that nothing has happened since then behind which the pack could have been exchanged: what was measured on

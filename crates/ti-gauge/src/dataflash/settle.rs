@@ -12,6 +12,7 @@ use std::cell::OnceCell;
 use std::time::Duration;
 
 use super::DataFlash;
+use super::debts::{Owed, OwedSeal, Pending, Where, interrupted};
 use super::pack::{Match, compare};
 use super::schemes::{Care, sequence};
 use super::session::{Reference, Session};
@@ -19,20 +20,15 @@ use super::state::has_lost_memory;
 use super::verdict::Verdict;
 use super::window::holds_keys;
 use crate::error::{Cause, Error, Reason, Result, Step};
-use crate::gauge::{Gauge, Seal};
+use crate::gauge::{Gauge, SEAL_LAG, Seal};
 use crate::journal::{Entry, Identity, Plan};
 
 mod decide;
-mod pending;
 mod search;
 mod task;
 
-pub use pending::Owed;
-pub(super) use pending::Pending;
-use pending::interrupted;
-pub(super) use search::Searched;
-use search::{Where, may_be_of};
-pub(super) use task::Shown;
+pub(super) use search::search_waiting;
+use search::{may_be_of, search};
 use task::Task;
 
 /// The unseal key of a gauge whose row of keys has been erased.
@@ -71,6 +67,99 @@ fn owed(subject: &str, what: String, decision: bool) -> Error {
 }
 
 impl DataFlash {
+    /// What is owed to the gauge, if anything is.
+    pub fn owed(&self) -> Option<Owed<'_>> {
+        self.debts.owed()
+    }
+
+    /// Shows what is known of an interrupted write, for a person who has to decide. Nothing is written.
+    pub fn examine(&mut self, gauge: &mut Gauge, waited: Duration) -> Result<String> {
+        decide::examine(self, gauge, waited)
+    }
+
+    /// Settles an interrupted write as a person has decided. Returns a message for the log.
+    pub fn decide(&mut self, gauge: &mut Gauge, decision: Decision, waited: Duration) -> Result<String> {
+        decide::decide(self, gauge, decision, waited)
+    }
+
+    /// Gives up an interrupted write whose values are all written anew: its journal is of no use to anybody.
+    pub(super) fn withdraw(&mut self, gauge: &mut Gauge, pending: Pending, waited: Duration) -> Result<()> {
+        decide::withdraw(self, gauge, pending, waited)
+    }
+
+    /// Finds what an earlier process has left at this place.
+    pub(super) fn find_pending(&mut self) -> Option<Pending> {
+        self.debts.find(&self.records, self.knowledge.arrival())
+    }
+
+    /// The seal that is owed, also by an earlier process.
+    fn find_seal(&mut self) -> Option<&OwedSeal> {
+        self.debts.find_seal(&self.records)
+    }
+
+    /// No seal is owed any more: it is restored, or somebody has changed the seal state on purpose.
+    fn forget_seal(&mut self) {
+        self.debts.forget_seal(&self.records);
+    }
+
+    /// Seals a gauge to which that is owed. Returns a message for the log; `None` if none is owed.
+    fn pay_seal(&mut self, gauge: &mut Gauge, waited: Duration) -> Result<Option<String>> {
+        let Some(OwedSeal { entry, .. }) = self.find_seal().cloned() else { return Ok(None) };
+        let sealed = self.access(gauge, waited, |_, gauge, asked| {
+            gauge.claim()?;
+            gauge.confirm_identity()?;
+            let part = |entry: &Entry| entry.identity.chip == gauge.chip.name;
+            if !entry.as_ref().is_none_or(part) {
+                let why =
+                    "the gauge that was left open was another part; discard what is owed with gaugefs settle";
+                return Err(Error::new(gauge.chip.model, Cause::Gone, why).at(Step::Seal));
+            }
+            // CONTROL_STATUS may still show the state before the last key.
+            gauge.wait(SEAL_LAG);
+            let mut session = Session::new(Seal::Sealed, asked);
+            session.pack.pack = entry.as_ref().map(Reference::of);
+            session.seal(gauge)
+        });
+        match sealed {
+            Ok(()) => {
+                self.forget_seal();
+                Ok(Some("a gauge that had been left open is sealed again".into()))
+            }
+            Err(error) => {
+                let error = error.within("cannot seal a gauge that was found sealed");
+                self.debts.note_unsealed(error.to_string());
+                Err(error)
+            }
+        }
+    }
+
+    /// After the seal state was changed on purpose.
+    pub(super) fn seal_was_chosen(&mut self, goal: Seal) {
+        if self.find_seal().is_some() {
+            log::info!("the gauge is {} as somebody has asked for: no seal is owed any more", goal.as_str());
+            self.forget_seal();
+        }
+    }
+
+    /// Adopts what is left of a change of keys, for somebody who makes it once more.
+    pub(super) fn adopt(&mut self, gauge: &mut Gauge, session: &mut Session) -> Result<()> {
+        self.knowledge.forget_name();
+        self.knowledge.identity(gauge)?;
+        session.decided = true;
+        session.entry = self.debts.pending().and_then(|pending| pending.entry.clone());
+        session.pack.pack = session.entry.as_ref().map(Reference::of);
+        if session.entry.as_ref().is_some_and(|entry| entry.found == Seal::Sealed) {
+            session.found = Seal::Sealed;
+        }
+        let file = self.debts.pending().and_then(|pending| pending.file.clone());
+        session.journal = match (self.debts.take_held(), self.records.journal().zip(file)) {
+            (Some(held), _) => Some(held),
+            (None, Some((journal, file))) => journal.open(&file)?,
+            (None, None) => None,
+        };
+        Ok(())
+    }
+
     /// Pays what is owed: data flash then holds all old values or all new ones, and the gauge is sealed at least
     /// as it was before. Also looks for what was begun on this gauge at other places. Returns a message for the log;
     /// `None` if there was nothing to settle. After an error it is still owed.
@@ -102,15 +191,15 @@ impl DataFlash {
         let begun = gauge.clock.now();
         let mut told = self.settle_here(gauge, waited)?;
         let waited = waited + (gauge.clock.now() - begun);
-        match self.search(gauge, Where::Places, waited) {
+        match search(self, gauge, Where::Places, waited) {
             Ok(found) => told.extend(found),
-            Err(_) if self.pending.is_some() => {}
+            Err(_) if self.debts.pending().is_some() => {}
             // A write looks again.
             Err(error) => log::warn!("{}: {error}", gauge.chip.name),
         }
-        if self.pending.as_ref().is_some_and(|pending| pending.undecided) {
+        if self.debts.pending().is_some_and(|pending| pending.undecided) {
             told.iter().for_each(|told| log::warn!("{}: {told}", gauge.chip.name));
-            let why = self.pending.as_ref().map_or(String::new(), |pending| pending.why.clone());
+            let why = self.debts.pending().map_or(String::new(), |pending| pending.why.clone());
             return Err(owed("", why, true));
         }
         Ok((!told.is_empty()).then(|| told.join("; ")))
@@ -122,7 +211,7 @@ impl DataFlash {
         while let Some(pending) = self.find_pending() {
             // One that could not be removed is settled again before the next write.
             if last.is_some() && pending.file == last {
-                self.pending = None;
+                self.debts.settled();
                 break;
             }
             let waited = waited + (gauge.clock.now() - begun);
@@ -161,16 +250,16 @@ impl DataFlash {
         let what = pending.entry.as_ref().map_or("a write".into(), Entry::subject);
         let (error, undecided) = match verdict {
             Ok(Verdict::Done(message) | Verdict::Plausible(message)) => {
-                self.pending = None;
+                self.debts.settled();
                 self.knowledge.note_settled();
                 return Ok(Some(message));
             }
             Ok(Verdict::Another) => {
-                self.pending = None;
+                self.debts.settled();
                 return Ok(None);
             }
             Ok(Verdict::Undecided(why)) => {
-                self.held = None;
+                self.debts.hold(None);
                 let file = pending.file.as_ref().filter(|_| pending.elsewhere);
                 let file = file.map_or(String::new(), |file| format!(" (journal {})", file.display()));
                 let why = format!(
@@ -180,7 +269,8 @@ impl DataFlash {
                 (owed(gauge.chip.name, why, true), true)
             }
             Err(error) if pending.elsewhere => {
-                (self.pending, self.held) = (None, None);
+                self.debts.settled();
+                self.debts.hold(None);
                 let file = pending.file.as_ref().map_or(String::new(), |file| file.display().to_string());
                 let what =
                     format!("cannot tell whether the interrupted write of {file} was begun on this gauge");
@@ -199,7 +289,7 @@ impl DataFlash {
             }
         };
         let why = error.to_string();
-        self.pending = Some(Pending { why, undecided, tries, ..pending.clone() });
+        self.debts.wait(Pending { why, undecided, tries, ..pending.clone() });
         Err(error)
     }
 
@@ -229,7 +319,7 @@ impl DataFlash {
         (session.now, session.decided) = (None, decision.is_some());
         session.entry = Some(entry.clone());
         session.pack.pack = Some(Reference::of(entry));
-        session.journal = match self.held.take() {
+        session.journal = match self.debts.take_held() {
             Some(held) => Some(held),
             None => match self.records.journal().zip(pending.file.as_ref()) {
                 Some((journal, file)) => match journal.open(file)? {
@@ -259,7 +349,7 @@ impl DataFlash {
             this.knowledge.left_calibration(session.calibrating.is_some());
             let mut held = || session.journal.take().filter(|_| pending.watched);
             if let Some(left_open) = session.pack.left_open.take() {
-                this.held = held();
+                this.debts.hold(held());
                 return Ok(Verdict::Undecided(undecided.get().cloned().unwrap_or(left_open)));
             }
             match (&outcome, left) {
@@ -271,10 +361,10 @@ impl DataFlash {
                     };
                     let kept = journal.wait(opened.path())?;
                     let message = format!("{message}; its journal waits for its pack as {}", kept.display());
-                    this.judged.in_epoch(this.knowledge.arrival()).push(kept);
+                    this.debts.note_judged(this.knowledge.arrival(), [kept]);
                     return Ok(Verdict::Plausible(message));
                 }
-                _ => this.held = held(),
+                _ => this.debts.hold(held()),
             }
             outcome
         })
@@ -304,7 +394,7 @@ impl DataFlash {
                 let identities = [&entry.identity, identity];
                 match elsewhere && !is_certainly(gauge, identities, plan, session) {
                     true => Ok(Verdict::Another),
-                    false => self.settle_keys(gauge, plan, identities, pending.watched, session),
+                    false => self.unfinished.settle(gauge, plan, identities, pending.watched, session),
                 }
             }
             Some(plan) => {
@@ -327,7 +417,7 @@ impl DataFlash {
                 }
                 let then = &entry.identity;
                 let (watched, certain) = (pending.watched, pending.certain.map(|(moment, _)| moment));
-                let shown = self.shown.as_ref().filter(|shown| shown.entry == *entry);
+                let shown = self.debts.shown_of(entry);
                 let subject = entry.subject();
                 let task =
                     Task { plan, subject, then, now: identity, watched, certain, decision, shown, elsewhere };
@@ -381,7 +471,7 @@ impl DataFlash {
         let told = self.settle_here(gauge, waited)?;
         told.iter().for_each(|told| log::warn!("{}: {told}", gauge.chip.name));
         for place in [Where::Places, Where::Waiting] {
-            let told = self.search(gauge, place, waited + (gauge.clock.now() - begun))?;
+            let told = search(self, gauge, place, waited + (gauge.clock.now() - begun))?;
             told.iter().for_each(|told| log::warn!("{}: {told}", gauge.chip.name));
         }
         if let Some(told) = self.pay_seal(gauge, waited + (gauge.clock.now() - begun))? {

@@ -128,7 +128,7 @@ impl Task<'_> {
         let present = Secret::of_bytes(&window[at..at + LENGTH_OF_KEY]);
         let is_damaged = present.has_erased_word() && !key.erased.contains(&name);
         let kept =
-            dataflash.unfinished.as_ref().map(|kept| Secret::of_bytes(&kept.before[at..at + LENGTH_OF_KEY]));
+            dataflash.unfinished.row_before().map(|row| Secret::of_bytes(&row[at..at + LENGTH_OF_KEY]));
         match kept.or(mine) {
             Some(known) if is_damaged || known == present => {
                 self.put(window, name, &known);

@@ -6,10 +6,10 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::time::Duration;
 
-use super::pending::Pending;
 use super::task::shows;
 use crate::chip::Chip;
 use crate::dataflash::DataFlash;
+use crate::dataflash::debts::{Pending, Where};
 use crate::dataflash::guard::Record;
 use crate::dataflash::io::COMMITTED;
 use crate::dataflash::pack::{Match, compare, is_named, shows_another};
@@ -22,123 +22,103 @@ use crate::error::{Cause, Result};
 use crate::gauge::{Gauge, Seal};
 use crate::journal::{Content, Entry, Found, Identity};
 
-/// What of the folder of journals has been compared with this gauge since it arrived.
-#[derive(Clone, Copy, Debug, Default)]
-pub(in crate::dataflash) struct Searched {
-    /// Those of other places.
-    places: bool,
-    /// Those that wait for their packs.
-    waiting: bool,
+/// Settles what was begun on this gauge at another place, or was set aside because it was not certain that the pack
+/// was the one.
+pub(super) fn search(
+    flash: &mut DataFlash,
+    gauge: &mut Gauge,
+    place: Where,
+    waited: Duration,
+) -> Result<Vec<String>> {
+    let (begun, mut told) = (gauge.clock.now(), Vec::new());
+    let arrival = flash.knowledge.arrival();
+    let done = flash.debts.is_searched(arrival, place) || flash.debts.pending().is_some();
+    let Some(journal) = flash.records.journal().filter(|_| !done) else {
+        return Ok(told);
+    };
+    let mut found = journal.search(place == Where::Waiting, &flash.debts.known_files(arrival))?;
+    found.retain(|found| !found.is_here);
+    let others = rule_out(flash, gauge, &found, waited)?;
+    flash.debts.note_judged(flash.knowledge.arrival(), others.iter().cloned());
+    found.retain(|found| !others.contains(&found.path));
+    for found in found {
+        let file = found.path.clone();
+        let pending = Pending { elsewhere: true, ..Pending::found(found) };
+        if pending.entry.is_none() {
+            continue;
+        }
+        let waited = waited + (gauge.clock.now() - begun);
+        let settled = flash.resolve(gauge, &pending, None, waited);
+        if flash.debts.pending().is_some() {
+            return settled.map(|_| told);
+        }
+        told.extend(settled?);
+        flash.debts.note_judged(flash.knowledge.arrival(), [file]);
+    }
+    flash.debts.note_searched(flash.knowledge.arrival(), place);
+    Ok(told)
 }
 
-/// Which journals of other gauges are compared with this one.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Where {
-    Places,
-    Waiting,
+/// The journals that show nothing of this gauge. After a while a folder may have those of many packs, so what they
+/// have to be compared with is read once for all of them.
+fn rule_out(
+    flash: &mut DataFlash,
+    gauge: &mut Gauge,
+    found: &[Found],
+    waited: Duration,
+) -> Result<Vec<PathBuf>> {
+    let entry = |found: &Found| match &found.content {
+        Content::Entry(entry) => Some((found.path.clone(), entry.clone())),
+        Content::InUse(_) | Content::Unreadable(_) => None,
+    };
+    let mut entries: Vec<(PathBuf, Entry)> = found.iter().filter_map(entry).collect();
+    let has_blocks =
+        |entry: &Entry| entry.plan.as_ref().is_some_and(|plan| plan.key.is_none() && !plan.blocks.is_empty());
+    entries.retain(|(_, entry)| has_blocks(entry));
+    if entries.len() < 2 {
+        return Ok(Vec::new());
+    }
+    let ruled_out = flash.access(gauge, waited, |this, gauge, asked| {
+        gauge.claim()?;
+        this.knowledge.forget_name();
+        let now = this.knowledge.identity(gauge)?;
+        let (mut others, mut open) = (Vec::new(), Vec::new());
+        for (path, entry) in entries {
+            match entry.identity.is_of_part(&now, gauge.chip) && may_be_of(gauge.chip, &entry, &now) {
+                true => open.push((path, entry)),
+                false => others.push(path),
+            }
+        }
+        if open.is_empty() {
+            return Ok(others);
+        }
+        let found = gauge.seal_anew()?;
+        let record = if found == Seal::Sealed { Record::Change(0) } else { Record::Nothing };
+        let session = this.recorded(gauge, found, asked, record)?;
+        let run = |_: &mut DataFlash, gauge: &mut Gauge, session: &mut Session| {
+            session.open(gauge)?;
+            others_of(gauge, &now, &open)
+        };
+        others.extend(this.guard(gauge, session, run, DataFlash::end)?);
+        Ok(others)
+    });
+    match ruled_out {
+        // Each of them is tried with what its plan knows of the keys.
+        Err(error) if matches!(error.cause(), Cause::NotPermitted) => Ok(Vec::new()),
+        ruled_out => ruled_out,
+    }
 }
 
-impl DataFlash {
-    /// Settles what was begun on this gauge at another place, or was set aside because it was not certain that the pack
-    /// was the one.
-    pub(super) fn search(
-        &mut self,
-        gauge: &mut Gauge,
-        place: Where,
-        waited: Duration,
-    ) -> Result<Vec<String>> {
-        let (begun, mut told) = (gauge.clock.now(), Vec::new());
-        let done = self.searched.get(self.knowledge.arrival()).is_some_and(|searched| match place {
-            Where::Places => searched.places,
-            Where::Waiting => searched.waiting,
-        });
-        let Some(journal) = self.records.journal().filter(|_| !done && self.pending.is_none()) else {
-            return Ok(told);
-        };
-        let mut found = journal.search(place == Where::Waiting, &self.known_files())?;
-        found.retain(|found| !found.is_here);
-        let others = self.rule_out(gauge, &found, waited)?;
-        self.judged.in_epoch(self.knowledge.arrival()).extend(others.iter().cloned());
-        found.retain(|found| !others.contains(&found.path));
-        for found in found {
-            let file = found.path.clone();
-            let pending = Pending { elsewhere: true, ..Pending::found(found) };
-            if pending.entry.is_none() {
-                continue;
-            }
-            let waited = waited + (gauge.clock.now() - begun);
-            let settled = self.resolve(gauge, &pending, None, waited);
-            if self.pending.is_some() {
-                return settled.map(|_| told);
-            }
-            told.extend(settled?);
-            self.judged.in_epoch(self.knowledge.arrival()).push(file);
-        }
-        let searched = self.searched.in_epoch(self.knowledge.arrival());
-        match place {
-            Where::Places => searched.places = true,
-            Where::Waiting => searched.waiting = true,
-        }
-        Ok(told)
+/// Looks for a journal that waits for this pack, before data flash is read for the first time. What keeps it from
+/// that is no reason not to read: a write looks again.
+pub(in crate::dataflash) fn search_waiting(flash: &mut DataFlash, gauge: &mut Gauge, waited: Duration) {
+    if flash.find_pending().is_some() {
+        return;
     }
-
-    /// The journals that show nothing of this gauge. After a while a folder may have those of many packs, so what they
-    /// have to be compared with is read once for all of them.
-    fn rule_out(&mut self, gauge: &mut Gauge, found: &[Found], waited: Duration) -> Result<Vec<PathBuf>> {
-        let entry = |found: &Found| match &found.content {
-            Content::Entry(entry) => Some((found.path.clone(), entry.clone())),
-            Content::InUse(_) | Content::Unreadable(_) => None,
-        };
-        let mut entries: Vec<(PathBuf, Entry)> = found.iter().filter_map(entry).collect();
-        let has_blocks = |entry: &Entry| {
-            entry.plan.as_ref().is_some_and(|plan| plan.key.is_none() && !plan.blocks.is_empty())
-        };
-        entries.retain(|(_, entry)| has_blocks(entry));
-        if entries.len() < 2 {
-            return Ok(Vec::new());
-        }
-        let ruled_out = self.access(gauge, waited, |this, gauge, asked| {
-            gauge.claim()?;
-            this.knowledge.forget_name();
-            let now = this.knowledge.identity(gauge)?;
-            let (mut others, mut open) = (Vec::new(), Vec::new());
-            for (path, entry) in entries {
-                match entry.identity.is_of_part(&now, gauge.chip) && may_be_of(gauge.chip, &entry, &now) {
-                    true => open.push((path, entry)),
-                    false => others.push(path),
-                }
-            }
-            if open.is_empty() {
-                return Ok(others);
-            }
-            let found = gauge.seal_anew()?;
-            let record = if found == Seal::Sealed { Record::Change(0) } else { Record::Nothing };
-            let session = this.recorded(gauge, found, asked, record)?;
-            let run = |_: &mut Self, gauge: &mut Gauge, session: &mut Session| {
-                session.open(gauge)?;
-                others_of(gauge, &now, &open)
-            };
-            others.extend(this.guard(gauge, session, run, Self::end)?);
-            Ok(others)
-        });
-        match ruled_out {
-            // Each of them is tried with what its plan knows of the keys.
-            Err(error) if matches!(error.cause(), Cause::NotPermitted) => Ok(Vec::new()),
-            ruled_out => ruled_out,
-        }
-    }
-
-    /// Looks for a journal that waits for this pack, before data flash is read for the first time. What keeps it from
-    /// that is no reason not to read: a write looks again.
-    pub(in crate::dataflash) fn search_waiting(&mut self, gauge: &mut Gauge, waited: Duration) {
-        if self.find_pending().is_some() {
-            return;
-        }
-        for place in [Where::Places, Where::Waiting] {
-            match self.search(gauge, place, waited) {
-                Ok(told) => told.iter().for_each(|told| log::warn!("{}: {told}", gauge.chip.name)),
-                Err(error) => log::warn!("{}: {error}", gauge.chip.name),
-            }
+    for place in [Where::Places, Where::Waiting] {
+        match search(flash, gauge, place, waited) {
+            Ok(told) => told.iter().for_each(|told| log::warn!("{}: {told}", gauge.chip.name)),
+            Err(error) => log::warn!("{}: {error}", gauge.chip.name),
         }
     }
 }

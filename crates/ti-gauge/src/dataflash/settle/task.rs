@@ -7,6 +7,7 @@ use std::ops::ControlFlow;
 use super::Decision;
 use crate::chip::{Chip, KeyStorage};
 use crate::codec::WINDOW;
+use crate::dataflash::debts::Shown;
 use crate::dataflash::job::{Job, Landed, Side, converge};
 use crate::dataflash::measured;
 use crate::dataflash::pack::{Known, Match, compare, mark_windows};
@@ -17,25 +18,7 @@ use crate::dataflash::verdict::{Verdict, unrestored};
 use crate::dataflash::window::{holds_keys, secrets};
 use crate::error::Result;
 use crate::gauge::{Gauge, Moment};
-use crate::journal::{Entry, Identity, Plan};
-
-/// What a person was shown of an interrupted write, by which a decision is meant.
-#[derive(Clone, Debug)]
-pub(in crate::dataflash) struct Shown {
-    pub(super) entry: Entry,
-    pub(super) identity: Identity,
-    pub(super) blocks: Vec<[u8; WINDOW]>,
-}
-
-impl Shown {
-    /// Whether a gauge is what was shown, but for what it has learned since.
-    fn is(&self, identity: &Identity, seen: &[Seen]) -> bool {
-        let same = |(shown, seen): (&[u8; WINDOW], &Seen)| {
-            (0..WINDOW).all(|at| shown[at] == seen.stored[at] || seen.block.learned.has(at))
-        };
-        self.identity == *identity && self.blocks.iter().zip(seen).all(same)
-    }
-}
+use crate::journal::{Identity, Plan};
 
 /// One interrupted write.
 pub(super) struct Task<'a> {

@@ -1,23 +1,44 @@
 // SPDX-License-Identifier: MIT
 
-//! What is owed to the gauge: an interrupted write that is not settled yet, and where it is on record.
+//! What is left to do on a gauge: a write that is neither done nor undone and a seal that is owed, where they are on record,
+//! and which journals of other places were compared with the gauge. Nothing is sent from here.
 
 use std::borrow::Cow;
 use std::path::PathBuf;
 use std::time::Duration;
 
-use crate::dataflash::owedseal::OwedSeal;
-use crate::dataflash::pack;
-use crate::dataflash::session::{Left, Reference, Session};
-use crate::dataflash::{Change, DataFlash};
+use super::Change;
+use super::knowledge::Arrival;
+use super::pack;
+use super::planned::Seen;
+use super::records::Records;
+use super::session::Left;
+use crate::codec::WINDOW;
+use crate::epoch::{Epoch, Fact};
 use crate::error::Result;
-use crate::gauge::{Gauge, Moment, Seal};
-use crate::journal::{Content, Entry, Found, OpenJournal, Plan};
+use crate::gauge::{Gauge, Moment};
+use crate::journal::{Content, Entry, Found, Identity, OpenJournal, Plan};
 use crate::keys::Name;
+
+/// What is left to do.
+#[derive(Debug, Default)]
+pub(super) struct Debts {
+    /// A write that is neither done nor undone, or a seal that is owed.
+    pending: Option<Pending>,
+    /// What was last shown of it.
+    shown: Option<Shown>,
+    /// Its journal, locked while this process may go on with it.
+    held: Option<OpenJournal>,
+    /// A seal that is owed beside it.
+    owed_seal: Option<OwedSeal>,
+    /// How far the journals of other gauges have been compared with this one, and those that are not of it.
+    searched: Fact<Searched, Arrival>,
+    judged: Fact<Vec<PathBuf>, Arrival>,
+}
 
 /// What is still to be settled.
 #[derive(Clone, Debug)]
-pub(in crate::dataflash) struct Pending {
+pub(super) struct Pending {
     /// `None` if the journal cannot be read, or another process works on it.
     pub(super) entry: Option<Entry>,
     /// Its journal; `None` if there is none.
@@ -48,9 +69,114 @@ pub struct Owed<'a> {
     pub keys: &'a [Name],
 }
 
-impl DataFlash {
+/// A seal that is owed.
+#[derive(Clone, Debug)]
+pub(super) struct OwedSeal {
+    /// The gauge that was opened; `None` if the record cannot be read.
+    pub(super) entry: Option<Entry>,
+    pub(super) why: String,
+}
+
+/// What a person was shown of an interrupted write, by which a decision is meant.
+#[derive(Clone, Debug)]
+pub(super) struct Shown {
+    pub(super) entry: Entry,
+    pub(super) identity: Identity,
+    pub(super) blocks: Vec<[u8; WINDOW]>,
+}
+
+impl Shown {
+    /// Whether a gauge is what was shown, but for what it has learned since.
+    pub(super) fn is(&self, identity: &Identity, seen: &[Seen]) -> bool {
+        let same = |(shown, seen): (&[u8; WINDOW], &Seen)| {
+            (0..WINDOW).all(|at| shown[at] == seen.stored[at] || seen.block.learned.has(at))
+        };
+        self.identity == *identity && self.blocks.iter().zip(seen).all(same)
+    }
+}
+
+/// What of the folder of journals has been compared with this gauge since it arrived.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Searched {
+    /// Those of other places.
+    places: bool,
+    /// Those that wait for their packs.
+    waiting: bool,
+}
+
+/// Which journals of other gauges are compared with this one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Where {
+    Places,
+    Waiting,
+}
+
+impl Debts {
+    /// What is pending, as far as it was looked for.
+    pub(super) fn pending(&self) -> Option<&Pending> {
+        self.pending.as_ref()
+    }
+
+    /// Keeps what could not be settled.
+    pub(super) fn wait(&mut self, pending: Pending) {
+        self.pending = Some(pending);
+    }
+
+    /// Nothing is pending any more. Its journal may be held still.
+    pub(super) fn settled(&mut self) {
+        self.pending = None;
+    }
+
+    /// Keeps the journal of what is pending locked, or lets it go.
+    pub(super) fn hold(&mut self, journal: Option<OpenJournal>) {
+        self.held = journal;
+    }
+
+    /// The journal that is locked.
+    pub(super) fn take_held(&mut self) -> Option<OpenJournal> {
+        self.held.take()
+    }
+
+    /// Notes what a person was shown of what is pending.
+    pub(super) fn show(&mut self, shown: Shown) {
+        self.shown = Some(shown);
+    }
+
+    /// What a person was shown of an entry.
+    pub(super) fn shown_of(&self, entry: &Entry) -> Option<&Shown> {
+        self.shown.as_ref().filter(|shown| shown.entry == *entry)
+    }
+
+    /// Whether the journals of other gauges there have been compared with this one.
+    pub(super) fn is_searched(&self, arrival: Epoch<Arrival>, place: Where) -> bool {
+        self.searched.get(arrival).is_some_and(|searched| match place {
+            Where::Places => searched.places,
+            Where::Waiting => searched.waiting,
+        })
+    }
+
+    pub(super) fn note_searched(&mut self, arrival: Epoch<Arrival>, place: Where) {
+        let searched = self.searched.in_epoch(arrival);
+        match place {
+            Where::Places => searched.places = true,
+            Where::Waiting => searched.waiting = true,
+        }
+    }
+
+    /// These journals show nothing of this gauge, or nothing more.
+    pub(super) fn note_judged(&mut self, arrival: Epoch<Arrival>, files: impl IntoIterator<Item = PathBuf>) {
+        self.judged.in_epoch(arrival).extend(files);
+    }
+
+    /// Why the seal that is owed could not be restored.
+    pub(super) fn note_unsealed(&mut self, why: String) {
+        if let Some(owed) = &mut self.owed_seal {
+            owed.why = why;
+        }
+    }
+
     /// What is owed to the gauge, if anything is.
-    pub fn owed(&self) -> Option<Owed<'_>> {
+    pub(super) fn owed(&self) -> Option<Owed<'_>> {
         let (pending, seal) = (self.pending.as_ref(), self.owed_seal.as_ref());
         let data =
             pending.is_some_and(|pending| pending.entry.as_ref().is_none_or(|entry| !entry.owes_seal()));
@@ -66,8 +192,9 @@ impl DataFlash {
     }
 
     /// Keeps what a session has left to be settled.
-    pub(in crate::dataflash) fn keep(
+    pub(super) fn keep(
         &mut self,
+        records: &Records,
         gauge: &Gauge,
         entry: Option<Entry>,
         opened: Option<OpenJournal>,
@@ -90,7 +217,7 @@ impl DataFlash {
             }
             // One whose key has changed is not opened to compare its marks.
             let owed = Plan { reset: !has_key, ..Plan::of_marks(marks) };
-            let replaced = self.records.journal().zip(self.held.as_ref());
+            let replaced = records.journal().zip(self.held.as_ref());
             let replaced = replaced.map(|(journal, held)| -> Result<OpenJournal> {
                 let mut replaced = journal.replace(held.path(), &entry.identity, entry.found)?;
                 replaced.plan(&owed)?;
@@ -110,34 +237,15 @@ impl DataFlash {
         self.pending = Some(pending);
     }
 
-    /// Adopts what is left of a change of keys, for somebody who makes it once more.
-    pub(in crate::dataflash) fn adopt(&mut self, gauge: &mut Gauge, session: &mut Session) -> Result<()> {
-        self.knowledge.forget_name();
-        self.knowledge.identity(gauge)?;
-        session.decided = true;
-        session.entry = self.pending.as_ref().and_then(|pending| pending.entry.clone());
-        session.pack.pack = session.entry.as_ref().map(Reference::of);
-        if session.entry.as_ref().is_some_and(|entry| entry.found == Seal::Sealed) {
-            session.found = Seal::Sealed;
-        }
-        let file = self.pending.as_ref().and_then(|pending| pending.file.clone());
-        session.journal = match (self.held.take(), self.records.journal().zip(file)) {
-            (Some(held), _) => Some(held),
-            (None, Some((journal, file))) => journal.open(&file)?,
-            (None, None) => None,
-        };
-        Ok(())
-    }
-
     /// Trying again does not help with what is owed.
-    pub(in crate::dataflash) fn leave_to_person(&mut self) {
+    pub(super) fn leave_to_person(&mut self) {
         if let Some(pending) = &mut self.pending {
             pending.undecided = true;
         }
     }
 
     /// Another gauge may be there now.
-    pub(in crate::dataflash) fn look_again(&mut self) {
+    pub(super) fn look_again(&mut self) {
         // The pack may come back elsewhere, where its journal must not be taken for one in use.
         self.held = None;
         match &mut self.pending {
@@ -150,28 +258,28 @@ impl DataFlash {
     }
 
     /// The files that need not be looked at: what they say of this gauge is known.
-    pub(super) fn known_files(&self) -> Vec<PathBuf> {
+    pub(super) fn known_files(&self, arrival: Epoch<Arrival>) -> Vec<PathBuf> {
         let held = self.held.iter().map(|held| held.path().to_path_buf());
-        held.chain(self.judged.get(self.knowledge.arrival()).into_iter().flatten().cloned()).collect()
+        held.chain(self.judged.get(arrival).into_iter().flatten().cloned()).collect()
     }
 
     /// Whether what is pending has been settled at another place, or its journal was moved away.
-    fn is_over(&self, pending: &Pending) -> bool {
-        let Some((journal, file)) = self.records.journal().zip(pending.file.as_ref()) else {
+    fn is_over(&self, records: &Records, pending: &Pending) -> bool {
+        let Some((journal, file)) = records.journal().zip(pending.file.as_ref()) else {
             return pending.entry.is_none();
         };
         self.held.is_none() && (pending.entry.is_none() || journal.look(file).is_none())
     }
 
     /// Finds what an earlier process has left at this place.
-    pub(in crate::dataflash) fn find_pending(&mut self) -> Option<Pending> {
-        if self.pending.as_ref().is_some_and(|pending| self.is_over(pending)) {
+    pub(super) fn find(&mut self, records: &Records, arrival: Epoch<Arrival>) -> Option<Pending> {
+        if self.pending.as_ref().is_some_and(|pending| self.is_over(records, pending)) {
             self.pending = None;
         }
         if self.pending.is_none()
-            && let Some(journal) = self.records.journal()
+            && let Some(journal) = records.journal()
         {
-            self.pending = match journal.search(false, &self.known_files()) {
+            self.pending = match journal.search(false, &self.known_files(arrival)) {
                 Ok(found) => found.into_iter().find(|found| found.is_here).map(Pending::found),
                 Err(error) => Some(Pending { undecided: true, ..Pending::of(None, error.to_string()) }),
             };
@@ -180,9 +288,38 @@ impl DataFlash {
     }
 
     /// The session that has left what is pending is going on: nobody has exchanged the gauge if it has answered since.
-    pub(in crate::dataflash) fn still_certain(&mut self, gauge: &Gauge) {
+    pub(super) fn still_certain(&mut self, gauge: &Gauge) {
         if let Some((_, left)) = self.pending.as_mut().and_then(|pending| pending.certain.as_mut()) {
             *left = gauge.clock.now();
+        }
+    }
+
+    /// Keeps a seal that could not be restored.
+    fn keep_seal(&mut self, entry: Entry, why: String) {
+        self.owed_seal = Some(OwedSeal { entry: Some(entry), why });
+    }
+
+    /// The seal that is owed, also by an earlier process.
+    pub(super) fn find_seal(&mut self, records: &Records) -> Option<&OwedSeal> {
+        if self.owed_seal.is_none()
+            && let Some(journal) = records.journal()
+        {
+            let why = || "a gauge that was found sealed may have been left open".to_string();
+            self.owed_seal = match journal.seal_owed() {
+                Ok(None) => None,
+                Ok(Some(entry)) => Some(OwedSeal { entry: Some(entry), why: why() }),
+                // Whatever gauge it was of, this one was not to be left open.
+                Err(error) => Some(OwedSeal { entry: None, why: format!("{}: {error}", why()) }),
+            };
+        }
+        self.owed_seal.as_ref()
+    }
+
+    /// No seal is owed any more: it is restored, or somebody has changed the seal state on purpose.
+    pub(super) fn forget_seal(&mut self, records: &Records) {
+        self.owed_seal = None;
+        if let Some(Err(error)) = records.journal().map(|journal| journal.seal_paid()) {
+            log::warn!("{error}");
         }
     }
 }
@@ -221,12 +358,12 @@ impl Pending {
     }
 
     /// Whether a person has to decide about a write of which these changes write all, so that nothing is lost without one.
-    pub(in crate::dataflash) fn is_written_again(&self, changes: &[Change]) -> bool {
+    pub(super) fn is_written_again(&self, changes: &[Change]) -> bool {
         self.undecided && self.plan().is_some_and(|plan| plan.is_covered(changes))
     }
 
     /// What was about to be written.
-    pub(in crate::dataflash) fn plan(&self) -> Option<Plan> {
+    pub(super) fn plan(&self) -> Option<Plan> {
         self.entry.as_ref()?.plan.clone()
     }
 }
