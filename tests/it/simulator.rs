@@ -367,7 +367,17 @@ fn the_scenario_swapped_pack_changes_neither_pack() {
         let told = fs::read_to_string(format!("{gauge}/gauge/last_error")).unwrap_or_default();
         outcomes.iter().find(|(outcome, _)| told.contains(outcome)).map(|(_, value)| *value)
     };
-    within("the first pack", || shows(&gauge, "serial_number", "0001") && settled().is_some());
+    // Its serial number is that of every new one: a host that was too slow to see it return asks a person.
+    let is_asked = || {
+        let told = fs::read_to_string(format!("{gauge}/gauge/last_error")).unwrap_or_default();
+        told.contains("so it may be another pack; nothing was touched")
+    };
+    let is_told = || settled().is_some() || is_asked();
+    within("the first pack", || shows(&gauge, "serial_number", "0001") && is_told());
+    if is_asked() {
+        assert!(write(&gauge, "df/80/53", "3200").is_err(), "nobody has decided");
+        return;
+    }
     assert_eq!(Some(&*read(&gauge, "df/80/53")), settled());
     assert_eq!(write(&gauge, "df/80/53", "3200"), Ok(()));
 }
