@@ -2,12 +2,9 @@
 
 //! SHA-1 authentication (SLUSBZ5D 7.3.15): a challenge goes to the gauge, the digest comes back.
 //!
-//! The gauge computes SHA1(K
-//!
-//! SHA1(K
-//!
-//! M)) from its key K, which never leaves it, and the challenge M. This is not the HMAC of RFC 2104. This module has
-//! the sequence on the bus, which needs no key, and the computation of the expected answer, which needs no gauge.
+//! The gauge computes SHA1(K || SHA1(K || M)) from its key K, which never leaves it, and the challenge M. This is not
+//! the HMAC of RFC 2104. This module has the sequence on the bus, which needs no key, and the computation of the
+//! expected answer, which needs no gauge.
 
 use std::time::Duration;
 
