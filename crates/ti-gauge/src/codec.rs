@@ -54,6 +54,17 @@ pub enum Order {
     Little,
 }
 
+impl Order {
+    /// The number that bytes are.
+    pub(crate) fn number(self, bytes: &[u8]) -> i64 {
+        let add = |sum: i64, &byte: &u8| sum << 8 | i64::from(byte);
+        match self {
+            Order::Big => bytes.iter().fold(0, add),
+            Order::Little => bytes.iter().rev().fold(0, add),
+        }
+    }
+}
+
 /// The format of floating-point numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Float {
@@ -125,11 +136,7 @@ impl Layout {
 
     /// The number without a sign that bytes are, at most seven.
     pub fn number(self, bytes: &[u8]) -> i64 {
-        let add = |sum: i64, &byte: &u8| sum << 8 | i64::from(byte);
-        match self.order {
-            Order::Big => bytes.iter().fold(0, add),
-            Order::Little => bytes.iter().rev().fold(0, add),
-        }
+        self.order.number(bytes)
     }
 
     /// The word that two bytes are.

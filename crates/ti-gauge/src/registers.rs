@@ -20,7 +20,7 @@ const GAP: u8 = 3;
 
 /// A number as standard commands have it, least significant byte first.
 pub(crate) fn number(bytes: &[u8]) -> i64 {
-    bytes.iter().rev().fold(0, |sum, &byte| sum << 8 | i64::from(byte))
+    codec::Order::Little.number(bytes)
 }
 
 /// What a row of the table reads.
