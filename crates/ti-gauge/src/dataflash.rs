@@ -78,8 +78,7 @@ use settle::search_waiting;
 use state::Copied;
 pub use state::has_lost_memory;
 pub(crate) use state::{read_bits, read_word};
-use window::learned;
-use window::{Planned, Window};
+use window::{Planned, Window, learned};
 
 /// A place in data flash.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT
 
-//! What a user allows: how often data flash is programmed, and whether a write may end a learning cycle. The cells of flash last for 20,000 cycles (SLUSBZ5D 6.12), and the gauge
-//! itself does not stop a runaway script from using them up.
+//! What a user allows: how often data flash is programmed, and whether a write may end a learning cycle. The cells of
+//! flash last for 20,000 cycles (SLUSBZ5D 6.12), and the gauge itself does not stop a runaway script from using them up.
 
 use std::collections::VecDeque;
 use std::time::Duration;

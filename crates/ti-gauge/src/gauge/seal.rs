@@ -169,6 +169,7 @@ impl Gauge {
     pub(super) fn commands(&mut self, goal: Seal) {
         (self.looks.seen, self.looks.commanded) = (None, Some((goal, self.clock.now() + SEAL_LAG)));
     }
+
     /// Whether an access is going on from now on, in which pauses between two transfers count.
     pub(crate) fn attend(&mut self, attended: bool) {
         if !attended && self.presence.is_marked() && self.looks.seen != Some(Seal::Sealed) {
