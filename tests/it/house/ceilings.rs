@@ -1,0 +1,161 @@
+// SPDX-License-Identifier: MIT
+
+//! Ceilings: how much product there is, how long its functions are, and how much state a gauge has. A change lowers them,
+//! or its commit says why not.
+//!
+//! Read from the sources as `rustfmt` leaves them. Tests are no product: files and items below `#[cfg(test)]`, and a rig.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use super::{crates, files, without_tests};
+
+/// The most lines of each crate.
+const LINES: [(&str, usize); 10] = [
+    ("gauge-bus", 2_450),
+    ("gauge-owner", 7_000),
+    ("gauge-sim", 10_300),
+    ("gauge-station", 3_850),
+    ("gaugefs", 17_700),
+    ("gaugefs-client", 2_800),
+    ("gaugefs-host", 760),
+    ("gaugefs-screen", 6_120),
+    ("i2c-server", 1_200),
+    ("ti-gauge", 27_900),
+];
+
+/// A function is long above that many lines, and so many are.
+const LONG: usize = 80;
+const LONG_FUNCTIONS: usize = 7;
+
+/// The most fields of the structs that hold what they say.
+const FIELDS: [(&str, &str, usize); 3] =
+    [("gauge-owner", "Owner", 20), ("ti-gauge", "DataFlash", 5), ("ti-gauge", "Gauge", 10)];
+
+/// The files of a crate that are product, and their text without tests.
+fn product(folder: &Path) -> BTreeMap<PathBuf, String> {
+    let mut all = Vec::new();
+    files(&folder.join("src"), &mut all);
+    all.retain(|path| path.extension().is_some_and(|extension| extension == "rs"));
+    let texts: BTreeMap<PathBuf, String> = all
+        .into_iter()
+        .map(|path| (path.clone(), fs::read_to_string(&path).expect("a file of the checkout")))
+        .collect();
+    let tests: BTreeSet<PathBuf> =
+        texts.iter().flat_map(|(path, text)| test_modules(text).map(|name| below(path, name))).collect();
+    let is_test = |path: &Path| path.ancestors().any(|folder| tests.contains(&folder.with_extension("")));
+    texts
+        .into_iter()
+        .filter(|(path, _)| !is_test(path))
+        .map(|(path, text)| (path, without_tests(&text)))
+        .collect()
+}
+
+/// The modules with files of their own that only a test has.
+fn test_modules(text: &str) -> impl Iterator<Item = &str> {
+    let mut is_test = false;
+    text.lines().filter_map(move |line| {
+        let was_test = is_test;
+        is_test = line.starts_with("#[cfg(") && line.contains("test") || was_test && line.starts_with("#[");
+        let (_, name) = line.strip_suffix(';').filter(|_| was_test)?.rsplit_once("mod ")?;
+        Some(name)
+    })
+}
+
+/// The place of a module that a file declares, without its extension.
+fn below(file: &Path, module: &str) -> PathBuf {
+    let place = file.with_extension("");
+    let is_root = ["lib", "main", "mod"].iter().any(|name| place.ends_with(name));
+    if is_root { place.with_file_name(module) } else { place.join(module) }
+}
+
+/// The functions of a text, each with its number of lines from `fn` to its end.
+fn functions(text: &str) -> Vec<(&str, usize)> {
+    let lines: Vec<&str> = text.lines().collect();
+    let mut found = Vec::new();
+    for (at, line) in lines.iter().enumerate() {
+        let indent = line.len() - line.trim_start().len();
+        let words = || line.trim_start().split(' ').take_while(|word| !word.contains('='));
+        let Some(name) = words().skip_while(|word| *word != "fn").nth(1) else { continue };
+        let is_end = |line: &&str| line.len() == indent + 1 && line.ends_with(['}', ';']);
+        let has_no_body = |line: &&str| {
+            line.ends_with(';') && line[..indent].trim().is_empty() && !line[indent..].starts_with(' ')
+        };
+        let length = lines[at..].iter().take_while(|line| !is_end(line) && !has_no_body(line)).count() + 1;
+        let is_short = line.ends_with('}') || line.ends_with(';');
+        found.push((name.split(['(', '<']).next().unwrap_or(name), if is_short { 1 } else { length }));
+    }
+    found
+}
+
+/// The fields of a struct at the top level of a text.
+fn fields(text: &str, name: &str) -> Option<usize> {
+    let start = format!("struct {name} {{\n");
+    let (_, body) = text.split_once(&start)?;
+    let body = body.split("\n}").next()?;
+    let is_field = |line: &&str| {
+        let line = line.strip_prefix("    ").unwrap_or_default();
+        line.starts_with(|letter: char| letter.is_lowercase()) && line.contains(": ")
+    };
+    Some(body.lines().filter(is_field).count())
+}
+
+fn name(folder: &Path) -> String {
+    let name = folder.file_name().and_then(|name| name.to_str()).expect("a name");
+    let is_package = folder == Path::new(env!("CARGO_MANIFEST_DIR"));
+    if is_package { "gaugefs".into() } else { name.into() }
+}
+
+#[test]
+fn no_crate_outgrows_its_ceiling() {
+    let ceilings = BTreeMap::from(LINES);
+    let mut found = Vec::new();
+    for folder in crates() {
+        let name = name(&folder);
+        let lines: usize = product(&folder).values().map(|text| text.lines().count()).sum();
+        let ceiling = *ceilings.get(&*name).unwrap_or_else(|| panic!("{name} has no ceiling"));
+        println!("{name}: {lines} of {ceiling}");
+        // A ceiling far above is none.
+        if lines > ceiling || lines < ceiling - ceiling / 5 {
+            found.push(format!("{name} has {lines} lines; its ceiling is {ceiling}"));
+        }
+    }
+    assert!(found.is_empty(), "{}", found.join("\n"));
+}
+
+#[test]
+fn few_functions_are_long() {
+    let mut found = Vec::new();
+    for folder in crates() {
+        for (path, text) in product(&folder) {
+            let long = functions(&text).into_iter().filter(|(_, lines)| *lines > LONG);
+            found.extend(long.map(|(name, lines)| format!("{}: {name} has {lines} lines", path.display())));
+        }
+    }
+    assert!(found.len() <= LONG_FUNCTIONS, "{}", found.join("\n"));
+}
+
+#[test]
+fn the_state_of_a_gauge_has_a_ceiling() {
+    for (crate_, name, ceiling) in FIELDS {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("crates").join(crate_);
+        let counts: Vec<usize> = product(&folder).values().filter_map(|text| fields(text, name)).collect();
+        assert!(
+            counts.len() == 1 && (1..=ceiling).contains(&counts[0]),
+            "{crate_} {name}: {counts:?} of {ceiling}"
+        );
+    }
+}
+
+#[test]
+fn functions_fields_and_tests_are_found() {
+    let text = "pub(crate) fn one(&self) -> u8 {\n    1\n}\n\ntrait A {\n    fn none(&self);\n    fn more(\n        &self,\n    ) -> bool;\n\
+                }\nimpl A for B {\n    fn two(\n        &self,\n    ) {\n        fn inner() {}\n    }\n}\nlet x = \"fn y\";\n";
+    assert_eq!(functions(text), [("one", 3), ("none", 1), ("more", 3), ("two", 5), ("inner", 1)]);
+    let text = "/// A: b.\npub struct Gauge {\n    /// Its bus: one.\n    pub bus: u8,\n    #[x]\n    a: Vec<(u8, u8)>,\n}\n";
+    assert_eq!((fields(text, "Gauge"), fields(text, "Bus")), (Some(2), None));
+    let text =
+        "#[cfg(test)]\nmod tests;\n#[cfg(any(test, feature = \"rig\"))]\n#[x]\npub mod rig;\nmod other;\n";
+    assert_eq!(test_modules(text).collect::<Vec<_>>(), ["tests", "rig"]);
+}
