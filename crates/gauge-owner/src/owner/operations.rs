@@ -404,7 +404,7 @@ impl Owner {
         }
         self.gauge.wait(self.schedule.wait(self.gauge.clock.now()));
         self.schedule.read_slow_tier();
-        self.recognise().and_then(|()| self.update()).inspect_err(|error| self.poll_failed(error))?;
+        self.recognise().and_then(|()| self.update()).inspect_err(|error| self.asked_poll_failed(error))?;
         self.repair_if_overdue();
         Ok(())
     }

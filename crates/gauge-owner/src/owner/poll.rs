@@ -212,6 +212,15 @@ impl Owner {
         }
     }
 
+    /// The same for a poll that somebody has asked for: its failure is always recorded, also that of a gauge that is gone.
+    pub(super) fn asked_poll_failed(&mut self, error: &Error) {
+        let was_gone = self.schedule.is_gone();
+        self.poll_failed(error);
+        if was_gone {
+            self.shared.record(Attempt::Poll, error);
+        }
+    }
+
     /// Reads what is due and publishes it as a new Snapshot.
     pub(super) fn poll(&mut self) -> Result<()> {
         let mut taken = self.gauge.clock.now();
@@ -376,6 +385,22 @@ mod tests {
         rig.clock.sleep(INTERVAL);
         rig.owner.poll_on_time();
         assert!(rig.handle.published().snapshot.is_some(), "the gauge is back");
+    }
+
+    #[test]
+    fn regression_a_refresh_of_a_gauge_that_is_gone_left_no_reason() {
+        let mut rig = Rig::open();
+        rig.sim.set("power", "off").expect("a knob");
+        for _ in 0..FAILURES {
+            rig.poll_after(INTERVAL);
+        }
+        for operation in [&op::REFRESH, &op::REPORT] {
+            rig.owner.shared.clear_error();
+            rig.poll_after(INTERVAL);
+            assert_eq!(*rig.handle.published().last_error, *"", "nobody has asked for this poll");
+            let error = rig.ask(operation, ()).expect_err("it is gone");
+            assert_eq!(*rig.handle.published().last_error, *error.to_string());
+        }
     }
 
     const SHORT: Duration = Duration::from_millis(500);

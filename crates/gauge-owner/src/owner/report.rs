@@ -111,7 +111,7 @@ impl Owner {
             Err(why) => (Err(why), Vec::new()),
         };
         let mut events = anonymous(self.gauge.chip, self.gauge.recorded());
-        outcome.inspect_err(|error| self.poll_failed(error))?;
+        outcome.inspect_err(|error| self.asked_poll_failed(error))?;
         for event in &mut events {
             if let Event::Transfer { at, .. } = event {
                 *at = at.saturating_sub(begun);
