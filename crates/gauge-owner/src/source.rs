@@ -359,7 +359,7 @@ impl Opened {
             chip,
             bus,
             single: false,
-            address: GAUGE_ADDRESS,
+            address: chip.address,
             subject,
             sim: None,
             lock: None,
@@ -388,4 +388,27 @@ pub fn recorded(path: &Path) -> Result<(&'static Chip, Replay)> {
         }
     }
     Ok((chip, replay))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use gauge_bus::clock::RealClock;
+
+    #[test]
+    fn a_gauge_is_at_the_address_of_its_part_unless_another_is_named() {
+        let table = Chip::by_name("bq34z100-g1").expect("a part with a table");
+        let other: &'static Chip = Box::leak(Box::new(Chip { address: 0x16, ..table.clone() }));
+        let of = |chip, address| {
+            let bus = Some("/dev/i2c-1".into());
+            match Source::of(&GaugeOptions { chip, address, bus, ..GaugeOptions::default() }) {
+                Ok(Source::Bus { address, .. }) => address,
+                _ => panic!("it is on a bus"),
+            }
+        };
+        assert_eq!((of(Some(other), None), of(Some(other), Some(0x55)), of(None, None)), (0x16, 0x55, 0x55));
+        let bus = gauge_sim::Sim::new(table.name, &gauge_sim::Options::default(), Arc::new(RealClock::new()));
+        let bus = Box::new(bus.expect("a part of the simulator").bus());
+        assert_eq!(Opened::new(other, bus, String::new()).address, 0x16);
+    }
 }
