@@ -156,8 +156,8 @@ pub(super) fn check_ptrace() -> Result<()> {
 
 /// Explains an error of [`copy_dev`] where a security module withholds a user namespace's privileges.
 fn explained(error: Error) -> Error {
-    match error.errno() {
-        Errno::EPERM | Errno::EACCES => restricted(&error.errno().into()),
+    match Errno::from_raw(error.errno()) {
+        errno @ (Errno::EPERM | Errno::EACCES) => restricted(&errno.into()),
         _ => error,
     }
 }

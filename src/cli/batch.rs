@@ -167,7 +167,7 @@ impl Batch {
             report.exit_code = outcome.unwrap_or_else(|error| {
                 say_error(&error);
                 (report.outcome, report.error) = ("failed", Some(error.to_string()));
-                report.error_details = Some(error.details());
+                report.error_details = Some(Details::of(&error));
                 failure
             });
             let failed = report.error.is_some();

@@ -110,7 +110,7 @@ impl Import {
 
     fn import(&self, gauge: &Gauge, source: &Source, report: &mut Report) -> Result<u8> {
         let groups: Vec<Group> = self.exclude.iter().map(|&name| name.into()).collect();
-        let named = |error: ti_gauge::error::Error| error.within(&source.name);
+        let named = |error: Error| error.within(&source.name);
         // A refused file leaves the gauge alone.
         let chip = gauge.chip()?;
         let set = assignment::wanted(chip, &self.set)?;

@@ -11,7 +11,7 @@ use serde::Serialize;
 use super::import::GroupName;
 use super::{align, batch, counted, mounted};
 use crate::config::chip_names;
-use crate::error::{Error, Result};
+use crate::error::Result;
 use crate::output::{print, print_json};
 use gaugefs_host::input;
 use ti_gauge::chip::Chip;
@@ -110,7 +110,7 @@ impl Lint {
                 (true, false) => print(&self.text(image))?,
             }
         }
-        match Error::of_file(&faults) {
+        match faults.error() {
             Some(error) => Err(error.within(&input::name(&self.file))),
             None => Ok(ExitCode::SUCCESS),
         }

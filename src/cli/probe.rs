@@ -215,9 +215,9 @@ fn examine(adapter: &Adapter, address: u8, named: bool, byte_writes: bool) -> Re
         Ok(Box::new(bus) as Box<dyn Bus>)
     };
     let target = Target { open: &open, clock: &clock, byte_writes, clock_hz: adapter.clock_hz() };
-    let plausible = match probe::candidates(&target).map_err(Error::from) {
+    let plausible = match probe::candidates(&target) {
         Ok(plausible) => plausible,
-        Err(error) => match error.errno() {
+        Err(error) => match Errno::from_raw(error.errno()) {
             Errno::ENXIO => return found(State::Nothing, Vec::new(), String::new()),
             Errno::EBUSY => return found(State::Busy, Vec::new(), "another gaugefs uses it".into()),
             _ => return Err(error),
@@ -277,7 +277,7 @@ fn examine_rom(adapter: &Adapter) -> Result<Found> {
             found(State::Rom, details.into())
         }
         Ok(false) => found(State::Nothing, String::new()),
-        Err(error) => Err(error.about(format!("{adapter} address 0x{address:02x}")).into()),
+        Err(error) => Err(error.about(format!("{adapter} address 0x{address:02x}"))),
     }
 }
 

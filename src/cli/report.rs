@@ -69,14 +69,14 @@ pub(super) struct Report {
 
 impl Report {
     pub(super) fn run(self) -> Result<ExitCode> {
-        let refused = |file: &Path, error: Error| match error.errno() {
+        let refused = |file: &Path, error: Error| match Errno::from_raw(error.errno()) {
             Errno::EEXIST => exists(file),
             _ => error,
         };
         if let Some(file) = &self.output {
             // Problems of the file matter less than those of the gauge.
             match check_file(file, how(self.force)) {
-                Err(error) if error.errno() == Errno::EEXIST => return Err(exists(file)),
+                Err(error) if error.errno() == Errno::EEXIST as i32 => return Err(exists(file)),
                 _ => {}
             }
         }

@@ -12,18 +12,16 @@ use clap::builder::PossibleValuesParser;
 use clap::{ArgGroup, Args};
 use nix::errno::Errno;
 
-use crate::error::{Error, Result};
+use crate::error::{Cause, Error, Result};
 use crate::output::{print, say};
 use gauge_bus::clock::{Clock, RealClock};
 use gauge_bus::linux::{Adapter, LinuxBus};
 use gauge_bus::regular;
 use gauge_bus::{Bus, BusError, GAUGE_ADDRESS};
 use gauge_owner::lock::Lock;
-use gauge_owner::of_sim;
 use gauge_sim::Sim;
 use gaugefs_host::input;
 use ti_gauge::chip::{CHIPS, Chip};
-use ti_gauge::error::Cause;
 use ti_gauge::gauge::Gauge;
 use ti_gauge::image;
 use ti_gauge::keys::Keys;
@@ -88,7 +86,7 @@ impl Rescue {
         let bytes = input::read_file(&self.file, image::LONGEST)
             .map_err(|error| Error::io(&name, "cannot be read", &error))?;
         let firmware = Firmware::parse(&String::from_utf8_lossy(&bytes), chip);
-        let firmware = firmware.map_err(|error| Error::from(error.within(&name)))?;
+        let firmware = firmware.map_err(|error| error.within(&name))?;
         let clock: Arc<dyn Clock> = Arc::new(RealClock::new());
         let confirm = || if self.yes { Ok(true) } else { is_confirmed(chip) };
         let Some(bus) = &self.bus else {
@@ -112,7 +110,7 @@ impl Rescue {
 
 /// A simulated gauge in ROM mode.
 fn left_in_rom(chip: &Chip, clock: &Arc<dyn Clock>) -> Result<Sim> {
-    let sim = Sim::new(chip.name, &gauge_sim::Options::default(), clock.clone()).map_err(of_sim)?;
+    let sim = Sim::new(chip.name, &gauge_sim::Options::default(), clock.clone())?;
     clock.sleep(STEP * 4);
     match sim.leave_in_rom() {
         true => Ok(sim),
@@ -134,7 +132,7 @@ fn bring_back(
     [name, subject]: [&str; 2],
     confirm: &dyn Fn() -> Result<bool>,
 ) -> Result<()> {
-    let within = |error: ti_gauge::error::Error| Error::from(error).within(subject);
+    let within = |error: Error| error.within(subject);
     check_state(&mut *gauge, boot, &**clock).map_err(within)?;
     let found = rom::look(boot, &**clock).map_err(within)?;
     firmware.check(&found).map_err(within)?;
@@ -171,7 +169,7 @@ fn bring_back(
     written.map_err(|error| {
         say("not finished. Leave the power on, and run the same command again: it begins \
              with the first row.");
-        Error::from(error).within(name)
+        error.within(name)
     })?;
     wait_for(&mut *gauge, &**clock).map_err(within)?;
     // The type is asked for at the present address.
@@ -187,12 +185,7 @@ fn bring_back(
 }
 
 /// Checks that a gauge is in ROM mode: nothing answers at the usual address, and something at the other.
-fn check_state(
-    gauge: &mut dyn Bus,
-    boot: &mut dyn Bus,
-    clock: &dyn Clock,
-) -> Result<(), ti_gauge::error::Error> {
-    use ti_gauge::error::Error;
+fn check_state(gauge: &mut dyn Bus, boot: &mut dyn Bus, clock: &dyn Clock) -> Result<()> {
     for _ in 0..LOOKS {
         match gauge.transfer(&[], &mut [0]) {
             Ok(()) => {
@@ -213,7 +206,7 @@ fn check_state(
 }
 
 /// Waits until the gauge has started its firmware.
-fn wait_for(gauge: &mut dyn Bus, clock: &dyn Clock) -> Result<(), ti_gauge::error::Error> {
+fn wait_for(gauge: &mut dyn Bus, clock: &dyn Clock) -> Result<()> {
     let start = clock.now();
     while gauge.transfer(&[], &mut [0]).is_err() {
         if clock.now() - start > STARTING {
@@ -221,7 +214,7 @@ fn wait_for(gauge: &mut dyn Bus, clock: &dyn Clock) -> Result<(), ti_gauge::erro
                 "all rows are written and their sums are right, but the gauge does not answer at 0x{GAUGE_ADDRESS:02x}; \
                  switch its power off and on"
             );
-            return Err(ti_gauge::error::Error::new("", Cause::NoAnswer, why));
+            return Err(Error::new("", Cause::NoAnswer, why));
         }
         clock.sleep(STEP);
     }

@@ -17,7 +17,7 @@ use crate::error::{Cause, Error, Result};
 use crate::output::{is_standard_output, print};
 use gauge_bus::GAUGE_ADDRESS;
 use gauge_bus::clock::{Clock, RealClock};
-use gauge_owner::{Script, Source, of_sim};
+use gauge_owner::{Script, Source};
 use gauge_sim::{FAULTS, Level, Options};
 use gaugefs_host::signals;
 use ti_gauge::chip::Chip;
@@ -141,8 +141,7 @@ impl Sim {
         let mut text = String::new();
         for word in &self.words {
             let (chip, _) = chip(&word.to_string_lossy())?;
-            let sim = gauge_sim::Sim::new(chip.name, &Options::default(), Arc::new(RealClock::new()))
-                .map_err(of_sim)?;
+            let sim = gauge_sim::Sim::new(chip.name, &Options::default(), Arc::new(RealClock::new()))?;
             let head = ["KNOB", "ACCESS", chip.model].map(String::from);
             let rows = sim.knobs().into_iter().map(|knob| {
                 let access = if knob.writable { "read, write" } else { "read" };

@@ -4,7 +4,6 @@
 
 use crate::error::Result;
 use crate::fs::Knobs;
-use gauge_owner::of_sim;
 use gauge_sim::Sim;
 
 /// The knobs of a simulated gauge.
@@ -20,6 +19,6 @@ impl Knobs for SimKnobs {
     }
 
     fn set(&self, name: &str, text: &str) -> Result<()> {
-        self.0.set(name, text).map_err(of_sim)
+        Ok(self.0.set(name, text)?)
     }
 }

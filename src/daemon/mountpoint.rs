@@ -388,7 +388,7 @@ pub fn unmount(path: &Path) -> Result<Unmounted> {
         Mounted::Alive => {
             remains = owed(&path);
             retry_busy(|| detach(&path, false)).map_err(|error| {
-                if error.errno() != Errno::EBUSY {
+                if error.errno() != Errno::EBUSY as i32 {
                     return error;
                 }
                 let users = users(&path);
@@ -494,7 +494,7 @@ fn retry_busy(mut attempt: impl FnMut() -> Result<()>) -> Result<()> {
     let clock = RealClock::new();
     loop {
         match attempt() {
-            Err(error) if error.errno() == Errno::EBUSY && clock.now() < PATIENCE => clock.sleep(STEP),
+            Err(error) if error.errno() == Errno::EBUSY as i32 && clock.now() < PATIENCE => clock.sleep(STEP),
             outcome => return outcome,
         }
     }

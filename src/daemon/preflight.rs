@@ -161,5 +161,5 @@ fn needs_of(name: &str, gauge: &GaugeOptions, mountpoint: &Path) -> Vec<Error> {
 
 /// A gauge whose part is named may be absent when the mount starts.
 fn waited_for(error: &Error) -> Error {
-    Error::host("", error.errno(), format!("{error}; a mount would wait for it"))
+    Error::host("", nix::errno::Errno::from_raw(error.errno()), format!("{error}; a mount would wait for it"))
 }

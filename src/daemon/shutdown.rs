@@ -82,7 +82,7 @@ fn end(signal: Signal, phase: &mut Phase) {
     match mountpoint::detach(path, false) {
         // The FUSE session ends, and `run` with it.
         Ok(()) => *phase = Phase::Ending,
-        Err(error) if error.errno() == Errno::EBUSY => {
+        Err(error) if error.errno() == Errno::EBUSY as i32 => {
             log::warn!("{}: in use, so it is detached", path.display());
             let detached = mountpoint::detach(path, true);
             mountpoint::unmake();

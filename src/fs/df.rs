@@ -269,7 +269,7 @@ impl Operations for Field<'_> {
         let (row, handle) = (self.supply.row(self.at, self.row), &self.supply.handle);
         let change = match self.supply.staged() {
             Some(_) => Err(transaction::busy().within(row.1.name)),
-            None => Change::parse(handle.chip(), row, data, handle.allows_unproven()).map_err(Error::from),
+            None => Change::parse(handle.chip(), row, data, handle.allows_unproven()),
         };
         match change {
             Ok(change) => handle.ask(&op::WRITE, vec![change], done),
@@ -545,7 +545,7 @@ impl Supply {
 
 /// A sealed gauge without a key shows everything but the values in data flash.
 fn unless_sealed(read: Result<()>) -> Result<()> {
-    read.or_else(|error| if error.errno() == Errno::EPERM { Ok(()) } else { Err(error) })
+    read.or_else(|error| if error.errno() == Errno::EPERM as i32 { Ok(()) } else { Err(error) })
 }
 
 /// A parameter's file name on parts with a flat address space.
@@ -617,7 +617,7 @@ mod tests {
         let says = |chip: &str, place: &str| {
             let chip = Chip::by_name(chip).expect("it has a table");
             let error = transaction::unknown(chip, place);
-            assert_eq!(error.errno(), Errno::ENOENT, "{place}");
+            assert_eq!(error.errno(), Errno::ENOENT as i32, "{place}");
             error.to_string()
         };
         let terminate = "no such parameter; did you mean 80/53 (Cell Terminate Voltage)?";

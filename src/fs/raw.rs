@@ -20,5 +20,5 @@ pub(super) fn change(chip: &'static Chip, line: &str) -> Result<Change> {
         let why = "write raw SUBCLASS/OFFSET HEX, 1 to 32 bytes of two digits each";
         return Err(Error::new("", Cause::Invalid, why));
     };
-    Ok(Change::raw(chip, Place { subclass, offset }, bytes)?)
+    Change::raw(chip, Place { subclass, offset }, bytes)
 }

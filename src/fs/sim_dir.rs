@@ -140,7 +140,7 @@ mod tests {
         let (sender, answer) = mpsc::channel();
         let done = Box::new(move |outcome| sender.send(outcome).expect("it is awaited"));
         tree.write(node, Caller { file: 1, process: None }, 0, data, done);
-        answer.recv().expect("an answer").map_err(|error: Error| error.errno())
+        answer.recv().expect("an answer").map_err(|error: Error| Errno::from_raw(error.errno()))
     }
 
     #[test]

@@ -346,7 +346,7 @@ impl Drop for Writing {
 }
 
 fn errno(error: &Error) -> Errno {
-    Errno::from_i32(error.errno() as i32)
+    Errno::from_i32(error.errno())
 }
 
 fn slice(bytes: &[u8], offset: u64, size: u32) -> &[u8] {

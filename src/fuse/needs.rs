@@ -15,6 +15,7 @@ use rustix::thread::{CapabilitySet, capabilities};
 
 use super::host;
 use crate::error::{Error, Result};
+use gauge_bus::error::reason;
 
 /// The kernel's end of a mount.
 const DEVICE: &str = "/dev/fuse";
@@ -59,8 +60,8 @@ pub fn device() -> Result<()> {
         Some(Errno::EPERM) => "a container has to be given the device",
         _ => "load the kernel's module as root: modprobe fuse",
     };
-    let error = Error::io(DEVICE, "cannot open it", &error);
-    Err(Error::host(DEVICE, error.errno(), format!("{}; {remedy}", error.reason())))
+    let why = format!("cannot open it: {}; {remedy}", reason(&error));
+    Err(Error::host(DEVICE, error, why))
 }
 
 /// Mounts a file system whose name in the mount table begins with `source`. Reports what the machine lacks before the

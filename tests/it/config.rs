@@ -505,7 +505,7 @@ fn a_gauge_that_comes_later_is_verified_first() {
     let run = Run { name: "PACK".into(), unverified: true, ..run(Duration::from_millis(500)) };
     let (handle, begun) = owner::start(chip, Box::new(socket), clock, run, signal.clone()).expect("a thread");
     let error = begun.recv().expect("an outcome").expect_err("nothing is there");
-    assert_eq!(error.errno(), Errno::ENXIO);
+    assert_eq!(error.errno(), Errno::ENXIO as i32);
     let tree = Tree::new("later", vec![entry("PACK", &handle)], signal);
     let path = |name: &str| tree.0.join("PACK").join(name);
     let cat = |name: &str| fs::read_to_string(path(name)).unwrap_or_else(|error| panic!("{name}: {error}"));

@@ -407,6 +407,61 @@ fn a_comparison_of_words_is_found() {
     }
 }
 
+/// The types of a text that are errors, by `impl` or `derive`.
+fn errors(text: &str) -> BTreeSet<String> {
+    let is_name = |letter: char| letter.is_alphanumeric() || letter == '_';
+    let first = |text: &str| text.chars().take_while(|&letter| is_name(letter)).collect::<String>();
+    let by_impl = text.match_indices("Error for ").filter_map(|(at, found)| {
+        let head = text[..at].rsplit("impl").next()?;
+        // The trait of that name, with or without a path, not `From<Error>` or `MyError`.
+        let is_trait = head.ends_with(' ') || head.ends_with("::");
+        (is_trait && !head.contains(['{', ';'])).then(|| first(&text[at + found.len()..]))
+    });
+    let by_derive = text.split("#[derive(").skip(1).filter_map(|rest| {
+        let (traits, rest) = rest.split_once(")]")?;
+        let is_error = traits.split(',').any(|name| name.trim().rsplit("::").next() == Some("Error"));
+        let (_, item) = rest
+            .split_once("struct ")
+            .into_iter()
+            .chain(rest.split_once("enum "))
+            .min_by_key(|(before, _)| before.len())?;
+        is_error.then(|| first(item))
+    });
+    by_impl.chain(by_derive).collect()
+}
+
+/// A failure is passed on as it is: a type around another one would repeat its methods. What a crate has to add is a
+/// reason with facts, or a field.
+#[test]
+fn few_types_are_errors() {
+    let mut found = BTreeSet::new();
+    for folder in crates() {
+        let name = folder.file_name().and_then(|name| name.to_str()).expect("a name").to_string();
+        for text in modules(&folder.join("src")).values() {
+            found.extend(errors(text).into_iter().map(|error| format!("{name}: {error}")));
+        }
+    }
+    let known = ["gauge-bus: BusError", "gauge-bus: Error", "gaugefs-client: Error", "ti-gauge: Error"];
+    assert_eq!(found, known.map(String::from).into());
+}
+
+#[test]
+fn an_error_type_is_found() {
+    for text in [
+        "impl std::error::Error for Own {}",
+        "impl<T: Debug> Error for Own<T> {",
+        "#[derive(Debug, thiserror::Error)]\n#[error(\"x\")]\npub enum Own {",
+        "#[derive(Error)] struct Own(u8); enum Other {}",
+    ] {
+        assert_eq!(errors(text), BTreeSet::from(["Own".to_string()]), "{text}");
+    }
+    for text in
+        ["impl From<Error> for Own {", "impl fmt::Display for Error {", "#[derive(Debug)] struct Error;"]
+    {
+        assert_eq!(errors(text), BTreeSet::new(), "{text}");
+    }
+}
+
 /// The functions of a text that are named as questions and answer nothing.
 fn questions_without_answer(text: &str) -> Vec<&str> {
     const QUESTIONS: [&str; 9] = ["are_", "can_", "did_", "had_", "has_", "is_", "may_", "needs_", "was_"];

@@ -3,14 +3,13 @@
 //! Input for every parameter of every chip: the limits of its range are accepted; values beyond them, and text
 //! that is not a value of its type, are refused.
 
-use gaugefs::error::Error;
 use nix::errno::Errno;
 use ti_gauge::chip::{CHIPS, Parameter, Range};
 use ti_gauge::notation;
 use ti_gauge::value::{Type, Value};
 
 fn refused(parameter: &Parameter, text: &str) -> Option<Errno> {
-    notation::parse(parameter, text.as_bytes()).err().map(|error| Error::from(error).errno())
+    notation::parse(parameter, text.as_bytes()).err().map(|error| Errno::from_raw(error.errno()))
 }
 
 /// The texts that a parameter must accept, and those that must be refused with an errno.

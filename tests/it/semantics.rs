@@ -207,8 +207,7 @@ fn engine(faults: &[&str], wanted: Errno) -> Result<(), Errno> {
         let mut rig = Rig::new("bq34z100-g1");
         let faults: Vec<_> = (first..first + 12).map(|n: u64| fault.replace('N', &n.to_string())).collect();
         rig.sim.set("fault", &faults.join("; ")).expect("faults");
-        if rig.write(80, 53, "3100").is_err_and(|error| gaugefs::error::Error::from(error).errno() == wanted)
-        {
+        if rig.write(80, 53, "3100").is_err_and(|error| error.errno() == wanted as i32) {
             return Err(wanted);
         }
     }

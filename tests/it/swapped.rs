@@ -64,7 +64,7 @@ fn a_swapped_pack_is_detected() {
 
     at.store(1, Ordering::SeqCst);
     let error = write(3100).expect_err("another pack");
-    assert_eq!(error.errno(), nix::errno::Errno::ENODEV, "{error}");
+    assert_eq!(error.errno(), nix::errno::Errno::ENODEV as i32, "{error}");
     assert!((first.flash(), other.sim.flash()) == before);
     assert!(handle.published().last_error.contains("another pack"), "{}", handle.published().last_error);
     assert_eq!(serial(), 7, "what was kept is dropped");

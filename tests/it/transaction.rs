@@ -52,7 +52,7 @@ impl Tree {
         let (done, is_done) = mpsc::channel();
         let answer = Box::new(move |outcome| done.send(outcome).expect("somebody waits"));
         self.fs.write(self.node(path), caller, 0, text.as_bytes(), answer);
-        is_done.recv().expect("an answer").map_err(|error| error.errno())
+        is_done.recv().expect("an answer").map_err(|error| Errno::from_raw(error.errno()))
     }
 
     fn close(&self, caller: Caller) {
@@ -76,7 +76,7 @@ impl Tree {
         let (done, is_done) = mpsc::channel();
         let answer = Box::new(move |outcome| done.send(outcome).expect("somebody waits"));
         self.fs.read(self.node(path), answer);
-        is_done.recv().expect("an answer").map_err(|error| error.errno())
+        is_done.recv().expect("an answer").map_err(|error| Errno::from_raw(error.errno()))
     }
 
     fn count(&self, wanted: &str) -> u64 {
@@ -397,7 +397,7 @@ fn a_piece_of_a_write_is_no_value() {
             let answer = Box::new(move |outcome| done.send(outcome).expect("somebody waits"));
             tree.fs.write(tree.node(path), own(1), offset, padded(length, value).as_bytes(), answer);
             let error = is_done.recv().expect("an answer").expect_err("a piece");
-            assert_eq!(error.errno(), Errno::EFBIG, "{path}: {length} bytes at {offset}");
+            assert_eq!(error.errno(), Errno::EFBIG as i32, "{path}: {length} bytes at {offset}");
             assert!(tree.handle.published().last_error.contains("may not be whole"), "{error}");
         }
     }

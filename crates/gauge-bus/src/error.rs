@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! The error of opening a bus or reading a recording.
+//! The error of opening a bus, of reading a recording, and of turning a simulated gauge's knobs.
 
 use std::{fmt, io};
 
@@ -12,8 +12,12 @@ pub type Result<T, E = Error> = std::result::Result<T, E>;
 /// The kind of a failure.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ErrorKind {
-    /// A file with invalid contents.
+    /// A file with invalid contents, or a text that is not understood.
     Invalid,
+    /// A number outside of its range.
+    OutOfRange,
+    /// Not possible on this gauge, or read-only.
+    NotPermitted,
     /// No device node of that name.
     NotFound,
     /// The node is not an I2C adapter.
@@ -24,7 +28,9 @@ pub enum ErrorKind {
     Busy,
     /// The user may not open the node.
     Forbidden,
-    /// Any other error of the operating system.
+    /// A file cannot be read or written.
+    File(io::ErrorKind),
+    /// Any other error of the operating system with the node.
     Io(io::ErrorKind),
 }
 
@@ -33,12 +39,14 @@ impl ErrorKind {
     pub fn errno(self) -> i32 {
         let errno = match self {
             Self::Invalid => Errno::INVAL,
+            Self::OutOfRange => Errno::RANGE,
+            Self::NotPermitted => Errno::PERM,
             Self::NotFound => Errno::NOENT,
             Self::NotABus => Errno::NOTTY,
             Self::SmbusOnly => Errno::OPNOTSUPP,
             Self::Busy => Errno::BUSY,
             Self::Forbidden => Errno::ACCESS,
-            Self::Io(kind) => return errno_of(kind),
+            Self::File(kind) | Self::Io(kind) => return errno_of(kind),
         };
         errno.raw_os_error()
     }
@@ -74,7 +82,7 @@ pub struct Driver {
 /// One failure: its subject, its kind, and one line that says what happened and what to do.
 #[derive(Clone, PartialEq, Eq)]
 pub struct Error {
-    /// The node, file or address that the error is about.
+    /// The node, file, address or knob that the error is about.
     pub subject: String,
     /// Its kind.
     pub kind: ErrorKind,
@@ -85,8 +93,14 @@ pub struct Error {
 }
 
 impl Error {
-    pub(crate) fn new(subject: impl Into<String>, kind: ErrorKind, text: impl Into<String>) -> Self {
+    /// An error about `subject`.
+    pub fn new(subject: impl Into<String>, kind: ErrorKind, text: impl Into<String>) -> Self {
         Self { subject: subject.into(), kind, text: text.into(), driver: None }
+    }
+
+    /// A file that cannot be read or written; `what` names what failed.
+    pub fn file(subject: impl Into<String>, what: &str, error: &io::Error) -> Self {
+        Self::new(subject, ErrorKind::File(error.kind()), format!("{what}: {}", reason(error)))
     }
 
     pub(crate) fn io(subject: impl Into<String>, what: &str, error: &io::Error) -> Self {

@@ -67,8 +67,8 @@ impl Recording {
     /// Reads a file that `--trace` or `gaugefs report` wrote.
     pub fn open(path: &Path) -> Result<Self> {
         let name = path.display().to_string();
-        let text =
-            regular::read_text(path, LONGEST).map_err(|error| Error::io(&name, "cannot read it", &error))?;
+        let text = regular::read_text(path, LONGEST)
+            .map_err(|error| Error::file(&name, "cannot read it", &error))?;
         Self::parse(&text).map_err(|error| error.within(&name))
     }
 

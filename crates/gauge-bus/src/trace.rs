@@ -96,7 +96,7 @@ impl Trace {
         head: &str,
         replace: bool,
     ) -> Result<Self> {
-        let failed = |error| Error::io(path.display().to_string(), "cannot write the trace", &error);
+        let failed = |error| Error::file(path.display().to_string(), "cannot write the trace", &error);
         check(path, replace).map_err(failed)?;
         // An old trace is there until the new one has begun.
         let head = text(head, &[], address, &[]);
@@ -205,7 +205,7 @@ mod tests {
             |replace| Trace::new(Box::new(Echo), 0x55, &path, clock.clone(), "again", replace).map(drop);
         assert_eq!(
             again(false).expect_err("it is there").kind,
-            crate::ErrorKind::Io(std::io::ErrorKind::AlreadyExists)
+            crate::ErrorKind::File(std::io::ErrorKind::AlreadyExists)
         );
         assert_eq!(std::fs::read_to_string(&path).expect("the trace"), text, "it was touched");
         again(true).expect("it is replaced");

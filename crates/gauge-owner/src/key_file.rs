@@ -25,7 +25,7 @@ pub fn from_file(path: &Path, gauge: &str) -> Result<Keys> {
     let name = path.display().to_string();
     let (file, status) = open(path, &name)?;
     private(&status, &name)?;
-    Ok(Keys::parse(&name, &read(file, &name)?, gauge)?)
+    Keys::parse(&name, &read(file, &name)?, gauge)
 }
 
 /// Checks, for root, the file that systemd copies to a service's credential: the copy does not show who may read
@@ -34,7 +34,7 @@ pub fn check(path: &Path) -> Result<()> {
     let name = path.display().to_string();
     match open(path, &name) {
         Ok((_, status)) => private(&status, &name),
-        Err(error) if error.errno() == Errno::ENOENT => Ok(()),
+        Err(error) if error.errno() == Errno::ENOENT as i32 => Ok(()),
         Err(error) => Err(error),
     }
 }

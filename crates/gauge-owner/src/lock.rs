@@ -357,7 +357,7 @@ mod tests {
         let mode = fs::metadata(file(&state)).expect("a file").mode();
         assert_eq!(mode & 0o777, 0o600, "others could hold it");
         let refused = lock(false).expect_err("held by the first");
-        assert_eq!(refused.errno(), Errno::EBUSY);
+        assert_eq!(refused.errno(), Errno::EBUSY as i32);
         let (text, pid) = (refused.to_string(), std::process::id());
         assert!(text.contains(&format!("in use by process {pid} (")), "{text}");
         assert!(

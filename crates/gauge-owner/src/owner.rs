@@ -342,14 +342,13 @@ impl Owner {
     }
 
     /// Reports an error, or clears the failure of an earlier attempt, and passes the outcome on.
-    fn logged<T, E: Into<Error>>(&self, attempt: Attempt, outcome: Result<T, E>) -> Result<T> {
+    fn logged<T>(&self, attempt: Attempt, outcome: Result<T>) -> Result<T> {
         match outcome {
             Ok(done) => {
                 self.shared.succeeded(&attempt);
                 Ok(done)
             }
             Err(error) => {
-                let error = error.into();
                 self.shared.report(attempt, &error);
                 Err(error)
             }
@@ -429,7 +428,7 @@ mod tests {
             rig.owner.open().expect("it answers");
             at.store(rig.transfers() + number, Ordering::SeqCst);
             let error = write(&mut rig).expect_err("a panic");
-            assert_eq!(error.errno(), Errno::ENOTRECOVERABLE, "{error}");
+            assert_eq!(error.errno(), Errno::ENOTRECOVERABLE as i32, "{error}");
             let published = rig.handle.published();
             assert!(published.snapshot.is_none() && published.last_error.contains("index out of bounds"));
 
@@ -462,7 +461,7 @@ mod tests {
         let transfers = handle.statistics().iter().find(|(name, _)| *name == "transfers").expect("a count").1;
         at.store(transfers + 1, Ordering::SeqCst);
         let error = handle.wait_for(&operations::REFRESH, ()).expect_err("a panic");
-        assert_eq!(error.errno(), Errno::EIO, "{error}");
+        assert_eq!(error.errno(), Errno::EIO as i32, "{error}");
         assert!(handle.published().snapshot.is_none());
         handle.wait_for(&operations::REFRESH, ()).expect("it is identified again");
         assert!(handle.published().snapshot.is_some());

@@ -153,7 +153,7 @@ fn profile(path: &Path, chip: &'static Chip) -> Result<Vec<Change>> {
     if let Some(why) = implausible_profile(&image) {
         return refuse(format!("{why}; leave that out, and the gauge begins with its own"));
     }
-    Ok(image.to_restore().map_err(|error| error.within(&path.display().to_string()))?)
+    image.to_restore().map_err(|error| error.within(&path.display().to_string()))
 }
 
 /// Makes sure that nobody else can have written a profile, which is written to the gauge without a question.

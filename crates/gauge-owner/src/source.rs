@@ -37,12 +37,12 @@ pub struct Script {
 
 impl Script {
     fn read(&self) -> Result<Scenario> {
-        Scenario::read(&self.name, self.seed).map_err(of_sim)
+        Scenario::read(&self.name, self.seed).map_err(Error::from)
     }
 
     fn play(&self, sim: &Sim) -> Result<()> {
         let name = self.name.display().to_string();
-        sim.play(self.read()?).map_err(|error| of_sim(error).within(&name))
+        sim.play(self.read()?).map_err(|error| Error::from(error).within(&name))
     }
 }
 
@@ -190,13 +190,13 @@ impl Source {
             Self::Sim { chip, state, seal, scenario, knobs, .. } => {
                 if scenario.is_some() || seal.is_some() || !knobs.is_empty() {
                     let options = gauge_sim::Options { seal: *seal, ..gauge_sim::Options::default() };
-                    let sim = Sim::new(chip.name, &options, clock.clone()).map_err(of_sim)?;
+                    let sim = Sim::new(chip.name, &options, clock.clone())?;
                     turn(&sim, knobs)?;
                     scenario.as_ref().map_or(Ok(()), |script| script.play(&sim))?;
                 }
                 let Some(path) = state else { return Ok(()) };
                 let _lock = Lock::state(path, mountpoint, &**clock, is_ending)?;
-                Sim::check_state(chip.name, path).map_err(of_sim)
+                Sim::check_state(chip.name, path).map_err(Error::from)
             }
             Self::Recording(path) => recorded(path).map(drop),
             Self::Bus { bus, address, .. } => {
@@ -215,7 +215,7 @@ impl Source {
                 let state = state.as_deref();
                 let lock =
                     state.map(|path| Lock::state(path, mountpoint, &**clock, is_ending)).transpose()?;
-                state.map_or(Ok(()), |path| Sim::check_state(chip.name, path)).map_err(of_sim)?;
+                state.map_or(Ok(()), |path| Sim::check_state(chip.name, path))?;
                 let (sim, bus) = power_up(chip, state, *key, *seal, clock)?;
                 turn(&sim, knobs)?;
                 scenario.as_ref().map_or(Ok(()), |script| script.play(&sim))?;
@@ -230,7 +230,7 @@ impl Source {
             &Self::Bus { ref bus, address, chip, single } => {
                 let opened = on_bus(bus, address, chip, single, &subject, mountpoint, clock);
                 let opened = match (opened, chip) {
-                    (Err(error), Some(chip)) if waits && error.errno() != Errno::ENOTTY => {
+                    (Err(error), Some(chip)) if waits && error.errno() != Errno::ENOTTY as i32 => {
                         absent(bus, address, chip, subject, error, clock)?
                     }
                     (opened, _) => opened?,
@@ -246,24 +246,12 @@ fn is_ending(mountpoint: &Path) -> bool {
     !mounts::is_gaugefs(mountpoint)
 }
 
-/// The simulator's error.
-pub fn of_sim(gauge_sim::Error { subject, kind, text }: gauge_sim::Error) -> Error {
-    use gauge_sim::Kind;
-    let cause = match kind {
-        Kind::Invalid => Cause::Invalid,
-        Kind::OutOfRange => Cause::OutOfRange,
-        Kind::NotPermitted => Cause::NotPermitted,
-        Kind::Io(kind) => Cause::Io(kind),
-    };
-    Error::new(subject, cause, text)
-}
-
 /// Turns knobs of a simulated gauge.
 fn turn(sim: &Sim, knobs: &[(String, String)]) -> Result<()> {
     knobs
         .iter()
         .try_for_each(|(knob, text)| sim.set(knob, text))
-        .map_err(|error| of_sim(error).within("sim-set"))
+        .map_err(|error| Error::from(error).within("sim-set"))
 }
 
 /// A simulated gauge that answers.
@@ -278,7 +266,7 @@ fn power_up(
     let seed = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_nanos() as u64;
     let options =
         gauge_sim::Options { state: state.map(Path::to_path_buf), unseal_key, seal, seed, envelope: None };
-    let sim = Sim::new(chip.name, &options, clock.clone()).map_err(of_sim)?;
+    let sim = Sim::new(chip.name, &options, clock.clone())?;
     let mut bus = sim.bus();
     let start = clock.now();
     while bus.transfer(&[0], &mut [0; 2]).is_err() && clock.now() - start < POWER_UP {
@@ -322,7 +310,7 @@ fn on_bus(
 /// Locks a gauge on a bus.
 fn claim(adapter: &Adapter, address: u8, mountpoint: &Path, clock: &Arc<dyn Clock>) -> Result<Lock> {
     Lock::gauge(adapter, address, mountpoint, &**clock, is_ending).or_else(|error| {
-        if error.errno() != Errno::EBUSY {
+        if error.errno() != Errno::EBUSY as i32 {
             // Without permission for the bus, that is the first thing to correct.
             LinuxBus::open(adapter.clone(), address, clock.clone())?;
         }
@@ -342,7 +330,7 @@ fn absent(
     // The journal has the same name whether the adapter is there at the start or not.
     let Some(journal_key) = lock::key_of_place(bus, address) else {
         let why = format!("{error}; to wait for an adapter, name it /dev/i2c-N");
-        return Err(Error::host("", error.errno(), why));
+        return Err(Error::host("", Errno::from_raw(error.errno()), why));
     };
     let bus = LinuxBus::absent(bus, address, clock.clone());
     Ok(Opened {

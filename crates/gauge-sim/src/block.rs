@@ -15,7 +15,6 @@ use sha1::{Digest, Sha1};
 use super::analog::{BOARD_COUNTS, CC_COUNTS};
 use super::device::{Device, Gauge, Wire};
 use super::envelope::{Early, First, Lost};
-use super::error::{Error, Kind, Result};
 use super::flash::{BLOCK, Flash};
 use super::gauging::Gauging;
 use super::knob;
@@ -29,6 +28,7 @@ use super::seal::{self, Level, Seal};
 use super::update::{Exit, Mode};
 use super::window::{Before, Source, Window, checksum};
 use gauge_bus::GAUGE_ADDRESS;
+use gauge_bus::error::{Error, ErrorKind, Result};
 
 const CODES: u16 = 112;
 /// While a self-sealed gauge refuses keys, a subcommand above this one restarts that time (SLUUAC9A 6.4.5.1.1).
@@ -697,7 +697,7 @@ impl Wire for Block {
         if level == Level::FullAccess && self.part.keys.len() < 2 {
             return Err(Error::new(
                 "seal",
-                Kind::NotPermitted,
+                ErrorKind::NotPermitted,
                 "the part has no FULL ACCESS; write unsealed",
             ));
         }
@@ -774,7 +774,7 @@ impl Wire for Block {
                 if inverted && self.part.gain_sign().is_none() {
                     return Err(Error::new(
                         name,
-                        Kind::NotPermitted,
+                        ErrorKind::NotPermitted,
                         "no such specimen of this part is known",
                     ));
                 }
@@ -792,7 +792,7 @@ impl Wire for Block {
                 if is_away && !self.part.has_pin(&device.flash) {
                     return Err(Error::new(
                         name,
-                        Kind::NotPermitted,
+                        ErrorKind::NotPermitted,
                         "no pin of this gauge detects a battery",
                     ));
                 }
@@ -810,7 +810,11 @@ impl Wire for Block {
             "board_divider" => {
                 let fits = self.part.scale(&device.flash);
                 if fits.is_none() {
-                    return Err(Error::new(name, Kind::NotPermitted, "the part has no external divider"));
+                    return Err(Error::new(
+                        name,
+                        ErrorKind::NotPermitted,
+                        "the part has no external divider",
+                    ));
                 }
                 let divider = knob::or_auto(name, text, 1.0, 65_535.0)?;
                 let board = divider.map(|divider| Scale { divider: divider as u16, external: true });

@@ -10,7 +10,6 @@ use std::borrow::Cow;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use super::envelope::{DRAWN, Envelope, Lost, NackAs};
-use super::error::{Error, Kind, Result};
 use super::fault::{Commit, Plan};
 use super::flash::{BLOCK, Flash, Store};
 use super::knob::{self, Knob, KnobValue, Of};
@@ -23,6 +22,7 @@ use super::seal::{Level, Seal};
 use super::timing::Busy;
 use super::timing::Timing;
 use super::watchdog::Watchdog;
+use gauge_bus::error::{Error, ErrorKind, Result};
 
 enum Power {
     On,
@@ -470,7 +470,7 @@ impl Gauge {
 
     /// Puts bytes into flash and restarts the gauge with them: `AREA OFFSET HEX`.
     pub(super) fn put_flash(&mut self, text: &str, now: Duration) -> Result<()> {
-        let bad = |why: &'static str| Error::new(FLASH, Kind::Invalid, why);
+        let bad = |why: &'static str| Error::new(FLASH, ErrorKind::Invalid, why);
         let words: Vec<&str> = text.split_whitespace().collect();
         let [area, offset, hex] = words[..] else {
             return Err(bad("not what to store; write an area, an offset and bytes, such as \"48 4 0007\""));

@@ -6,8 +6,8 @@ use std::fmt;
 use std::time::Duration;
 
 use super::envelope::{Lost, NackAs};
-use super::error::{Error, Kind, Result};
 use super::random::Random;
+use gauge_bus::error::{Error, ErrorKind, Result};
 use gauge_bus::{Bus, BusError};
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -278,7 +278,7 @@ fn bad(part: &str) -> Error {
             format!("no such fault; write one of these, or several with `;` between: {}", all.join(", "))
         }
     };
-    Error::new("fault", Kind::Invalid, why)
+    Error::new("fault", ErrorKind::Invalid, why)
 }
 
 impl fmt::Display for Armed {

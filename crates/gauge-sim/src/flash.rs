@@ -11,10 +11,10 @@ use std::fs::OpenOptions;
 use std::io;
 use std::path::{Path, PathBuf};
 
+use gauge_bus::error::{Error, ErrorKind, Result};
 use gauge_bus::regular::{self, Replace};
 use sha1::{Digest, Sha1};
 
-use super::error::{Error, Kind, Result};
 use super::rom::{DATA, Firmware};
 
 /// Bytes in a whole block.
@@ -194,7 +194,7 @@ impl Store {
         let path = self.path.as_deref().unwrap_or(Path::new("")).display().to_string();
         let remedy = "restore it, or move it away for a new gauge";
         let text = format!("not a usable state of a {} gauge: {why}; {remedy}", self.chip);
-        Error::new(path, Kind::Invalid, text)
+        Error::new(path, ErrorKind::Invalid, text)
     }
 
     fn parse(&self, text: &str, flash: &mut Flash) -> Result<(), String> {
@@ -310,8 +310,7 @@ const LONGEST: u64 = 4 << 20;
 const HEAD: &str = "gaugefs simulated gauge 1";
 
 fn host(path: &Path, error: &io::Error, what: &str) -> Error {
-    let text = format!("the simulated gauge's state {what}: {}", gauge_bus::error::reason(error));
-    Error::new(path.display().to_string(), Kind::Io(error.kind()), text)
+    Error::file(path.display().to_string(), &format!("the simulated gauge's state {what}"), error)
 }
 
 fn sum_of(text: &str) -> String {

@@ -4,7 +4,7 @@
 
 use std::time::Duration;
 
-use super::error::{Error, Kind, Result};
+use gauge_bus::error::{Error, ErrorKind, Result};
 
 /// Knobs that also act on gauges without data flash.
 pub(super) const OF_REGISTERS: &[&str] = &[
@@ -226,7 +226,7 @@ impl KnobValue for Option<u16> {
         let bad = || {
             Error::new(
                 name,
-                Kind::Invalid,
+                ErrorKind::Invalid,
                 "neither `printed` nor a hexadecimal word; write one such as 0x0100",
             )
         };
@@ -267,7 +267,7 @@ impl Switch {
 
 // The text is not repeated: it may be a key that somebody typed into the wrong file.
 fn none_of(name: &str, words: &str) -> Error {
-    Error::new(name, Kind::Invalid, format!("no such setting; write one of: {words}"))
+    Error::new(name, ErrorKind::Invalid, format!("no such setting; write one of: {words}"))
 }
 
 pub(super) fn or_auto(name: &str, text: &str, min: f64, max: f64) -> Result<Option<f64>> {
@@ -285,14 +285,14 @@ pub(super) fn show_or_auto(value: Option<f64>) -> String {
 }
 
 pub(super) fn number(name: &str, text: &str, min: f64, max: f64) -> Result<f64> {
-    let bad = || Error::new(name, Kind::Invalid, format!("not a number; write one from {min} to {max}"));
+    let bad = || Error::new(name, ErrorKind::Invalid, format!("not a number; write one from {min} to {max}"));
     // `f64` also parses `inf` and `1e9`.
     if !text.bytes().all(|byte| byte.is_ascii_digit() || b"+-.".contains(&byte)) {
         return Err(bad());
     }
     let value: f64 = text.parse().map_err(|_| bad())?;
     if value < min || value > max {
-        return Err(Error::new(name, Kind::OutOfRange, format!("write a number from {min} to {max}")));
+        return Err(Error::new(name, ErrorKind::OutOfRange, format!("write a number from {min} to {max}")));
     }
     Ok(value)
 }

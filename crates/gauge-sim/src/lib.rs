@@ -47,6 +47,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use gauge_bus::clock::Clock;
+use gauge_bus::error::{Error, ErrorKind, Result};
 use gauge_bus::{Bus, BusError, GAUGE_ADDRESS, wire_bits, wire_bytes};
 
 mod analog;
@@ -54,7 +55,6 @@ mod battery;
 mod block;
 mod device;
 mod envelope;
-mod error;
 mod fault;
 pub mod firmware;
 mod flash;
@@ -79,8 +79,6 @@ mod window;
 
 use block::Block;
 use device::Gauge;
-use error::Result;
-pub use error::{Error, Kind};
 use fault::{ADAPTER_WAITS, Fault, Transfer};
 pub use fault::{FAULTS, FaultWord};
 pub use knob::Knob;
@@ -186,18 +184,18 @@ impl State {
     /// Turns a knob. A bad text changes nothing.
     fn turn(&mut self, knob: &str, text: &str, now: Duration) -> Result<()> {
         match self.find(knob) {
-            None => Err(Error::new(knob, Kind::Invalid, "there is no such knob")),
+            None => Err(Error::new(knob, ErrorKind::Invalid, "there is no such knob")),
             Some(known) if !known.writable => {
-                Err(Error::new(knob, Kind::NotPermitted, "it can only be read"))
+                Err(Error::new(knob, ErrorKind::NotPermitted, "it can only be read"))
             }
             Some(_) if knob == "fault" => self.gauge.plan().set(text),
             // The help has the unit.
             Some(known) => {
                 self.gauge.set_knob(knob, text, now).map_err(|error| match error.kind {
-                    Kind::Invalid | Kind::OutOfRange => {
+                    ErrorKind::Invalid | ErrorKind::OutOfRange => {
                         Error { text: format!("{} ({})", error.text, known.help), ..error }
                     }
-                    Kind::NotPermitted | Kind::Io(_) => error,
+                    _ => error,
                 })?;
                 if let Some(player) = &mut self.player {
                     player.set_speed(self.gauge.speed(), now);
@@ -278,7 +276,7 @@ impl Sim {
         let Some(part) = parts::all().find(|part| part.name == chip) else {
             let known: Vec<&str> = parts::all().map(|part| part.name).collect();
             let text = format!("there is no such gauge to simulate; known are: {}", known.join(", "));
-            return Err(Error::new(chip, Kind::Invalid, text));
+            return Err(Error::new(chip, ErrorKind::Invalid, text));
         };
         let state = State::new(part, options, clock.now())?;
         Ok(Sim { state: Arc::new(Mutex::new(state)), clock })

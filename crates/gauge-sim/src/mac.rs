@@ -12,7 +12,6 @@ use std::time::Duration;
 
 use super::device::{Device, Gauge, Wire};
 use super::envelope::{Early, First, Lost};
-use super::error::Result;
 use super::flash::{BLOCK, Flash};
 use super::flat::{DATA_FLASH, PRIVATE, i16_at, u8_at, u16_at};
 use super::knob;
@@ -24,6 +23,7 @@ use super::seal::{Level, Seal};
 use super::update::{Exit, Mode};
 use super::window::checksum;
 use gauge_bus::GAUGE_ADDRESS;
+use gauge_bus::error::Result;
 
 /// Owners' parts had some addresses one lower than printed, but not the first ones (E2E 668766 and 834655). No source
 /// has the address where that begins.

@@ -6,7 +6,6 @@
 use std::time::Duration;
 
 use super::device::{Device, Gauge, Wire};
-use super::error::{Error, Kind, Result};
 use super::flash::Flash;
 use super::gauging::{Gauging, Quantity};
 use super::knob;
@@ -15,6 +14,7 @@ use super::options::Options;
 use super::part::{Part, RegisterPart};
 use super::seal::Level;
 use gauge_bus::GAUGE_ADDRESS;
+use gauge_bus::error::{Error, ErrorKind, Result};
 
 /// A charge of 3.57 µVh across 20 mΩ in mAh, and an energy of 29.2 µV²h across it in mWh.
 const CHARGE: f64 = 0.1785;
@@ -161,7 +161,7 @@ impl Wire for Register {
     }
 
     fn set_level(&mut self, _: &mut Device, _: Level) -> Result<()> {
-        Err(Error::new("seal", Kind::NotPermitted, "the part has no seal"))
+        Err(Error::new("seal", ErrorKind::NotPermitted, "the part has no seal"))
     }
 
     fn fit_board(&mut self, _: &Flash) {}

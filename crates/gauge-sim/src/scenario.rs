@@ -10,10 +10,10 @@ use std::collections::{BTreeMap, VecDeque};
 use std::path::Path;
 use std::time::Duration;
 
+use gauge_bus::error::{Error, ErrorKind, Result};
 use serde::Deserialize;
 use toml::Value;
 
-use super::error::{Error, Kind, Result};
 use super::random::Random;
 
 const SHIPPED: &[(&str, &str)] = &[
@@ -146,7 +146,6 @@ impl Scenario {
     /// Reads a scenario: one of [`names`], or a file if the path has a slash. `seed` replaces the file's.
     pub fn read(name: &Path, seed: Option<u64>) -> Result<Self> {
         let subject = name.display().to_string();
-        let refuse = |kind, text: String| Error::new(subject.clone(), kind, text);
         if !subject.contains('/') {
             let found = SHIPPED.iter().find(|(shipped, _)| *shipped == subject);
             let known = || names().collect::<Vec<_>>().join(", ");
@@ -156,18 +155,17 @@ impl Scenario {
                     known()
                 )
             };
-            let (_, text) = found.ok_or_else(|| refuse(Kind::Invalid, why()))?;
+            let (_, text) = found.ok_or_else(|| Error::new(&subject, ErrorKind::Invalid, why()))?;
             return Self::parse(&subject, text, seed);
         }
-        let text = gauge_bus::regular::read_text(name, LONGEST).map_err(|error| {
-            refuse(Kind::Io(error.kind()), format!("cannot be read: {}", gauge_bus::error::reason(&error)))
-        })?;
+        let text = gauge_bus::regular::read_text(name, LONGEST)
+            .map_err(|error| Error::file(&subject, "cannot be read", &error))?;
         Self::parse(&subject, &text, seed)
     }
 
     /// Reads the text of a scenario; `subject` is its name in messages.
     pub fn parse(subject: &str, text: &str, seed: Option<u64>) -> Result<Self> {
-        let bad = |text: String| Error::new(subject, Kind::Invalid, text);
+        let bad = |text: String| Error::new(subject, ErrorKind::Invalid, text);
         let script: Script = toml::from_str(text).map_err(|error| {
             let line = error.span().map_or(1, |span| text[..span.start].matches('\n').count() + 1);
             bad(format!("line {line}: {}", error.message()))

@@ -262,7 +262,7 @@ impl Plan {
             }
         }
         if !jobs(&setup).is_empty() && chip.calibration.is_none() {
-            return Err(ti_gauge::calibration::not_documented(chip).into());
+            return Err(ti_gauge::calibration::not_documented(chip));
         }
         if let Some(cells) = station.cells {
             let at = chip.gate.as_ref().and_then(|gate| gate.external.as_ref().and(gate.cells));

@@ -192,3 +192,18 @@ impl From<ti_gauge::error::Error> for Error {
         Self::new("", Why::Refused(error))
     }
 }
+
+/// The same failure, for a program whose other errors are those of `ti_gauge`.
+impl From<Error> for ti_gauge::error::Error {
+    fn from(error: Error) -> Self {
+        let text = error.text();
+        let Inner { subject, why, .. } = *error.0;
+        match why {
+            Why::Refused(error) => error,
+            Why::Explained { facts, error, .. } => Self::host(subject, error, text).reporting(facts),
+            Why::Unopened { error, .. } | Why::Host { error, .. } | Why::Failed(error) => {
+                Self::host(subject, error, text)
+            }
+        }
+    }
+}

@@ -36,7 +36,7 @@ impl Source {
     /// unless only its data flash is wanted.
     pub fn image(&self, chip: Option<&'static Chip>, data_flash: bool) -> Result<Image> {
         let reading = self.examine(chip, data_flash);
-        match Error::of_file(&reading.faults) {
+        match reading.faults.error() {
             Some(error) => Err(error.within(&self.name)),
             None => Ok(reading.whole()?),
         }

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! What gaugefs's commands share: an [error](error::Error) with the errno for a file operation, the checked way to
+//! What gaugefs's commands share: the facts of an [error](error) as JSON, the checked way to
 //! [standard output and standard error](output), [files](input) and [programs](program) that a person names, gaugefs's
 //! own [folders], and the [signs](sign) of a production line.
 //!
@@ -16,7 +16,7 @@
 //!
 //! let missing = std::fs::read("/does/not/exist").expect_err("it is missing");
 //! let error = Error::io("the key file", "read", &missing);
-//! assert_eq!(error.errno() as i32, 2, "{error}");
+//! assert_eq!(error.errno(), 2, "{error}");
 //! ```
 
 #![deny(clippy::print_stdout, clippy::print_stderr)]

@@ -10,7 +10,7 @@ use std::borrow::Cow;
 use std::sync::Arc;
 use std::{error, fmt, io};
 
-use crate::quantity;
+use crate::{quantity, text};
 use gauge_bus::error::{Driver, errno_of, reason};
 use gauge_bus::{BusError, ErrorKind};
 use rustix::io::Errno;
@@ -397,6 +397,10 @@ struct Inner {
     /// The access has left something to do, or was refused because an earlier one did.
     owed: bool,
     host: Option<Host>,
+    /// The facts of the process that refused the request.
+    reported: Option<Box<str>>,
+    /// Further mistakes in the same file.
+    further: Vec<Error>,
 }
 
 #[derive(Clone, Debug)]
@@ -428,6 +432,8 @@ impl Error {
             place: None,
             owed: false,
             host: None,
+            reported: None,
+            further: Vec::new(),
         }))
     }
 
@@ -444,11 +450,26 @@ impl Error {
         Self::host(subject, own, format!("{what}: {}", reason(error)))
     }
 
-    /// The host's error, with a remedy.
-    pub fn host(subject: impl Into<String>, error: io::Error, text: impl Into<String>) -> Self {
+    /// An error of the host, such as a file, a folder or a mount, with its remedy.
+    pub fn host(subject: impl Into<String>, error: impl Into<io::Error>, text: impl Into<String>) -> Self {
+        let error = error.into();
         let mut failed = Self::new(subject, Cause::Io(error.kind()), text.into());
         failed.0.host = Some(Host(Arc::new(error)));
         failed
+    }
+
+    /// Notes the facts of the process that refused the request: a JSON object.
+    #[must_use]
+    pub fn reporting(mut self, facts: impl Into<Box<str>>) -> Self {
+        self.0.reported = Some(facts.into());
+        self
+    }
+
+    /// Adds further mistakes in the same file.
+    #[must_use]
+    pub fn and(mut self, further: impl IntoIterator<Item = Self>) -> Self {
+        self.0.further.extend(further);
+        self
     }
 
     /// Notes that its subject is a register.
@@ -494,6 +515,7 @@ impl Error {
         } else if !subject.is_empty() && self.0.subject != subject {
             self.0.subject = format!("{subject}: {}", self.0.subject);
         }
+        self.0.further = self.0.further.into_iter().map(|further| further.within(subject)).collect();
         self
     }
 
@@ -522,6 +544,16 @@ impl Error {
         self.0.owed
     }
 
+    /// All lines for a person: the error itself, and further mistakes in the same file.
+    pub fn lines(&self) -> impl Iterator<Item = String> {
+        std::iter::once(self).chain(&self.0.further).map(Self::to_string)
+    }
+
+    /// The facts of the process that refused the request: a JSON object.
+    pub fn reported(&self) -> Option<&str> {
+        self.0.reported.as_deref()
+    }
+
     /// The facts by names for programs.
     pub fn facts(&self) -> Vec<(&'static str, Fact)> {
         let Inner { step, reason, register, place, owed, .. } = &*self.0;
@@ -538,15 +570,18 @@ impl Error {
     }
 }
 
+/// One line without control characters: other users choose names of files and processes.
 impl fmt::Display for Error {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        if !self.0.subject.is_empty() {
-            write!(f, "{}: ", self.0.subject)?;
+        let Inner { subject, step, reason, .. } = &*self.0;
+        let step = step.map_or("", Step::as_str);
+        let mut line = String::new();
+        for head in [subject, step].into_iter().filter(|head| !head.is_empty()) {
+            line += head;
+            line += ": ";
         }
-        if let Some(step) = self.0.step {
-            write!(f, "{}: ", step.as_str())?;
-        }
-        self.0.reason.fmt(f)
+        line += &reason.to_string();
+        f.write_str(&text::printable(&line))
     }
 }
 
@@ -576,12 +611,17 @@ impl From<BusError> for Error {
 impl From<gauge_bus::Error> for Error {
     fn from(error: gauge_bus::Error) -> Self {
         let gauge_bus::Error { subject, kind, text, driver } = error;
-        match driver.map(|driver| *driver) {
-            Some(Driver { name, device }) => {
-                Self::of(subject, Reason::DriverBound { driver: name, device, what: text })
-            }
-            None => Self::new(subject, Cause::Adapter(kind), text),
+        if let Some(Driver { name, device }) = driver.map(|driver| *driver) {
+            return Self::of(subject, Reason::DriverBound { driver: name, device, what: text });
         }
+        let cause = match kind {
+            ErrorKind::Invalid => Cause::Invalid,
+            ErrorKind::OutOfRange => Cause::OutOfRange,
+            ErrorKind::NotPermitted => Cause::NotPermitted,
+            ErrorKind::File(kind) => Cause::Io(kind),
+            kind => Cause::Adapter(kind),
+        };
+        Self::new(subject, cause, text)
     }
 }
 
@@ -595,6 +635,40 @@ mod tests {
         assert_eq!(error.clone().within("").to_string(), "Cell Terminate Voltage: x");
         assert_eq!(error.clone().within("line 3").to_string(), "line 3: Cell Terminate Voltage: x");
         assert_eq!(Error::new("", Cause::Invalid, "x").within("").to_string(), "x");
+    }
+
+    #[test]
+    fn an_error_is_one_line_without_control_characters() {
+        let error = Error::new("/tmp/a\nb", Cause::Busy, "process 1 (\x1b]0;x\x07)\nwarning: forged");
+        assert_eq!(error.to_string(), r"/tmp/a\nb: process 1 (\u{1b}]0;x\u{7})\nwarning: forged");
+        let then = Error::of("", Reason::NotSettled { failed: error.clone() });
+        assert_eq!(then.to_string(), format!("{error}: data flash contents unknown"));
+    }
+
+    #[test]
+    fn an_error_has_the_further_mistakes_of_its_file() {
+        let at = |line: u32| Error::new(format!("line {line}"), Cause::Invalid, "x\n");
+        let error = at(1).and([at(2), at(3)]).within("a.toml");
+        assert_eq!(error.to_string(), r"a.toml: line 1: x\n");
+        let lines: Vec<_> = error.lines().collect();
+        assert_eq!(lines, [1, 2, 3].map(|line| format!(r"a.toml: line {line}: x\n")));
+    }
+
+    /// The simulator's kinds are causes; the others say why a bus cannot be opened.
+    #[test]
+    fn a_kind_of_the_bus_has_a_cause() {
+        let cause = |kind| Error::from(gauge_bus::Error::new("soc", kind, "x")).cause();
+        assert_eq!(cause(ErrorKind::Invalid), Cause::Invalid);
+        assert_eq!(cause(ErrorKind::OutOfRange), Cause::OutOfRange);
+        assert_eq!(cause(ErrorKind::NotPermitted), Cause::NotPermitted);
+        let denied = io::ErrorKind::PermissionDenied;
+        assert_eq!(cause(ErrorKind::File(denied)), Cause::Io(denied));
+        assert_eq!(cause(ErrorKind::Io(denied)), Cause::Adapter(ErrorKind::Io(denied)));
+        for kind in
+            [ErrorKind::Invalid, ErrorKind::OutOfRange, ErrorKind::NotPermitted, ErrorKind::File(denied)]
+        {
+            assert_eq!(cause(kind).errno(), kind.errno());
+        }
     }
 
     #[test]

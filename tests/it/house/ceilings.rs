@@ -19,7 +19,7 @@ const LINES: [(&str, usize); 10] = [
     ("gauge-station", 3_850),
     ("gaugefs", 17_700),
     ("gaugefs-client", 2_800),
-    ("gaugefs-host", 760),
+    ("gaugefs-host", 620),
     ("gaugefs-screen", 6_120),
     ("i2c-server", 1_200),
     ("ti-gauge", 27_900),

@@ -191,7 +191,7 @@ impl Owner {
                      example"
                 .into(),
         };
-        Err(dataflash::says_erased(&lost, &remedy).into())
+        Err(dataflash::says_erased(&lost, &remedy))
     }
 
     /// Saves the gauge's configuration, if that has not been done since the gauge came. A pack with an erased row that
@@ -443,7 +443,7 @@ mod tests {
             let own_row = if place.0 == 80 { "3100" } else { "3200" };
             let error = write(&mut rig, own_row).expect_err("a row is erased");
             let says = error.to_string();
-            assert_eq!(error.errno(), Errno::EBADMSG, "{says}");
+            assert_eq!(error.errno(), Errno::EBADMSG as i32, "{says}");
             assert!(says.contains(&format!("subclass {} offset {}", place.0, place.1)), "{says}");
             assert!(says.contains("gaugefs import") && rig.sim.flash() == flash, "{says}");
         }
@@ -484,7 +484,7 @@ mod tests {
         let mut rig = with_backup(&folder);
         let flash = rig.sim.flash();
         let error = write(&mut rig, "3100").expect_err("there is no folder");
-        assert!(matches!(error.errno(), Errno::EEXIST | Errno::ENOTDIR), "{error}");
+        assert!(matches!(Errno::from_raw(error.errno()), Errno::EEXIST | Errno::ENOTDIR), "{error}");
         let says = error.to_string();
         assert!(says.contains("--state-dir") && says.contains("--no-backup"), "{says}");
         assert!(rig.sim.flash() == flash);

@@ -40,7 +40,7 @@ impl Owner {
         self.forget_dataflash();
         self.schedule.hurry();
         self.publish_seal();
-        Ok(outcome.map(drop)?)
+        outcome.map(drop)
     }
 
     /// Reports calibration mode that a host has left on, perhaps because it died.

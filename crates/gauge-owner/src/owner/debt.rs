@@ -47,7 +47,7 @@ impl Debt {
 impl Owner {
     /// Notes and publishes what is owed after an access. The error of one that has left it, or has found why it is still
     /// owed, says so.
-    pub(super) fn noted<T>(&mut self, outcome: ti_gauge::error::Result<T>) -> ti_gauge::error::Result<T> {
+    pub(super) fn noted<T>(&mut self, outcome: Result<T>) -> Result<T> {
         let is_new = self.note_debt();
         outcome.map_err(|error| error.owing(is_new))
     }
@@ -123,7 +123,7 @@ impl Owner {
                 );
             }
             Ok(None) => {}
-            Err(error) => self.shared.report(operations::SETTLE.itself(), &error.into()),
+            Err(error) => self.shared.report(operations::SETTLE.itself(), &error),
         }
     }
 
@@ -269,7 +269,7 @@ mod tests {
         rig.sim.keep_log(true);
         for code in [0x0021, 0x0008] {
             let error = rig.ask(&op::CONTROL, code).expect_err("it is silent");
-            assert_eq!(error.errno(), nix::errno::Errno::EBUSY, "{error}");
+            assert_eq!(error.errno(), nix::errno::Errno::EBUSY as i32, "{error}");
             assert!(error.to_string().contains("no subcommand is sent"), "{error}");
         }
         let sent = |rig: &Rig, code: u16| {

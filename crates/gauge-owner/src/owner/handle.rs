@@ -14,7 +14,7 @@ use super::crew::Member;
 use super::now::{self, Content, Presence};
 use super::operation::Request;
 use super::{Attempt, Done, Operation, Origin, Report};
-use crate::error::{Cause, Error, Result};
+use crate::error::{Cause, Details, Error, Result};
 use crate::options::GaugeOptions;
 use gauge_bus::clock::Clock;
 use ti_gauge::authentication::{Message, Order};
@@ -268,7 +268,7 @@ impl Shared {
     /// more important.
     pub(super) fn record(&self, attempt: Attempt, error: &Error) {
         let line = error.to_string();
-        let facts = error.details().to_string().into();
+        let facts = Details::of(error).to_string().into();
         let failure = Failure { at: Timestamp::now(), attempt, owed: error.is_owed(), facts };
         self.publish(|published| {
             let shown = published.failed.as_ref().filter(|_| !published.owed.is_empty());

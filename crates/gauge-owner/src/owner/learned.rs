@@ -204,7 +204,7 @@ impl Learned {
 
     /// Makes sure that nobody else can have written a version.
     fn trust(&self, path: &Path) -> Result<()> {
-        [&self.folder, path].into_iter().try_for_each(|path| Ok(journal::check(path, self.trusted)?))
+        [&self.folder, path].into_iter().try_for_each(|path| journal::check(path, self.trusted))
     }
 
     /// Saves a version, unless the newest one would restore the same. On return it is on disk.
@@ -300,7 +300,7 @@ fn is_design(parameter: &Parameter) -> bool {
 }
 
 /// The changes that restore what was learned. The image has Design Capacity besides, for comparison.
-fn restored(image: &Image) -> ti_gauge::error::Result<Vec<Change>> {
+fn restored(image: &Image) -> Result<Vec<Change>> {
     let mut changes = image.to_restore()?;
     changes.retain(|change| change.row().is_some_and(|row| image.chip.stays(row) == Stays::Pack));
     Ok(changes)

@@ -468,7 +468,7 @@ impl Owner {
                 self.memory.inserted.learn(published.presence, ());
                 self.schedule.hurry();
             }
-            Err(error) => self.shared.report(Attempt::RESTORE, &error.within("BAT_INSERT").into()),
+            Err(error) => self.shared.report(Attempt::RESTORE, &error.within("BAT_INSERT")),
         }
     }
 

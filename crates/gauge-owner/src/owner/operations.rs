@@ -46,7 +46,7 @@ pub static COMMIT: Operation<(Epoch<Presence>, Vec<Change>)> =
 /// Makes every check of a write, and programs nothing.
 pub static CHECK: Operation<Vec<Change>> = Operation::new("check", |owner, changes: Vec<Change>, asked| {
     let outcome = owner.dataflash.try_write(&mut owner.gauge, &changes, asked.waited);
-    Ok(owner.noted(outcome)?)
+    owner.noted(outcome)
 })
 .attempting(|changes| Attempt::Write(places(changes)));
 
@@ -59,12 +59,12 @@ pub static CONTROL: Operation<u16> = Operation::new("control", Owner::send).pars
 /// Changes one of the gauge's keys. `gaugefs keys` writes blanks afterwards, which overwrite the key in the daemon's
 /// buffer.
 pub static KEYS: Operation<keys::KeyChange> = Operation::new("keys", Owner::change_key)
-    .parsed_by(|_, text| Ok(keys::KeyChange::parse(text)?))
+    .parsed_by(|_, text| keys::KeyChange::parse(text))
     .ignoring_blank();
 
 /// Publishes the gauge's answer to a challenge.
-pub static AUTHENTICATE: Operation<Message> = Operation::new("authenticate", Owner::authenticate)
-    .parsed_by(|_, text| Ok(authentication::from_hex(text)?));
+pub static AUTHENTICATE: Operation<Message> =
+    Operation::new("authenticate", Owner::authenticate).parsed_by(|_, text| authentication::from_hex(text));
 
 /// Shows what is known of an interrupted write, or settles it as somebody has decided.
 pub static SETTLE: Operation<Option<Decision>> = Operation::new("settle", Owner::settle_as_decided)
@@ -145,14 +145,12 @@ impl Owner {
         let outcome = self.dataflash.go_to(&mut self.gauge, goal, asked.waited);
         let outcome = self.noted(outcome);
         self.publish_seal();
-        Ok(outcome?)
+        outcome
     }
 
     fn send(&mut self, code: u16, _: Asked) -> Result<()> {
-        let outcome = self
-            .settled_first()
-            .and_then(|()| self.check_takes(code))
-            .and_then(|()| Ok(self.gauge.ask(code)?));
+        let outcome =
+            self.settled_first().and_then(|()| self.check_takes(code)).and_then(|()| self.gauge.ask(code));
         self.publish_seal();
         // Until then whoever has asked before can read the answer, which says what it answers.
         let answer =
@@ -246,7 +244,7 @@ impl Owner {
             return self.read(wanted, waited).map(drop);
         }
         let outcome = self.dataflash.learn_pack(&mut self.gauge, waited);
-        Ok(self.noted(outcome)?)
+        self.noted(outcome)
     }
 
     pub(super) fn read_anew(&mut self, wanted: &[usize], waited: Duration) -> Result<Vec<Arc<[u8]>>> {
@@ -281,11 +279,7 @@ impl Owner {
     }
 
     /// Keeps the bytes of subclasses, and what they show.
-    fn keep(
-        &mut self,
-        wanted: &[usize],
-        read: ti_gauge::error::Result<Vec<Vec<u8>>>,
-    ) -> Result<Vec<Arc<[u8]>>> {
+    fn keep(&mut self, wanted: &[usize], read: Result<Vec<Vec<u8>>>) -> Result<Vec<Arc<[u8]>>> {
         let read = self.noted(read);
         let first = &self.gauge.chip.subclasses[wanted[0]];
         let read = read.map_err(|error| error.within(&format!("df of {}", first.name)));

@@ -534,7 +534,7 @@ mod tests {
         let published = rig.handle.published();
         assert!(published.snapshot.is_none() && published.last_error.contains("/dev/i2c-7 hangs"));
         let error = rig.ask(&op::CONTROL, 0x0002).expect_err("it hangs");
-        assert_eq!(error.errno(), Errno::ETIMEDOUT, "{error}");
+        assert_eq!(error.errno(), Errno::ETIMEDOUT as i32, "{error}");
         assert!(error.to_string().contains("/dev/i2c-7 hangs"), "{error}");
         returned.store(true, Ordering::SeqCst);
         rig.owner.poll_on_time();

@@ -187,7 +187,7 @@ impl Owner {
         self.forget_dataflash();
         match read {
             Ok(_) => Ok((shared.iter().map(|&index| &chip.subclasses[index]).collect(), values)),
-            Err(error) if error.errno() == Errno::EPERM => {
+            Err(error) if error.errno() == Errno::EPERM as i32 => {
                 Err("the gauge is sealed and no key opens it".into())
             }
             Err(error) if matches!(error.cause(), Cause::Io(_)) => Err("an error of the host".into()),

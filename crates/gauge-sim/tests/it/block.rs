@@ -9,8 +9,9 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use gauge_bus::clock::{Clock, SimClock};
+use gauge_bus::error::ErrorKind;
 use gauge_bus::{Bus, BusError};
-use gauge_sim::{Kind, Options, Sim};
+use gauge_sim::{Options, Sim};
 
 use crate::bench::{Bench, UNSEAL, hex, packed, sum};
 
@@ -753,8 +754,8 @@ mod faults {
             let before: Vec<_> = bench.sim.knobs().iter().map(|knob| bench.sim.get(knob.name)).collect();
             let error = bench.sim.set(knob, text).unwrap_err();
             match error.kind {
-                Kind::Invalid => assert!(invalid, "{knob} {text}"),
-                Kind::OutOfRange => assert!(!invalid, "{knob} {text}"),
+                ErrorKind::Invalid => assert!(invalid, "{knob} {text}"),
+                ErrorKind::OutOfRange => assert!(!invalid, "{knob} {text}"),
                 other => panic!("{knob} {text}: {other:?}"),
             }
             let after: Vec<_> = bench.sim.knobs().iter().map(|knob| bench.sim.get(knob.name)).collect();
@@ -770,7 +771,7 @@ mod faults {
             let set = bench.sim.set(knob.name, &shown);
             match knob.writable {
                 true => assert_eq!(set, Ok(()), "{}", knob.name),
-                false => assert_eq!(set.unwrap_err().kind, Kind::NotPermitted, "{}", knob.name),
+                false => assert_eq!(set.unwrap_err().kind, ErrorKind::NotPermitted, "{}", knob.name),
             }
             assert!(!knob.help.is_empty());
         }

@@ -173,7 +173,7 @@ fn list(path: &Path, row: Row) -> Result<Vec<(Value, String)>> {
             continue;
         }
         let at = |error: Error| error.within(&format!("{name}: line {number}"));
-        let value = notation::parse(row.1, line.as_bytes()).map_err(|error| at(error.into()))?;
+        let value = notation::parse(row.1, line.as_bytes()).map_err(at)?;
         if let Some(first) = lines.insert(shown(row, &value), number) {
             let why = format!("the serial number is also in line {first}; remove one of the two");
             return Err(at(Error::new("", Cause::Invalid, why)));

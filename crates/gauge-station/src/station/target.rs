@@ -118,11 +118,11 @@ impl Flash {
         changed.collect()
     }
 
-    fn raw_of(&self, id: u8) -> ti_gauge::error::Result<Vec<u8>> {
+    fn raw_of(&self, id: u8) -> Result<Vec<u8>> {
         let found = self.subclass(|subclass| subclass.id == id);
         found.map(|(_, bytes)| bytes.to_vec()).ok_or_else(|| {
             let why = "the gauge does not show it";
-            ti_gauge::error::Error::new(format!("subclass {id}"), ti_gauge::error::Cause::Invalid, why)
+            Error::new(format!("subclass {id}"), Cause::Invalid, why)
         })
     }
 }

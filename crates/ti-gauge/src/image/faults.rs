@@ -3,7 +3,7 @@
 //! All mistakes in a file, so that a person need not correct one to see the next.
 
 use super::{Image, at_line};
-use crate::error::{Error, Result};
+use crate::error::{Cause, Error, Result};
 
 /// Number of mistakes that are shown, those of the first lines; the rest is counted.
 pub const NAMED: usize = 20;
@@ -77,6 +77,17 @@ impl Faults {
         self.named.iter().map(|(_, error)| error)
     }
 
+    /// All mistakes as one error, that of the first line; `None` for a faultless file.
+    pub fn error(&self) -> Option<Error> {
+        let (first, further) = self.named.split_first()?;
+        let more = match self.more() {
+            0 => None,
+            more => Some(Error::new("", Cause::Invalid, format!("and {more} more mistakes"))),
+        };
+        let further = further.iter().map(|(_, error)| error.clone());
+        Some(first.1.clone().and(further.chain(more)))
+    }
+
     /// Number of further mistakes.
     pub fn more(&self) -> usize {
         self.count - self.named.len()
@@ -97,7 +108,6 @@ impl Reading {
 mod tests {
     use super::*;
     use crate::chip::Chip;
-    use crate::error::Cause;
 
     #[test]
     fn the_first_lines_are_named_and_the_others_counted() {
@@ -110,6 +120,8 @@ mod tests {
         assert_eq!((named.len(), faults.more()), (NAMED, 31));
         assert_eq!(&named[..2], ["the file", "line 1: mistake 1"]);
         assert_eq!(named[NAMED - 1], "line 19: mistake 19");
+        let lines: Vec<_> = faults.error().expect("mistakes").lines().collect();
+        assert_eq!((&lines[..NAMED], &*lines[NAMED]), (&named[..], "and 31 more mistakes"));
         faults.end_at(3);
         assert_eq!((faults.iter().count(), faults.more()), (4, 0));
     }
