@@ -84,7 +84,7 @@ impl<B: Bus> Target for Wired<B> {
             BusError::Gone => Errno::NODEV,
             BusError::Busy => Errno::BUSY,
             BusError::Short => Errno::IO,
-            BusError::Other(number) => Errno::from_raw_os_error(number),
+            BusError::Other(number) | BusError::MaybeNoAck(number) => Errno::from_raw_os_error(number),
         })
     }
 }

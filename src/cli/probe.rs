@@ -13,11 +13,11 @@ use serde::Serialize;
 
 use super::align;
 use crate::config::address;
-use crate::error::{Error, Result};
+use crate::error::{Cause, Error, Result};
 use crate::output::{print, print_json};
 use gauge_bus::clock::{Clock, RealClock};
 use gauge_bus::linux::{Adapter, LinuxBus, adapters};
-use gauge_bus::{Bus, GAUGE_ADDRESS};
+use gauge_bus::{Bus, BusError, GAUGE_ADDRESS};
 use ti_gauge::chip::Role;
 use ti_gauge::probe::{self, ROM_ADDRESS, Reading, Target};
 use ti_gauge::rom;
@@ -76,6 +76,10 @@ enum State {
     Other,
     /// The address is not acknowledged.
     Nothing,
+    /// The address is not acknowledged, or something else that the adapter reports alike.
+    Silent,
+    /// A transfer failed otherwise.
+    Failed,
 }
 
 /// The findings of the whole command, for --json.
@@ -150,7 +154,10 @@ impl Probe {
     fn look(&self, adapter: &Adapter) -> Result<Report> {
         let found = match self.address {
             Some(address) => vec![examine(adapter, address, true, self.byte_writes)?],
-            None => vec![examine(adapter, GAUGE_ADDRESS, false, false)?, examine_rom(adapter)?],
+            None => side_by_side(vec![
+                (GAUGE_ADDRESS, examine(adapter, GAUGE_ADDRESS, false, false)),
+                (ROM_ADDRESS, examine_rom(adapter)),
+            ])?,
         };
         Ok(Report { bus: adapter.to_string(), adapter: adapter.name().unwrap_or_default(), found })
     }
@@ -166,6 +173,8 @@ impl Probe {
                 State::Driver => "kernel driver".to_string(),
                 State::Busy => "in use".to_string(),
                 State::Other => "other device".to_string(),
+                State::Silent => "no answer".to_string(),
+                State::Failed => "failed".to_string(),
             };
             rows.push([format!("0x{:02x}", found.address), who, found.details.clone()]);
         }
@@ -180,7 +189,33 @@ impl Probe {
 impl Report {
     /// Whether some device is, or may be, a gauge.
     fn any(&self) -> bool {
-        self.found.iter().any(|found| !matches!(found.state, State::Other | State::Nothing))
+        use State::{Failed, Nothing, Other, Silent};
+        self.found.iter().any(|found| !matches!(found.state, Other | Nothing | Silent | Failed))
+    }
+}
+
+/// What was found at each address. A transfer that fails at one of them hides no other, unless all fail.
+fn side_by_side(looks: Vec<(u8, Result<Found>)>) -> Result<Vec<Found>> {
+    let is_bus = |look: &Result<Found>| matches!(look, Err(error) if matches!(error.cause(), Cause::Bus(_)));
+    if looks.iter().all(|(_, look)| is_bus(look)) {
+        return looks.into_iter().map(|(_, look)| look).collect();
+    }
+    let found = looks.into_iter().map(|(address, look)| match look {
+        Err(error) if matches!(error.cause(), Cause::Bus(_)) => {
+            let details = error.reason().to_string();
+            Ok(Found { address, state: State::Failed, chips: Vec::new(), details })
+        }
+        look => look,
+    });
+    found.collect()
+}
+
+/// What a failure says of an address, if it is that nothing answers there.
+fn unanswered(error: &Error) -> Option<(State, String)> {
+    match error.cause() {
+        Cause::Bus(BusError::NoAck) => Some((State::Nothing, String::new())),
+        Cause::Bus(maybe @ BusError::MaybeNoAck(_)) => Some((State::Silent, maybe.to_string())),
+        _ => None,
     }
 }
 
@@ -217,9 +252,9 @@ fn examine(adapter: &Adapter, address: u8, named: bool, byte_writes: bool) -> Re
     let target = Target { open: &open, clock: &clock, byte_writes, clock_hz: adapter.clock_hz() };
     let plausible = match probe::candidates(&target) {
         Ok(plausible) => plausible,
-        Err(error) => match Errno::from_raw(error.errno()) {
-            Errno::ENXIO => return found(State::Nothing, Vec::new(), String::new()),
-            Errno::EBUSY => return found(State::Busy, Vec::new(), "another gaugefs uses it".into()),
+        Err(error) => match (unanswered(&error), Errno::from_raw(error.errno())) {
+            (Some((state, details)), _) => return found(state, Vec::new(), details),
+            (None, Errno::EBUSY) => return found(State::Busy, Vec::new(), "another gaugefs uses it".into()),
             _ => return Err(error),
         },
     };
@@ -277,7 +312,10 @@ fn examine_rom(adapter: &Adapter) -> Result<Found> {
             found(State::Rom, details.into())
         }
         Ok(false) => found(State::Nothing, String::new()),
-        Err(error) => Err(error.about(format!("{adapter} address 0x{address:02x}"))),
+        Err(error) => {
+            let error = error.about(format!("{adapter} address 0x{address:02x}"));
+            unanswered(&error).map_or(Err(error), |(state, details)| found(state, details))
+        }
     }
 }
 
@@ -316,5 +354,26 @@ mod tests {
         assert!(advice(State::Maybe, State::Rom).contains("probe"), "a smart battery beside a gauge");
         assert_eq!(advice(State::Driver, State::Rom), "");
         assert_eq!(advice(State::Nothing, State::Nothing), "");
+        assert_eq!(advice(State::Silent, State::Rom), "", "a gauge may be there");
+    }
+
+    /// A CP2112 reports a missing acknowledge as it does a bus that is held low.
+    #[test]
+    fn a_failure_at_one_address_hides_no_other() {
+        let rom = || (ROM_ADDRESS, Err(Error::from(BusError::Timeout)));
+        let gauge =
+            |state| Found { address: GAUGE_ADDRESS, state, chips: Vec::new(), details: String::new() };
+        let found = side_by_side(vec![(GAUGE_ADDRESS, Ok(gauge(State::Maybe))), rom()]).expect("a gauge");
+        assert!(found[0].state == State::Maybe && found[1].state == State::Failed);
+        assert!(found[1].details.contains("timed out"), "{}", found[1].details);
+        let report = |found| Report { bus: String::new(), adapter: String::new(), found };
+        assert!(report(found).any() && !report(vec![gauge(State::Silent)]).any());
+        // A bus on which nothing works is a failure.
+        assert!(side_by_side(vec![rom(), rom()]).is_err());
+        let silent = |bus: BusError| unanswered(&Error::from(bus));
+        assert!(silent(BusError::NoAck).is_some_and(|(state, _)| state == State::Nothing));
+        let (state, details) = silent(BusError::MaybeNoAck(110)).expect("it may be absent");
+        assert!(state == State::Silent && details.contains("or the bus timed out"), "{details}");
+        assert!(silent(BusError::Timeout).is_none());
     }
 }

@@ -15,7 +15,7 @@ use nix::errno::Errno;
 use crate::error::{Cause, Error, Result};
 use crate::output::{print, say};
 use gauge_bus::clock::{Clock, RealClock};
-use gauge_bus::linux::{Adapter, LinuxBus};
+use gauge_bus::linux::{Adapter, LinuxBus, certain};
 use gauge_bus::regular;
 use gauge_bus::{Bus, BusError, GAUGE_ADDRESS};
 use gauge_owner::lock::Lock;
@@ -194,7 +194,15 @@ fn check_state(gauge: &mut dyn Bus, boot: &mut dyn Bus, clock: &dyn Clock) -> Re
                 );
                 return Err(Error::new("", Cause::Busy, why));
             }
-            Err(error) if error.may_be_no_ack() => clock.sleep(STEP),
+            Err(BusError::NoAck) => clock.sleep(STEP),
+            Err(error) if error.may_be_no_ack() => {
+                let why = format!(
+                    "address 0x{GAUGE_ADDRESS:02x}: {error} So it is not certain that no gauge is there, and nothing was erased; \
+                     use an adapter that tells: {}",
+                    certain()
+                );
+                return Err(Error::new("", Cause::NotPermitted, why));
+            }
             Err(error) => return Err(error.into()),
         }
     }
@@ -345,6 +353,31 @@ mod tests {
         let error = bring([&whole.left, &half.left], &whole.clock).expect_err("it is another one");
         assert!(error.to_string().contains("not the one that was there"), "{error}");
         assert!(half.left.firmware() == before);
+    }
+
+    /// A bus whose adapter has one error number for a missing acknowledge and for other failures.
+    struct Doubtful(gauge_sim::SimBus);
+
+    impl Bus for Doubtful {
+        fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> std::result::Result<(), BusError> {
+            self.0.transfer(write, read).map_err(|_| BusError::MaybeNoAck(nix::libc::ETIMEDOUT))
+        }
+    }
+
+    #[test]
+    fn an_address_of_which_the_adapter_does_not_tell_is_not_taken_for_empty() {
+        let chip = Chip::by_name(CHIP).expect("a chip");
+        let firmware = Firmware::parse(&file(chip), chip).expect("a whole file");
+        let bench = Bench::new();
+        let before = (bench.left.firmware(), bench.left.get("programmed"));
+        let (gauge, mut boot) = (Box::new(Doubtful(bench.left.bus())), bench.left.bus_at(ROM_ADDRESS));
+        let names = ["a file", "a bus"];
+        let refused = bring_back(&firmware, chip, gauge, &mut boot, &bench.clock, names, &|| Ok(true));
+        let text = refused.expect_err("a gauge may be at 0x55").to_string();
+        for word in ["address 0x55", "or the bus timed out", "nothing was erased", "MCP2221"] {
+            assert!(text.contains(word), "{word}: {text}");
+        }
+        assert!(before == (bench.left.firmware(), bench.left.get("programmed")));
     }
 
     /// With a gauge in normal mode on the same bus it is not certain whose boot loader answers.

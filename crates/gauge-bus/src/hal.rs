@@ -78,6 +78,7 @@ impl embedded_hal::i2c::Error for BusError {
             | BusError::Busy
             | BusError::ReadOnly
             | BusError::NotRecorded
+            | BusError::MaybeNoAck(_)
             | BusError::Hung(_)
             | BusError::Other(_) => ErrorKind::Other,
         }

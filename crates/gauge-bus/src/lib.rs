@@ -62,6 +62,9 @@ pub const GAUGE_ADDRESS: u8 = 0x55;
 pub enum BusError {
     /// The address or a byte after it was not acknowledged.
     NoAck,
+    /// Not acknowledged, or something else for which the adapter's driver has the same error number. Neither that nothing
+    /// answers at the address nor that nothing was sent follows from it.
+    MaybeNoAck(i32),
     /// Another controller won arbitration.
     ArbitrationLost,
     /// The target stretched the clock for longer than the adapter waits.
@@ -104,6 +107,17 @@ impl BusError {
     fn row(self) -> (Cow<'static, str>, i32, bool) {
         let (text, errno, is_transient) = match self {
             BusError::NoAck => ("not acknowledged; is the gauge powered and connected?", Errno::NXIO, true),
+            BusError::MaybeNoAck(number) => {
+                let other = match Errno::from_raw_os_error(number) {
+                    Errno::TIMEDOUT => "the bus timed out",
+                    Errno::NXIO | Errno::REMOTEIO => "the clock was held low",
+                    _ => "another fault of the bus",
+                };
+                let text = format!(
+                    "not acknowledged, or {other}: the adapter reports both alike; is the gauge powered and connected?"
+                );
+                return (text.into(), number, true);
+            }
             BusError::ArbitrationLost => {
                 ("arbitration lost repeatedly; another controller uses the bus", Errno::AGAIN, true)
             }
@@ -150,7 +164,8 @@ impl BusError {
     /// Whether the target may have refused the transfer by not acknowledging it. Adapters that cannot report
     /// this as such report an input/output error.
     pub fn may_be_no_ack(self) -> bool {
-        matches!(self, BusError::NoAck) || self == BusError::Other(Errno::IO.raw_os_error())
+        matches!(self, BusError::NoAck | BusError::MaybeNoAck(_))
+            || self == BusError::Other(Errno::IO.raw_os_error())
     }
 
     /// The error whose `Display` is `text`, for reading recordings. An unknown text becomes an input/output
@@ -158,6 +173,9 @@ impl BusError {
     pub fn by_text(text: &str) -> Self {
         let known = [
             BusError::NoAck,
+            BusError::MaybeNoAck(Errno::TIMEDOUT.raw_os_error()),
+            BusError::MaybeNoAck(Errno::NXIO.raw_os_error()),
+            BusError::MaybeNoAck(Errno::IO.raw_os_error()),
             BusError::ArbitrationLost,
             BusError::Timeout,
             BusError::Short,
@@ -271,6 +289,22 @@ mod tests {
         }
         assert!(BusError::NoAck.may_be_no_ack() && other(Errno::IO).may_be_no_ack());
         assert!(!other(Errno::PROTO).may_be_no_ack() && !BusError::Timeout.may_be_no_ack());
+    }
+
+    /// Nobody can tell from it whether the bus or the gauge is at fault, and the errno stays the adapter's.
+    #[test]
+    fn an_error_that_may_be_a_nack_says_both() {
+        for (errno, other) in [
+            (Errno::TIMEDOUT, "or the bus timed out"),
+            (Errno::NXIO, "or the clock was held low"),
+            (Errno::IO, "or another fault of the bus"),
+        ] {
+            let error = BusError::MaybeNoAck(errno.raw_os_error());
+            let text = error.to_string();
+            assert!(text.starts_with("not acknowledged, ") && text.contains(other), "{text}");
+            assert_eq!((error.errno(), BusError::by_text(&text)), (errno.raw_os_error(), error));
+            assert!(error.is_transient() && error.may_be_no_ack());
+        }
     }
 
     /// A bus that keeps what it is told.

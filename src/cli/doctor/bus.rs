@@ -8,7 +8,7 @@ use std::os::unix::fs::{FileTypeExt, MetadataExt};
 use super::host::Host;
 use super::{Finding, ok, problem, warning};
 use gauge_bus::GAUGE_ADDRESS;
-use gauge_bus::linux::{Adapter, adapters, clock_hz, driver};
+use gauge_bus::linux::{Adapter, adapters, clock, driver};
 
 /// Fastest clock at which this controller tolerates clock stretching.
 const SLOW_HZ: u32 = 50_000;
@@ -114,8 +114,10 @@ fn adapter(host: &Host, number: u64, name: &str, wanted: bool) -> Finding {
     if !host.may_use(&node, &status) {
         return problem(what, "no permission", forbidden(host, &status));
     }
-    let clock = clock_hz(host.root(), number);
-    let clock = clock.map_or_else(|| "clock unknown".into(), |hz| format!("{} kHz", hz / 1000));
+    let clock = clock(host.root(), number).map_or_else(
+        || "clock unknown".into(),
+        |clock| format!("{} kHz from {}", clock.hz / 1000, clock.from),
+    );
     if !status.file_type().is_char_device() {
         return warning(what, format!("not a device, {clock}"), "Let udev create the node again.");
     }
@@ -148,7 +150,7 @@ fn forbidden(host: &Host, status: &fs::Metadata) -> String {
 
 /// Gauges stretch the clock for milliseconds.
 fn stretching(host: &Host, number: u64, name: &str) -> Option<Finding> {
-    let slow = clock_hz(host.root(), number).is_some_and(|hz| hz <= SLOW_HZ);
+    let slow = clock(host.root(), number).is_some_and(|clock| clock.hz <= SLOW_HZ);
     if !name.contains(NO_STRETCHING) || slow {
         return None;
     }
