@@ -80,7 +80,7 @@ impl<B: Bus> Target for Wired<B> {
             // What is not recorded is not acknowledged.
             BusError::NoAck | BusError::ReadOnly | BusError::NotRecorded => Errno::NXIO,
             BusError::ArbitrationLost => Errno::AGAIN,
-            BusError::Timeout | BusError::Hung(_) => Errno::TIMEDOUT,
+            BusError::Timeout | BusError::Hung(_) | BusError::TooSlow { .. } => Errno::TIMEDOUT,
             BusError::Gone => Errno::NODEV,
             BusError::Busy => Errno::BUSY,
             BusError::Short => Errno::IO,

@@ -80,6 +80,7 @@ impl embedded_hal::i2c::Error for BusError {
             | BusError::NotRecorded
             | BusError::MaybeNoAck(_)
             | BusError::Hung(_)
+            | BusError::TooSlow { .. }
             | BusError::Other(_) => ErrorKind::Other,
         }
     }

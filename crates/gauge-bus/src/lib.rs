@@ -81,6 +81,17 @@ pub enum BusError {
     NotRecorded,
     /// A transfer on the adapter of this number has not returned: its driver hangs.
     Hung(u64),
+    /// It was not sent: the caller's limit of time is over ([`Bus::limit`]).
+    TooSlow {
+        /// The transfers within the limit.
+        transfers: u32,
+        /// Those that failed.
+        failed: u32,
+        /// The time that they and the pauses between them took, in milliseconds.
+        milliseconds: u32,
+        /// The limit, in milliseconds.
+        limit: u32,
+    },
     /// Any other error number from the adapter.
     Other(i32),
 }
@@ -140,6 +151,19 @@ impl BusError {
                     bounded::name(adapter)
                 );
                 return (text.into(), Errno::TIMEDOUT.raw_os_error(), false);
+            }
+            BusError::TooSlow { transfers, failed, milliseconds, limit } => {
+                let seconds = |milliseconds| f64::from(milliseconds) / 1000.0;
+                let (taken, limit) = (seconds(milliseconds), seconds(limit));
+                let text = match failed {
+                    0 => {
+                        format!("the bus is too slow: {transfers} transfers in {taken:.1} s, of {limit:.1} s")
+                    }
+                    _ => format!(
+                        "no time is left: {failed} of {transfers} transfers failed in {taken:.1} s, of {limit:.1} s"
+                    ),
+                };
+                return (text.into(), Errno::TIMEDOUT.raw_os_error(), true);
             }
             BusError::Other(number) => {
                 let text =

@@ -136,6 +136,8 @@ impl Cause {
             Cause::StateUnknown => ("state-unknown", Errno::NOTRECOVERABLE),
             Cause::Gone => ("gone", Errno::NODEV),
             Cause::NoAnswer => ("no-answer", Errno::NXIO),
+            // It is no fault of the bus.
+            Cause::Bus(BusError::TooSlow { .. }) => ("timed-out", Errno::TIMEDOUT),
             Cause::Bus(bus) => return ("bus", bus.errno()),
             Cause::Adapter(kind) => return ("adapter", kind.errno()),
             Cause::Io(kind) => return ("io", errno_of(kind)),
@@ -238,6 +240,17 @@ impl Told for Error {
     }
 }
 
+/// The reason of a transfer that was not sent, because its access has no time left.
+const SLOW_BUS: &str = "slow-bus";
+
+/// The name of such a reason and its facts; nothing for any other failure of a transfer.
+fn told_of_bus(bus: BusError) -> (Option<&'static str>, Vec<(&'static str, Fact)>) {
+    let BusError::TooSlow { transfers, failed, milliseconds, limit } = bus else { return (None, Vec::new()) };
+    let facts =
+        [("transfers", transfers), ("failed", failed), ("milliseconds", milliseconds), ("limit", limit)];
+    (Some(SLOW_BUS), facts.map(|(name, number)| (name, Fact::Number(number.into()))).into())
+}
+
 /// Makes [`Reason`] from a row per failure: its facts, and words for the text only; its name for programs and its
 /// cause; and the text.
 macro_rules! reasons {
@@ -260,13 +273,16 @@ macro_rules! reasons {
 
         impl Reason {
             /// Names of the reasons with facts.
-            pub const NAMES: &[&str] = &[$($name),+];
+            pub const NAMES: &[&str] = &[SLOW_BUS, $($name),+];
 
             /// Name for programs, cause, named facts, and the failure behind this one.
             fn row(&self) -> (Option<&'static str>, Cause, Vec<(&'static str, Fact)>, Option<&Error>) {
                 match self {
                     Self::Text(cause, _) => (None, *cause, Vec::new(), None),
-                    Self::Bus(bus) => (None, Cause::Bus(*bus), Vec::new(), None),
+                    Self::Bus(bus) => {
+                        let (name, facts) = told_of_bus(*bus);
+                        (name, Cause::Bus(*bus), facts, None)
+                    }
                     $(Self::$variant { $($fact,)* .. } => {
                         let facts = [$((stringify!($fact), $fact.fact())),*];
                         let facts = facts.into_iter().filter_map(|(name, fact)| Some((name, fact?)));

@@ -47,8 +47,17 @@ pub(super) struct Wire {
     silence: Duration,
     /// When the last wait was to end.
     rested: Cell<Duration>,
-    /// No transfer starts after this time, so that write(2) returns in time.
-    deadline: Option<Duration>,
+    /// No transfer starts after it, so that write(2) returns in time.
+    limit: Option<Limit>,
+}
+
+/// A limit of time, and what was counted when it began.
+#[derive(Clone, Copy)]
+struct Limit {
+    since: Duration,
+    transfers: u64,
+    failures: u64,
+    deadline: Duration,
 }
 
 impl Wire {
@@ -63,7 +72,7 @@ impl Wire {
             answered: Duration::ZERO,
             silence: Duration::ZERO,
             rested: Cell::default(),
-            deadline: None,
+            limit: None,
         }
     }
 }
@@ -76,12 +85,35 @@ impl Gauge {
 
     /// Lets no transfer start later than that; `None` removes the limit.
     pub fn limit_until(&mut self, deadline: Option<Duration>) {
-        self.wire.deadline = deadline;
+        let begins = || Limit {
+            since: self.clock.now(),
+            transfers: Statistics::read(&self.statistics.transfers),
+            failures: self.wire.failures,
+            deadline: Duration::ZERO,
+        };
+        // A later limit of the same access counts from its beginning.
+        self.wire.limit =
+            deadline.map(|deadline| Limit { deadline, ..self.wire.limit.unwrap_or_else(begins) });
         self.wire.bus.limit(deadline);
     }
 
     fn is_late(&self) -> bool {
-        self.wire.deadline.is_some_and(|deadline| self.clock.now() >= deadline)
+        self.late().is_some()
+    }
+
+    /// What is said of a transfer for which no time is left.
+    fn late(&self) -> Option<BusError> {
+        let Limit { since, transfers, failures, deadline } = self.wire.limit?;
+        let now = self.clock.now();
+        let milliseconds =
+            |time: Duration| time.saturating_sub(since).as_millis().try_into().unwrap_or(u32::MAX);
+        let more = |now: u64, then: u64| now.saturating_sub(then).try_into().unwrap_or(u32::MAX);
+        (now >= deadline).then(|| BusError::TooSlow {
+            transfers: more(Statistics::read(&self.statistics.transfers), transfers),
+            failed: more(self.wire.failures, failures),
+            milliseconds: milliseconds(now),
+            limit: milliseconds(deadline),
+        })
     }
 
     /// Whether something may still be tried: that time has not come, and the limit for transfers allows it.
@@ -91,7 +123,7 @@ impl Gauge {
 
     /// Whether transfers may still be started that long from now.
     pub(super) fn has_time_for(&self, time: Duration) -> bool {
-        self.wire.deadline.is_none_or(|deadline| self.clock.now() + time < deadline)
+        self.wire.limit.is_none_or(|limit| self.clock.now() + time < limit.deadline)
     }
 
     /// Waits without any transfer.
@@ -113,8 +145,8 @@ impl Gauge {
 
     /// Whatever comes before a transfer.
     pub(super) fn make_ready(&mut self) -> Result<(), BusError> {
-        if self.is_late() {
-            return Err(BusError::Timeout);
+        if let Some(late) = self.late() {
+            return Err(late);
         }
         self.recognise()
     }

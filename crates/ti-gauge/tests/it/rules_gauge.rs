@@ -10,6 +10,7 @@ use gauge_bus::{Bus, BusError};
 use ti_gauge::authentication::Order;
 use ti_gauge::chip::{CHIPS, Chip, FLAT, Kind};
 use ti_gauge::dataflash::Outcome;
+use ti_gauge::error::Fact;
 use ti_gauge::gauge::{Gauge, Seal};
 use ti_gauge::keys::{KeyChange, Keys};
 
@@ -297,6 +298,43 @@ fn a_transfer_is_not_sent_again_when_it_is_late() {
     rig.gauge.limit(Some(Duration::ZERO));
     rig.gauge.seal().expect_err("there is no time");
     assert_eq!(rig.clock.now(), begun);
+}
+
+/// No transfer has failed, so the bus is not called faulty.
+#[test]
+fn regression_a_limit_of_our_own_was_told_as_a_line_that_is_held_low() {
+    let mut rig = Rig::new("bq34z100-g1");
+    rig.gauge.limit(Some(Duration::from_secs(2)));
+    let error = std::iter::repeat_with(|| rig.gauge.seal()).find_map(Result::err).expect("it is late");
+    let text = error.to_string();
+    assert!(
+        text.contains("the bus is too slow: ") && text.ends_with(" transfers in 2.0 s, of 2.0 s"),
+        "{text}"
+    );
+    assert!(!text.contains("held low"), "{text}");
+    assert_eq!((error.errno(), cause(&error)), (110, "timed-out"));
+    let facts = error.facts();
+    let fact = |name| match facts.iter().find(|(known, _)| *known == name) {
+        Some((_, Fact::Number(number))) => *number,
+        other => panic!("{name}: {other:?}"),
+    };
+    assert!(fact("transfers") > 100 && fact("failed") == 0, "{facts:?}");
+    assert!(fact("milliseconds") >= 2000 && fact("limit") == 2000, "{facts:?}");
+    // A later limit of the same access counts from its beginning.
+    rig.gauge.limit(Some(Duration::ZERO));
+    let text = rig.gauge.seal().expect_err("it is late").to_string();
+    assert!(text.ends_with(" transfers in 2.0 s, of 2.0 s"), "{text}");
+    // Where transfers have failed, that is said.
+    rig.gauge.limit(None);
+    rig.gauge.limit(Some(Duration::from_secs(1)));
+    rig.set_fault("silence 1 60000");
+    let end = rig.clock.now() + Duration::from_secs(1);
+    while rig.clock.now() < end {
+        rig.gauge.seal().expect_err("it is silent");
+        rig.clock.sleep(Duration::from_millis(500));
+    }
+    let text = rig.gauge.seal().expect_err("it is late").to_string();
+    assert!(text.contains("no time is left: ") && text.contains("transfers failed in"), "{text}");
 }
 
 /// Calibration inhibit temperatures are in the row in which the bq35100's authentication key begins.
