@@ -83,6 +83,7 @@ impl<B: Bus> Target for Wired<B> {
             BusError::Timeout | BusError::Hung(_) | BusError::TooSlow { .. } => Errno::TIMEDOUT,
             BusError::Gone => Errno::NODEV,
             BusError::Busy => Errno::BUSY,
+            BusError::HasMux => Errno::OPNOTSUPP,
             BusError::Short => Errno::IO,
             BusError::Other(number) | BusError::MaybeNoAck(number) => Errno::from_raw_os_error(number),
         })

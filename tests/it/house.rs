@@ -918,7 +918,7 @@ fn registers_of_block_access_stand_behind_the_dialect() {
         ("ti-gauge gauge", "0x0041", 1),
         ("ti-gauge learning", "0x0040", 1),
         // Times.
-        ("gauge-bus linux", "66", 1),
+        ("gauge-bus linux/target", "66", 1),
         ("gauge-owner owner/crew/races", "90", 2),
         ("ti-gauge dataflash/io", "80", 1),
         ("ti-gauge dataflash/session", "80", 1),

@@ -24,6 +24,8 @@ pub enum ErrorKind {
     NotABus,
     /// The adapter has only SMBus commands, not plain I2C.
     SmbusOnly,
+    /// The adapter has a mux, and so another gauge whenever somebody uses another channel.
+    HasMux,
     /// A kernel driver or another process uses the address.
     Busy,
     /// The user may not open the node.
@@ -43,7 +45,7 @@ impl ErrorKind {
             Self::NotPermitted => Errno::PERM,
             Self::NotFound => Errno::NOENT,
             Self::NotABus => Errno::NOTTY,
-            Self::SmbusOnly => Errno::OPNOTSUPP,
+            Self::SmbusOnly | Self::HasMux => Errno::OPNOTSUPP,
             Self::Busy => Errno::BUSY,
             Self::Forbidden => Errno::ACCESS,
             Self::File(kind) | Self::Io(kind) => return errno_of(kind),
@@ -77,6 +79,8 @@ pub struct Driver {
     pub name: String,
     /// The device it drives, such as `bq34z100`.
     pub device: String,
+    /// The number of the adapter on which it is bound.
+    pub bus: u64,
 }
 
 /// One failure: its subject, its kind, and one line that says what happened and what to do.

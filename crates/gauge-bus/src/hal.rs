@@ -76,6 +76,7 @@ impl embedded_hal::i2c::Error for BusError {
             BusError::Timeout => ErrorKind::Bus,
             BusError::Gone
             | BusError::Busy
+            | BusError::HasMux
             | BusError::ReadOnly
             | BusError::NotRecorded
             | BusError::MaybeNoAck(_)

@@ -75,6 +75,8 @@ pub enum BusError {
     Gone,
     /// A kernel driver is bound to the address.
     Busy,
+    /// The adapter has got a mux that keeps a channel connected: the gauge changes whenever somebody uses another channel.
+    HasMux,
     /// Nothing may be written: the bus is a recording, or only the standard commands of the gauge are known.
     ReadOnly,
     /// The bus is a recording that has no answer to this transfer.
@@ -142,6 +144,11 @@ impl BusError {
             BusError::Busy => {
                 ("a kernel driver is bound to the address; unbind it first", Errno::BUSY, false)
             }
+            BusError::HasMux => (
+                "the bus has got a mux, so the pack may change at any time; use the bus of its channel",
+                Errno::OPNOTSUPP,
+                false,
+            ),
             BusError::ReadOnly => ("a recording takes no writes", Errno::ROFS, false),
             BusError::NotRecorded => ("the recording has no answer to this", Errno::NODATA, false),
             BusError::Hung(adapter) => {
@@ -205,6 +212,7 @@ impl BusError {
             BusError::Short,
             BusError::Gone,
             BusError::Busy,
+            BusError::HasMux,
             BusError::ReadOnly,
             BusError::NotRecorded,
         ];

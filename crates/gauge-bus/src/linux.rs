@@ -8,15 +8,16 @@
 //! until its last user has closed it. When the adapter is back, the next transfer opens it again. A driver that
 //! hangs is given up after a while ([`bounded`](crate::bounded)).
 //!
-//! All `unsafe` code of this crate is here and in `target`; it makes calls for which the crate `i2cdev` has no function.
+//! All `unsafe` code of this crate is here; it makes calls for which the crate `i2cdev` has no function.
 
 use std::fmt;
 use std::fs::{self, File};
-use std::os::fd::AsRawFd;
+use std::os::fd::{AsRawFd, BorrowedFd};
 use std::os::unix::fs::{FileTypeExt, MetadataExt};
 use std::path::{Path, PathBuf};
 
 use nix::errno::Errno;
+use nix::fcntl::{FcntlArg, fcntl};
 use nix::libc;
 use nix::sys::stat::{major, minor};
 
@@ -29,6 +30,7 @@ mod target;
 
 use adapter::Row;
 pub use adapter::{BusClock, certain, clock};
+pub use mux::{Mux, described, muxes};
 pub use target::LinuxBus;
 
 /// Major number of the i2c-dev character devices; the minor number is the adapter's.
@@ -149,9 +151,29 @@ impl Adapter {
         Row::of(Path::new("/"), self.number())
     }
 
-    /// The kernel driver that is bound to an address, and its device.
+    /// The kernel driver that is bound to an address, and its device: on this bus, or on one in front of it or behind it.
     pub fn driver(&self, address: u8) -> Option<Driver> {
-        driver(Path::new("/"), self.number(), address)
+        driver_near(Path::new("/"), self.number(), address)
+    }
+
+    /// The muxes on it.
+    pub fn muxes(&self) -> Vec<Mux> {
+        muxes(Path::new("/"), self.number())
+    }
+
+    /// The way to it from the adapter before all muxes, such as `i2c-0.70.3`; without a mux, `i2c-N`.
+    pub fn channels(&self) -> String {
+        mux::path(Path::new("/"), self.number())
+    }
+
+    /// The adapters in front of the muxes that lead to it.
+    fn above(&self) -> Vec<u64> {
+        mux::above(Path::new("/"), self.number())
+    }
+
+    /// Refuses a bus with a mux that keeps a channel connected: the gauge changes whenever somebody uses another channel.
+    pub fn refuse_mux(&self) -> Result<()> {
+        refusal_of_mux(&self.to_string(), self.number(), &self.muxes()).map_or(Ok(()), Err)
     }
 
     /// Whether the adapter can transfer whole I2C messages. Asking sends nothing on the bus.
@@ -181,18 +203,38 @@ impl fmt::Display for Adapter {
     }
 }
 
+/// Why no gauge is used on a bus in front of its muxes, if one of them keeps a channel connected.
+fn refusal_of_mux(subject: &str, number: u64, muxes: &[Mux]) -> Option<Error> {
+    let stays = muxes.iter().find(|mux| !mux.disconnects)?;
+    let says = described(number, muxes)?;
+    let why = format!(
+        "{says}; on the bus in front of it the gauge changes whenever somebody uses another channel, unless the mux connects \
+         none while it is idle: /sys/bus/i2c/devices/{}/idle_state is -2 (i2c-mux-idle-disconnect in the device tree)",
+        stays.device
+    );
+    Some(Error::new(subject, ErrorKind::HasMux, why))
+}
+
+/// The kernel driver that is bound to an address of an adapter of the system below `root`, or of one in front of it or
+/// behind it: the kernel refuses the address on all of them.
+pub fn driver_near(root: &Path, number: u64, address: u8) -> Option<Driver> {
+    let near = [vec![number], mux::above(root, number), mux::below(root, number)].concat();
+    near.into_iter().find_map(|number| driver(root, number, address))
+}
+
 /// The kernel driver that is bound to an address of an adapter of the system below `root`.
 pub fn driver(root: &Path, number: u64, address: u8) -> Option<Driver> {
     let device = root.join(format!("sys/bus/i2c/devices/{number}-{address:04x}"));
     let driver = fs::read_link(device.join("driver")).ok()?;
     let device = regular::read_text(&device.join("name"), regular::SYSTEM).unwrap_or_default();
     let name = driver.file_name()?.to_string_lossy().into_owned();
-    Some(Driver { name, device: device.trim().to_string() })
+    Some(Driver { name, device: device.trim().to_string(), bus: number })
 }
 
 impl Driver {
     /// The command with which root unbinds it from an address.
-    pub fn remedy(&self, number: u64, address: u8) -> String {
+    pub fn remedy(&self, address: u8) -> String {
+        let number = self.bus;
         format!(
             "`echo 0x{address:02x} > /sys/bus/i2c/devices/i2c-{number}/delete_device`, or with \
              `echo {number}-{address:04x} > /sys/bus/i2c/drivers/{}/unbind`",
@@ -208,6 +250,22 @@ fn functions(device: &impl AsRawFd) -> nix::Result<libc::c_ulong> {
     #[allow(unsafe_code)]
     unsafe { ioctl::i2c_funcs(device.as_raw_fd(), &raw mut functions) }?;
     Ok(functions)
+}
+
+/// Locks one byte of the node, at the offset of the address, for as long as the node is open. Unlike a lock
+/// file, this works between different accounts, and it needs no further file.
+fn hold(node: &impl AsRawFd, address: u8, kind: libc::c_int) -> nix::Result<()> {
+    let lock = libc::flock {
+        l_type: kind as libc::c_short,
+        l_whence: libc::SEEK_SET as libc::c_short,
+        l_start: address.into(),
+        l_len: 1,
+        l_pid: 0,
+    };
+    // SAFETY: the descriptor stays open while `node` is borrowed.
+    #[allow(unsafe_code)]
+    let node = unsafe { BorrowedFd::borrow_raw(node.as_raw_fd()) };
+    fcntl(node, FcntlArg::F_OFD_SETLK(&lock)).map(drop)
 }
 
 /// The adapters with a node in the system below `root`: number and the kernel's name, sorted by number.
@@ -275,6 +333,60 @@ mod tests {
             assert_eq!(missing(Path::new(path), &[]), "no such bus; did you mean /dev/i2c-1?", "{path}");
         }
         assert_eq!((meant(Path::new("/dev/i2c-1")), meant(Path::new("pack"))), (None, None));
+    }
+
+    #[test]
+    fn a_driver_on_a_bus_in_front_of_a_mux_or_behind_it_is_found_with_its_bus() {
+        let system = fake::System::new("drivers");
+        system.adapter(0, Some("mcp2221"), "MCP2221 usb-i2c bridge");
+        system.channel(0, 1, "0-0070", 0);
+        system.channel(0, 2, "0-0070", 1);
+        system.driver(1, 0x55, "bq34z100", "bq27xxx-battery");
+        let near = |number| driver_near(system.root(), number, 0x55);
+        let bound = near(0).expect("it is behind the mux");
+        assert_eq!((bound.bus, &*bound.name, &*bound.device), (1, "bq27xxx-battery", "bq34z100"));
+        assert!(bound.remedy(0x55).contains("echo 0x55 > /sys/bus/i2c/devices/i2c-1/delete_device"));
+        assert_eq!(near(1), Some(bound));
+        assert_eq!(near(2), None, "packs on sibling channels do not concern each other");
+        system.driver(0, 0x55, "24c02", "at24");
+        assert_eq!(near(2).map(|driver| driver.bus), Some(0), "it is in front of the mux");
+        assert_eq!(driver(system.root(), 2, 0x55), None);
+    }
+
+    #[test]
+    fn a_bus_with_a_mux_that_stays_connected_is_refused() {
+        let system = fake::System::new("refused");
+        system.adapter(0, Some("mcp2221"), "MCP2221 usb-i2c bridge");
+        let refusal = || refusal_of_mux("/dev/i2c-0", 0, &muxes(system.root(), 0));
+        assert!(refusal().is_none());
+        (1..=8).for_each(|number| system.channel(0, number, "0-0070", number as u32 - 1));
+        system.write("sys/devices/usb/0/i2c-0/0-0070/name", b"pca9548\n");
+        system.write("sys/devices/usb/0/i2c-0/0-0070/idle_state", b"-1\n");
+        let error = refusal().expect("it stays connected");
+        let text = error.to_string();
+        for words in ["i2c-0 has a mux, pca9548 at 0x70: use i2c-1 to i2c-8; ", "0-0070/idle_state is -2"] {
+            assert!(text.contains(words), "{words}: {text}");
+        }
+        assert_eq!(error.kind, ErrorKind::HasMux);
+        system.write("sys/devices/usb/0/i2c-0/0-0070/idle_state", b"-2\n");
+        assert!(refusal().is_none(), "it connects no channel while it is idle");
+    }
+
+    /// Gauges on two channels of a mux, and one in front of it, whose node has the locks of all.
+    #[test]
+    fn a_gauge_in_front_of_a_mux_excludes_those_behind_it_and_they_not_each_other() {
+        let path = std::env::temp_dir().join(format!("gauge-bus-hold-{}", std::process::id()));
+        fs::write(&path, "").expect("a file");
+        let open = || File::options().read(true).write(true).open(&path).expect("a node");
+        let (left, right, front) = (open(), open(), open());
+        hold(&left, 0x55, libc::F_RDLCK).expect("it is free");
+        hold(&right, 0x55, libc::F_RDLCK).expect("a sibling");
+        hold(&front, 0x55, libc::F_WRLCK).expect_err("two gauges are behind it");
+        hold(&front, 0x54, libc::F_WRLCK).expect("another address");
+        drop((left, right));
+        hold(&front, 0x55, libc::F_WRLCK).expect("they are gone");
+        hold(&open(), 0x55, libc::F_RDLCK).expect_err("it is in front");
+        fs::remove_file(path).expect("it was there");
     }
 
     #[test]

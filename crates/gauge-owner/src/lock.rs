@@ -3,8 +3,9 @@
 //! A lock for each gauge, so that a second gaugefs is refused, with the process of the first.
 //!
 //! The lock is a file that only its owner can open, in `/run/gaugefs` or in a folder of the user's own. It is
-//! named after the adapter's number and the address, so that two paths of one adapter are the same gauge. The
-//! kernel releases the lock when its holder ends, for whatever reason; the holder removes the file, and one that
+//! named after the adapter's number and the address, so that two paths of one adapter are the same gauge; behind a mux
+//! after the path of channels that leads to it ([`related`]), because a gauge in front of a mux is reached through every
+//! channel. The kernel releases the lock when its holder ends, for whatever reason; the holder removes the file, and one that
 //! is left behind has no effect.
 //!
 //! Users of different accounts are kept apart by the lock on the bus itself, in `bus::linux`, for which write
@@ -33,6 +34,10 @@ use gauge_bus::clock::Clock;
 use gauge_bus::linux::Adapter;
 use gauge_bus::regular;
 
+mod related;
+
+use related::Name;
+
 /// Looks at the kernel's list of locks before one counts as free: it is passed on in pieces, and one whose neighbours are
 /// taken or released meanwhile may be left out.
 const LOOKS: u32 = 3;
@@ -60,6 +65,8 @@ pub struct Holder {
     pub pid: i32,
     /// The place where it has mounted the gauge, or will mount it, if it is a gaugefs that this user may ask.
     pub mountpoint: Option<PathBuf>,
+    /// The bus on which it has it, if that is another one in front of a mux or behind it.
+    pub bus: Option<String>,
 }
 
 impl Lock {
@@ -75,7 +82,7 @@ impl Lock {
         ending: impl Fn(&Path) -> bool,
     ) -> Result<Self> {
         Self::take(
-            &key_of_gauge(adapter, address),
+            &Name::of(&adapter.channels(), address).to_string(),
             &format!("{adapter} address 0x{address:02x}"),
             mountpoint,
             clock,
@@ -109,19 +116,25 @@ impl Lock {
             };
             known.clone_from(&holder);
             let mountpoint = holder.as_ref().and_then(|holder| holder.mountpoint.as_deref());
+            // Two gauges of one configuration, which do not end for each other.
+            let is_own = |holder: &Holder| holder.bus.is_some() && holder.pid == std::process::id() as i32;
             let patience = match mountpoint {
+                _ if holder.as_ref().is_some_and(is_own) => Duration::ZERO,
                 None => PATIENCE,
                 Some(mountpoint) if ending(mountpoint) => ENDS,
                 Some(_) => Duration::ZERO,
             };
             if clock.now().saturating_sub(start) >= patience {
                 let what = match &holder {
-                    Some(Holder { pid, mountpoint: Some(place) }) if patience == ENDS => {
+                    Some(Holder { pid, mountpoint: Some(place), .. }) if patience == ENDS => {
                         let (holder, place) = (process(Path::new("/"), *pid), shown(place));
                         format!(
                             "in use by {holder}, which is not mounted at {place} any more and does not end: something there \
                              may still be open; end it with: kill {pid}"
                         )
+                    }
+                    Some(holder @ Holder { bus: Some(bus), .. }) => {
+                        format!("in use on {bus}, on the other side of a mux, by {holder}")
                     }
                     Some(holder) => format!("in use by {holder}"),
                     None => "in use by another process, which /proc/locks does not show".into(),
@@ -134,18 +147,28 @@ impl Lock {
         }
     }
 
-    /// The lock, or else its holder if that is known.
+    /// The lock, or else its holder if that is known: of this lock, or of one in front of a mux or behind it. Of two that
+    /// are taken at the same time, at least one sees the other.
     fn attempt(key: &str, mountpoint: &Path) -> Result<Result<Self, Option<Holder>>> {
+        let taken = Self::attempt_alone(key, mountpoint)?;
+        let Some(name) = Name::parse(key).filter(|_| taken.is_ok()) else { return Ok(taken) };
+        let own = folder()?;
+        let folders = folders::SYSTEM_LOCKS.map(PathBuf::from).into_iter().filter(|other| *other != own);
+        let folders: Vec<_> = folders.chain([own.clone()]).collect();
+        Ok(match name.holder_of_related(&folders) {
+            Some(holder) => Err(Some(holder)),
+            None => taken,
+        })
+    }
+
+    fn attempt_alone(key: &str, mountpoint: &Path) -> Result<Result<Self, Option<Holder>>> {
         let name = format!("{key}.lock");
         let folder = folder()?;
         // A lock of another account is not for this one to take, but the kernel lists it.
         for other in folders::SYSTEM_LOCKS.map(Path::new).iter().filter(|other| ***other != folder) {
-            let path = other.join(&name);
-            let look = |status: Metadata| (0..LOOKS).find_map(|_| holding(&listed(), &status));
-            let Some(pid) = fs::metadata(&path).ok().and_then(look) else { continue };
-            let file = regular::open(File::options().read(true), &path);
-            let mountpoint = file.ok().and_then(|mut file| mountpoint_of(&mut file, pid));
-            return Ok(Err(Some(Holder { pid, mountpoint })));
+            if let Some(holder) = seen(&other.join(&name)) {
+                return Ok(Err(Some(holder)));
+            }
         }
         let path = folder.join(name);
         let failed = |error| Error::io(path.display().to_string(), "cannot lock the gauge", &error);
@@ -254,7 +277,8 @@ pub fn process(root: &Path, pid: i32) -> String {
     format!("process {pid} ({} of {user})", program.trim_end_matches('\n').escape_debug())
 }
 
-/// A name for the gauge at an address of an adapter, unique at any one time.
+/// A name for the records of the gauge at an address of an adapter, unique at any one time. It is the same before the
+/// adapter is there.
 pub fn key_of_gauge(adapter: &Adapter, address: u8) -> String {
     format!("i2c-{}-{address:02x}", adapter.number())
 }
@@ -274,10 +298,19 @@ pub fn key_of_state(state: &Path) -> String {
     format!("sim-{hash:016x}")
 }
 
+/// The holder of a lock that is not taken here, if it is held.
+fn seen(path: &Path) -> Option<Holder> {
+    let status = fs::metadata(path).ok()?;
+    let pid = (0..LOOKS).find_map(|_| holding(&listed(), &status))?;
+    let file = regular::open(File::options().read(true), path);
+    let mountpoint = file.ok().and_then(|mut file| mountpoint_of(&mut file, pid));
+    Some(Holder { pid, mountpoint, bus: None })
+}
+
 /// The holder of a lock that is held, if the kernel shows it.
 fn holder(file: &mut File) -> Option<Holder> {
     let pid = holding(&listed(), &file.metadata().ok()?)?;
-    Some(Holder { pid, mountpoint: mountpoint_of(file, pid) })
+    Some(Holder { pid, mountpoint: mountpoint_of(file, pid), bus: None })
 }
 
 /// The mount point of the process that holds a lock, if that process has written the lock's file.
@@ -429,6 +462,41 @@ mod tests {
             refuse(&parent);
         }
         fs::remove_dir_all(parent).expect("it is left");
+    }
+
+    /// Each lock is that of another gauge, on a machine without these buses.
+    #[test]
+    fn a_gauge_in_front_of_a_mux_excludes_those_behind_it_and_they_not_each_other() {
+        let bus = format!("i2c-{}", 1_000_000 + std::process::id());
+        let name = |path: &str| format!("{bus}{path}-55");
+        let lock = |path: &str| {
+            Lock::take(&name(path), "a gauge", Path::new("/mnt/pack"), &SimClock::new(), |_| true)
+        };
+        let left = lock(".70.3").expect("nobody has it");
+        let right = lock(".70.4").expect("a sibling channel");
+        let deeper = lock(".70.4.71.0").expect_err("it is reached through channel 4").to_string();
+        assert!(deeper.contains(&format!("in use on channel 4 of the mux at 0x70 on {bus}")), "{deeper}");
+        let front = lock("").expect_err("two gauges are behind it").to_string();
+        assert!(
+            front.contains("of the mux at 0x70 on") && front.contains("gaugefs umount /mnt/pack"),
+            "{front}"
+        );
+        let path = folder().expect("a folder").join(format!("{}.lock", name("")));
+        assert!(!path.exists(), "a refused lock is released");
+        drop((left, right));
+        let front = lock("").expect("they are gone");
+        let behind = lock(".70.3").expect_err("it is in front").to_string();
+        assert!(
+            behind.contains(&format!("in use on {bus}, on the other side of a mux, by process")),
+            "{behind}"
+        );
+        Lock::take(&format!("{bus}.70.3-54"), "a gauge", Path::new(""), &SimClock::new(), |_| true)
+            .expect("another address");
+        drop(front);
+        // What a dead process has left behind excludes nobody.
+        fs::write(&path, "1 /mnt").expect("a file");
+        lock(".70.3").expect("nobody holds it");
+        fs::remove_file(path).expect("it is left");
     }
 
     /// The file is removed while another process has opened it, but not yet locked it.

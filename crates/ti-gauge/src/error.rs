@@ -627,7 +627,7 @@ impl From<BusError> for Error {
 impl From<gauge_bus::Error> for Error {
     fn from(error: gauge_bus::Error) -> Self {
         let gauge_bus::Error { subject, kind, text, driver } = error;
-        if let Some(Driver { name, device }) = driver.map(|driver| *driver) {
+        if let Some(Driver { name, device, .. }) = driver.map(|driver| *driver) {
             return Self::of(subject, Reason::DriverBound { driver: name, device, what: text });
         }
         let cause = match kind {
@@ -720,7 +720,7 @@ mod tests {
 
     #[test]
     fn a_bound_driver_is_a_fact() {
-        let driver = Driver { name: "bq27xxx-battery".into(), device: "bq34z100".into() };
+        let driver = Driver { name: "bq27xxx-battery".into(), device: "bq34z100".into(), bus: 1 };
         let text = "unbind it".to_string();
         let kind = ErrorKind::Busy;
         let error = gauge_bus::Error { subject: "i2c-1".into(), kind, text, driver: Some(Box::new(driver)) };

@@ -8,7 +8,7 @@ use std::os::unix::fs::{FileTypeExt, MetadataExt};
 use super::host::Host;
 use super::{Finding, ok, problem, warning};
 use gauge_bus::GAUGE_ADDRESS;
-use gauge_bus::linux::{Adapter, adapters, clock, driver};
+use gauge_bus::linux::{Adapter, adapters, clock, described, driver, muxes};
 
 /// Fastest clock at which this controller tolerates clock stretching.
 const SLOW_HZ: u32 = 50_000;
@@ -23,6 +23,7 @@ pub(super) fn check(host: &Host, configured: &[String]) -> Vec<Finding> {
     for (number, name) in &adapters {
         let wanted = configured.iter().any(|bus| *bus == format!("i2c-{number}"));
         findings.push(adapter(host, *number, name, wanted));
+        findings.extend(mux(host, *number, wanted));
         findings.extend(stretching(host, *number, name));
         findings.extend(drivers(host, *number));
     }
@@ -148,6 +149,23 @@ fn forbidden(host: &Host, status: &fs::Metadata) -> String {
     }
 }
 
+/// The muxes on a bus, and the buses to use instead of it.
+fn mux(host: &Host, number: u64, wanted: bool) -> Option<Finding> {
+    let muxes = muxes(host.root(), number);
+    let (what, says) = (format!("muxes of i2c-{number}"), described(number, &muxes)?);
+    Some(match muxes.iter().find(|mux| !mux.disconnects) {
+        Some(stays) if wanted => {
+            let remedy = format!(
+                "Configure the gauges on these buses. One in front of the mux can be used only if the mux connects no channel \
+                 while it is idle: {}/idle_state is -2 (i2c-mux-idle-disconnect in the device tree)",
+                stays.device
+            );
+            problem(what, format!("{says}; but a gauge is configured on i2c-{number}"), remedy)
+        }
+        _ => ok(what, says),
+    })
+}
+
 /// Gauges stretch the clock for milliseconds.
 fn stretching(host: &Host, number: u64, name: &str) -> Option<Finding> {
     let slow = clock(host.root(), number).is_some_and(|clock| clock.hz <= SLOW_HZ);
@@ -172,7 +190,7 @@ fn drivers(host: &Host, number: u64) -> Vec<Finding> {
         let gauge = driver.name.starts_with("bq27xxx");
         let what = format!("i2c-{number} address 0x{address:02x}");
         let says = format!("the kernel driver {} ({}) uses it", driver.name, driver.device);
-        let remedy = format!("To release it for gaugefs, as root: {}", driver.remedy(number, address));
+        let remedy = format!("To release it for gaugefs, as root: {}", driver.remedy(address));
         match gauge {
             true => Some(problem(what, says, remedy)),
             false if address == GAUGE_ADDRESS => Some(warning(what, says, remedy)),

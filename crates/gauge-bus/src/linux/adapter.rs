@@ -58,7 +58,7 @@ pub(super) struct Row {
 const STRETCHED: Sure = Sure::Sooner(Duration::from_millis(25));
 
 /// "Run": with the drivers of Debian's kernels 6.1.176, 6.12.117 and 7.3.4. "Source": read in the driver only.
-const ADAPTERS: [Row; 11] = [
+static ADAPTERS: [Row; 11] = [
     // Run. Source of the doubt: STATUS1_TIMEOUT_NACK, STATUS1_TIMEOUT_BUS and a transfer that is cancelled after ten
     // status reports are all ETIMEDOUT, any other status is EIO. Clock: 7.3.4 sets it, 6.1 and 6.12 leave the chip's.
     Row {

@@ -54,6 +54,13 @@ impl System {
         self.link(&self.device(number), &folder);
     }
 
+    /// A driver that is bound to a device of an adapter.
+    pub(super) fn driver(&self, number: u64, address: u8, name: &str, driver: &str) {
+        let device = format!("sys/bus/i2c/devices/{number}-{address:04x}");
+        self.write(&format!("{device}/name"), format!("{name}\n").as_bytes());
+        self.link(&self.0.join(device).join("driver"), &Path::new("../../drivers").join(driver));
+    }
+
     fn device(&self, number: u64) -> PathBuf {
         self.0.join(format!("sys/bus/i2c/devices/i2c-{number}"))
     }

@@ -3,8 +3,7 @@
 //! One address of an adapter: how it is claimed, locked and spoken to, and what the kernel's errnos mean.
 
 use std::fmt;
-use std::fs;
-use std::os::fd::{AsRawFd, BorrowedFd};
+use std::fs::{self, File};
 use std::os::unix::fs::MetadataExt;
 use std::path::Path;
 use std::sync::Arc;
@@ -13,11 +12,10 @@ use std::time::Duration;
 use i2cdev::core::{I2CMessage, I2CTransfer};
 use i2cdev::linux::{LinuxI2CDevice, LinuxI2CError, LinuxI2CMessage};
 use nix::errno::Errno;
-use nix::fcntl::{FcntlArg, fcntl};
 use nix::libc;
 
 use super::adapter::Row;
-use super::{Adapter, I2C_FUNC_I2C, functions};
+use super::{Adapter, I2C_FUNC_I2C, functions, hold};
 use crate::bounded::{Bounded, PATIENCE};
 use crate::clock::Clock;
 use crate::error::{Driver, Error, ErrorKind, Result};
@@ -41,6 +39,8 @@ struct Target {
     clock: Arc<dyn Clock>,
     /// `None` while the adapter is unplugged.
     device: Option<LinuxI2CDevice>,
+    /// The nodes of the adapters in front of a mux, with locks of the same address.
+    above: Vec<File>,
     last: Duration,
 }
 
@@ -55,16 +55,20 @@ impl LinuxBus {
     pub fn open(adapter: Adapter, address: u8, clock: Arc<dyn Clock>) -> Result<Self> {
         let device = LinuxI2CDevice::new(&adapter.path, address.into());
         let device = device.map_err(|error| refusal(&adapter, address, errno(&error)))?;
-        if hold(&device, address).is_err() {
-            let why = "another gaugefs is using the gauge; `gaugefs umount` its mount point first";
-            return Err(Error::new(subject(&adapter, address), ErrorKind::Busy, why));
-        }
+        let above = hold_all(&device, &adapter, address).map_err(|other| {
+            let place = match other {
+                Some(number) => format!("uses that address on i2c-{number}, in front of the mux"),
+                None => "is using the gauge".into(),
+            };
+            let why = format!("another gaugefs {place}; `gaugefs umount` its mount point first");
+            Error::new(subject(&adapter, address), ErrorKind::Busy, why)
+        })?;
         if functions(&device).unwrap_or(0) & I2C_FUNC_I2C == 0 {
             let why = "the adapter speaks only SMBus, not plain I2C; connect the gauge to another one";
             return Err(Error::new(adapter.to_string(), ErrorKind::SmbusOnly, why));
         }
         let number = adapter.number();
-        Ok(Self::new(adapter, number, address, clock, Some(device)))
+        Ok(Self::new(adapter, number, address, clock, Some((device, above))))
     }
 
     /// A target whose adapter is absent or cannot be opened yet: each transfer tries to open it.
@@ -79,12 +83,13 @@ impl LinuxBus {
         number: u64,
         address: u8,
         clock: Arc<dyn Clock>,
-        device: Option<LinuxI2CDevice>,
+        open: Option<(LinuxI2CDevice, Vec<File>)>,
     ) -> Self {
         let name = format!("{adapter} 0x{address:02x}");
         let last = clock.now().saturating_sub(BUS_FREE);
-        let row = device.as_ref().and_then(|_| adapter.row());
-        let target = Target { adapter, address, row, clock: clock.clone(), device, last };
+        let row = open.as_ref().and_then(|_| adapter.row());
+        let (device, above) = open.map_or((None, Vec::new()), |(device, above)| (Some(device), above));
+        let target = Target { adapter, address, row, clock: clock.clone(), device, above, last };
         let named = (number, target.adapter.to_string());
         Self { target: Bounded::new(target, named, PATIENCE, clock), name }
     }
@@ -111,10 +116,16 @@ impl Target {
                 self.row = self.adapter.row();
                 let device = LinuxI2CDevice::new(&self.adapter.path, self.address.into());
                 let device = device.map_err(|error| claim_error(errno(&error)))?;
-                hold(&device, self.address).map_err(|_| BusError::Busy)?;
+                self.adapter.refuse_mux().map_err(|_| BusError::HasMux)?;
+                self.above = hold_all(&device, &self.adapter, self.address).map_err(|_| BusError::Busy)?;
                 Ok(gone.insert(device))
             }
         }
+    }
+
+    fn close(&mut self) {
+        self.device = None;
+        self.above.clear();
     }
 }
 
@@ -141,7 +152,7 @@ impl Bus for Target {
             Ok(0) => Err(BusError::NoAck),
             Ok(_) => Err(BusError::Short),
             Err(_) if !self.adapter.is_there() => {
-                self.device = None;
+                self.close();
                 Err(BusError::Gone)
             }
             Err(error) => {
@@ -154,30 +165,29 @@ impl Bus for Target {
 
     fn release_if_gone(&mut self) {
         if !self.adapter.is_there() {
-            self.device = None;
+            self.close();
         }
     }
 
     fn claim(&mut self) -> Result<(), BusError> {
         let address = self.address.into();
-        self.device()?.set_slave_address(address).map_err(|error| claim_error(errno(&error)))
+        self.device()?.set_slave_address(address).map_err(|error| claim_error(errno(&error)))?;
+        self.adapter.refuse_mux().map_err(|_| BusError::HasMux)
     }
 }
 
-/// Locks one byte of the node, at the offset of the address, for as long as the node is open. Unlike a lock
-/// file, this works between different accounts, and it needs no further file.
-fn hold(device: &LinuxI2CDevice, address: u8) -> nix::Result<()> {
-    let lock = libc::flock {
-        l_type: libc::F_WRLCK as libc::c_short,
-        l_whence: libc::SEEK_SET as libc::c_short,
-        l_start: address.into(),
-        l_len: 1,
-        l_pid: 0,
-    };
-    // SAFETY: the descriptor stays open while `device` is borrowed.
-    #[allow(unsafe_code)]
-    let device = unsafe { BorrowedFd::borrow_raw(device.as_raw_fd()) };
-    fcntl(device, FcntlArg::F_OFD_SETLK(&lock)).map(drop)
+/// Locks the gauge on its own adapter, and on each adapter in front of a mux that leads to it; the latter together with
+/// the gauges on other channels. Returns their nodes; or the adapter that somebody else uses, if it is not its own.
+fn hold_all(device: &LinuxI2CDevice, adapter: &Adapter, address: u8) -> Result<Vec<File>, Option<u64>> {
+    hold(device, address, libc::F_WRLCK).map_err(|_| None)?;
+    let mut nodes = Vec::new();
+    for number in adapter.above() {
+        // Where this user may not open it, the lock's file excludes root and the services.
+        let Ok(node) = File::open(format!("/dev/i2c-{number}")) else { continue };
+        hold(&node, address, libc::F_RDLCK).map_err(|_| Some(number))?;
+        nodes.push(node);
+    }
+    Ok(nodes)
 }
 
 fn subject(adapter: &Adapter, address: u8) -> String {
@@ -191,7 +201,7 @@ fn errno(error: &LinuxI2CError) -> Errno {
     }
 }
 
-/// Converts the errno of a transfer (`Documentation/i2c/fault-codes.rst`) on an adapter of which nothing else is known.
+/// Converts the errno of a transfer (`Documentation/i2c/fault-codes.rst`) on an adapter whose driver has no row.
 fn transfer_error(errno: Errno) -> BusError {
     match errno {
         Errno::ENXIO | Errno::EREMOTEIO => BusError::NoAck,
@@ -225,14 +235,19 @@ fn refusal(adapter: &Adapter, address: u8, errno: Errno) -> Error {
 
 /// A kernel driver is bound to the address: which one, and how to unbind it.
 fn busy(adapter: &Adapter, address: u8, driver: Option<&Driver>) -> Error {
-    let number = adapter.number();
     let why = match driver {
-        Some(driver) => format!(
-            "the kernel driver {} ({}) is bound to the gauge; unbind it as root with {}",
-            driver.name,
-            driver.device,
-            driver.remedy(number, address)
-        ),
+        Some(driver) => {
+            let place = match driver.bus == adapter.number() {
+                true => "the gauge".into(),
+                false => format!("0x{address:02x} on i2c-{}, on the other side of a mux", driver.bus),
+            };
+            format!(
+                "the kernel driver {} ({}) is bound to {place}; unbind it as root with {}",
+                driver.name,
+                driver.device,
+                driver.remedy(address)
+            )
+        }
         None => "a kernel driver is bound to that address; unbind it first".into(),
     };
     let driver = driver.cloned().map(Box::new);
@@ -259,13 +274,17 @@ mod tests {
     #[test]
     fn a_bound_driver_is_named_with_both_remedies() {
         let adapter = Adapter { path: "/dev/i2c-1".into(), device: nix::sys::stat::makedev(I2C_MAJOR, 1) };
-        let driver = Driver { name: "bq27xxx-battery".into(), device: "bq34z100".into() };
+        let mut driver = Driver { name: "bq27xxx-battery".into(), device: "bq34z100".into(), bus: 1 };
         let error = busy(&adapter, 0x55, Some(&driver));
         assert_eq!(error.kind, ErrorKind::Busy);
         let text = error.to_string();
         assert!(text.contains("bq27xxx-battery (bq34z100)"), "{text}");
         assert!(text.contains("echo 0x55 > /sys/bus/i2c/devices/i2c-1/delete_device"), "{text}");
         assert!(text.contains("echo 1-0055 > /sys/bus/i2c/drivers/bq27xxx-battery/unbind"), "{text}");
+        driver.bus = 4;
+        let text = busy(&adapter, 0x55, Some(&driver)).to_string();
+        assert!(text.contains("is bound to 0x55 on i2c-4, on the other side of a mux"), "{text}");
+        assert!(text.contains("echo 0x55 > /sys/bus/i2c/devices/i2c-4/delete_device"), "{text}");
     }
 
     #[test]
