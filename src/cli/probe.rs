@@ -16,7 +16,7 @@ use crate::config::address;
 use crate::error::{Cause, Error, Result};
 use crate::output::{print, print_json};
 use gauge_bus::clock::{Clock, RealClock};
-use gauge_bus::linux::{Adapter, LinuxBus, adapters};
+use gauge_bus::linux::{Adapter, LinuxBus, adapters, described};
 use gauge_bus::{Bus, BusError, GAUGE_ADDRESS};
 use ti_gauge::chip::Role;
 use ti_gauge::probe::{self, ROM_ADDRESS, Reading, Target};
@@ -88,6 +88,9 @@ struct Report {
     bus: String,
     adapter: String,
     found: Vec<Found>,
+    /// The muxes on it, in words.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    mux: Option<String>,
 }
 
 /// A bus that was skipped, for --json.
@@ -159,10 +162,11 @@ impl Probe {
                 (ROM_ADDRESS, examine_rom(adapter)),
             ])?,
         };
-        Ok(Report { bus: adapter.to_string(), adapter: adapter.name().unwrap_or_default(), found })
+        let mux = described(adapter.number(), &adapter.muxes());
+        Ok(Report { bus: adapter.to_string(), adapter: adapter.name().unwrap_or_default(), found, mux })
     }
 
-    fn table(&self, Report { bus, found, .. }: &Report) -> String {
+    fn table(&self, Report { bus, found, mux, .. }: &Report) -> String {
         let mut rows = vec![["ADDRESS", "DEVICE", "DETAILS"].map(String::from)];
         for found in found {
             let who = match found.state {
@@ -179,6 +183,7 @@ impl Probe {
             rows.push([format!("0x{:02x}", found.address), who, found.details.clone()]);
         }
         let mut table = align(&rows);
+        table.extend(mux.iter().map(|mux| format!("{mux}\n")));
         if self.address.is_none() {
             table += &advice(found, bus);
         }
@@ -254,7 +259,7 @@ fn examine(adapter: &Adapter, address: u8, named: bool, byte_writes: bool) -> Re
         Ok(plausible) => plausible,
         Err(error) => match (unanswered(&error), Errno::from_raw(error.errno())) {
             (Some((state, details)), _) => return found(state, Vec::new(), details),
-            (None, Errno::EBUSY) => return found(State::Busy, Vec::new(), "another gaugefs uses it".into()),
+            (None, Errno::EBUSY) => return found(State::Busy, Vec::new(), error.reason().to_string()),
             _ => return Err(error),
         },
     };
@@ -322,7 +327,16 @@ fn examine_rom(adapter: &Adapter) -> Result<Found> {
 /// The kernel driver bound to an address.
 fn driver(adapter: &Adapter, address: u8) -> Option<String> {
     let driver = adapter.driver(address)?;
-    Some(format!("the driver {} ({}) uses it; not touched", driver.name, driver.device))
+    let place = match driver.bus == adapter.number() {
+        true => String::new(),
+        false => format!(" on i2c-{}, on the other side of a mux", driver.bus),
+    };
+    Some(format!(
+        "the driver {} ({}) uses it{place}; not touched; to release it, as root: {}",
+        driver.name,
+        driver.device,
+        driver.remedy(address)
+    ))
 }
 
 /// Measurements by which a person recognises a pack.
@@ -366,7 +380,7 @@ mod tests {
         let found = side_by_side(vec![(GAUGE_ADDRESS, Ok(gauge(State::Maybe))), rom()]).expect("a gauge");
         assert!(found[0].state == State::Maybe && found[1].state == State::Failed);
         assert!(found[1].details.contains("timed out"), "{}", found[1].details);
-        let report = |found| Report { bus: String::new(), adapter: String::new(), found };
+        let report = |found| Report { bus: String::new(), adapter: String::new(), found, mux: None };
         assert!(report(found).any() && !report(vec![gauge(State::Silent)]).any());
         // A bus on which nothing works is a failure.
         assert!(side_by_side(vec![rom(), rom()]).is_err());

@@ -97,6 +97,7 @@ impl Rescue {
             return Ok(ExitCode::SUCCESS);
         };
         let adapter = Adapter::find(bus)?;
+        adapter.refuse_mux()?;
         // A daemon that waits for the gauge holds the lock of its usual address.
         let lock = |address| Lock::gauge(&adapter, address, Path::new(""), &*clock, |_| false);
         let _locks = [lock(GAUGE_ADDRESS)?, lock(ROM_ADDRESS)?];

@@ -18,7 +18,7 @@ use crate::fs::Covered;
 use crate::fuse::needs;
 use gauge_bus::clock::{Clock, RealClock};
 use gauge_bus::regular;
-use gauge_owner::{GaugeOptions, Source, journal_dir};
+use gauge_owner::{GaugeOptions, Source, journal_dir, may_come};
 #[cfg(feature = "screen")]
 use gaugefs_screen::watch::Rule;
 
@@ -148,7 +148,7 @@ fn needs_of(name: &str, gauge: &GaugeOptions, mountpoint: &Path) -> Vec<Error> {
     };
     let clock: Arc<dyn Clock> = Arc::new(RealClock::new());
     found.extend(source.check(mountpoint, &clock).err().map(|error| match source {
-        Source::Bus { chip: Some(_), .. } => waited_for(&error),
+        Source::Bus { chip: Some(_), .. } if may_come(&error) => waited_for(&error),
         _ => error,
     }));
     if let Some(chip) = source.chip() {

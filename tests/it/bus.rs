@@ -207,6 +207,32 @@ fn the_knobs_act_on_the_gauges_of_the_bus() {
     assert!(!Path::new(&knobs).exists());
 }
 
+/// As a CP2112 and an FT260 answer at an address without a target.
+#[test]
+fn regression_nobody_at_0x0b_hid_the_gauge_at_0x55() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let knobs = folder.file("knobs");
+    let server = Server::start(&folder, &[CHIP, "--knobs", &knobs, "--fast"]);
+    let set = |name: &str, text: &str| fs::write(format!("{knobs}/{name}"), text).expect("a knob");
+    for (nack, says) in [("etimedout", "the bus timed out"), ("eio", "Input/output error")] {
+        set("nack_as", nack);
+        let ran = gaugefs(&["probe", "--bus", &server.path]);
+        assert_eq!(ran.code, Some(0), "{}", ran.out);
+        for word in ["maybe ", "failed", says, "gaugefs probe --bus"] {
+            assert!(ran.out.contains(word), "{nack}: no {word} in:\n{}", ran.out);
+        }
+        let report: serde_json::Value =
+            serde_json::from_str(&gaugefs(&["probe", "--json", "--bus", &server.path]).out).expect("JSON");
+        let states = [0, 1].map(|at| report["found"][at]["state"].clone());
+        assert_eq!(states, ["maybe", "failed"], "{report}");
+    }
+    set("power", "off");
+    gaugefs(&["probe", "--bus", &server.path]).failed(&["Input/output error"]);
+}
+
 #[test]
 fn a_command_has_the_bus_in_its_own_dev_and_gives_its_exit_code() {
     if !can_mount() || !has_namespaces() {

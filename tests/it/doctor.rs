@@ -199,6 +199,60 @@ fn problems_with_buses_are_found() {
     system.says("problem", "i2c-dev", &["has no I2C bus"]);
 }
 
+/// An adapter of a USB bridge, with the device and the driver to which it belongs.
+fn bridge(system: &System, number: u32, driver: &str, name: &str) {
+    system.bus(number, name);
+    let device = format!("sys/devices/usb/{number}");
+    system.write(&format!("{device}/i2c-{number}/name"), &format!("{name}\n"));
+    fs::create_dir_all(system.0.join("sys/bus/i2c/devices")).expect("folders");
+    let folder = system.0.join(&device);
+    symlink(folder.join(format!("i2c-{number}")), system.0.join(format!("sys/bus/i2c/devices/i2c-{number}")))
+        .expect("a link");
+    symlink(Path::new("../../../bus/hid/drivers").join(driver), folder.join("driver")).expect("a link");
+}
+
+#[test]
+fn the_clock_of_a_bus_is_shown_with_its_source() {
+    let system = System::new();
+    system.says("warning", "/dev/i2c-1 (bcm2835", &["17 kHz from the device tree"]);
+    bridge(&system, 7, "mcp2221", "MCP2221 usb-i2c bridge");
+    system.says("warning", "/dev/i2c-7 (MCP2221", &["400 kHz from the driver mcp2221"]);
+    bridge(&system, 8, "ft260", "FT260 usb-i2c bridge on hidraw0");
+    system.write("sys/devices/usb/8/clock", "100\n");
+    system.says("warning", "/dev/i2c-8 (FT260", &["100 kHz from the file clock of its device in sysfs"]);
+    // This kernel leaves the clock that the chip has.
+    bridge(&system, 9, "cp2112", "CP2112 SMBus Bridge on hidraw1");
+    system.says("warning", "/dev/i2c-9 (CP2112", &["clock unknown"]);
+    system.write("proc/sys/kernel/osrelease", "7.3.4+deb14-amd64\n");
+    system.says("warning", "/dev/i2c-9 (CP2112", &["100 kHz from the driver cp2112 of this kernel"]);
+}
+
+#[test]
+fn a_mux_is_shown_with_the_buses_to_use() {
+    let system = System::new();
+    bridge(&system, 0, "mcp2221", "MCP2221 usb-i2c bridge");
+    let mux = "sys/devices/usb/0/i2c-0/0-0070";
+    system.write(&format!("{mux}/name"), "pca9548\n");
+    system.write(&format!("{mux}/idle_state"), "-1\n");
+    for channel in 2..=9 {
+        let folder = format!("sys/devices/usb/0/i2c-0/i2c-{channel}");
+        system.write(&format!("{folder}/name"), &format!("i2c-0-mux (chan_id {})\n", channel - 2));
+        symlink("../0-0070", system.0.join(&folder).join("mux_device")).expect("a link");
+        let link = system.0.join(format!("sys/bus/i2c/devices/i2c-{channel}"));
+        symlink(system.0.join(folder), link).expect("a link");
+    }
+    let says = "i2c-0 has a mux, pca9548 at 0x70: use i2c-2 to i2c-9";
+    system.says("ok", "muxes of i2c-0", &[says]);
+    system.write("etc/gaugefs/i2c-0.toml", "[[gauge]]\n");
+    system.says(
+        "problem",
+        "muxes of i2c-0",
+        &[says, "a gauge is configured on i2c-0", "0-0070/idle_state is -2"],
+    );
+    system.write(&format!("{mux}/idle_state"), "-2\n");
+    system.says("ok", "muxes of i2c-0", &[says]);
+}
+
 #[test]
 fn a_membership_that_needs_a_new_session_is_found() {
     let system = System::new();

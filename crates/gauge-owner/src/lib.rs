@@ -73,4 +73,4 @@ pub use owner::{
     Presence, Published, Report, Run, Seal, Signal, Snapshot, Spoken, Times, Version, Wish, operations,
     readable, spawn, start,
 };
-pub use source::{Opened, Script, Source, recorded};
+pub use source::{Opened, Script, Source, may_come, recorded};

@@ -13,6 +13,7 @@ use crate::error::{Cause, Error, Result};
 use crate::lock::{self, Lock};
 use crate::options::GaugeOptions;
 use gauge_bus::clock::Clock;
+use gauge_bus::error::ErrorKind;
 use gauge_bus::linux::{Adapter, LinuxBus};
 use gauge_bus::replay::{Recording, Replay};
 use gauge_bus::{Bus, GAUGE_ADDRESS};
@@ -230,7 +231,7 @@ impl Source {
             &Self::Bus { ref bus, address, chip, single } => {
                 let opened = on_bus(bus, address, chip, single, &subject, mountpoint, clock);
                 let opened = match (opened, chip) {
-                    (Err(error), Some(chip)) if waits && error.errno() != Errno::ENOTTY as i32 => {
+                    (Err(error), Some(chip)) if waits && may_come(&error) => {
                         absent(bus, address, chip, subject, error, clock)?
                     }
                     (opened, _) => opened?,
@@ -239,6 +240,11 @@ impl Source {
             }
         }
     }
+}
+
+/// Whether a gauge that could not be opened may be there later: its path may be that of another adapter then.
+pub fn may_come(error: &Error) -> bool {
+    error.errno() != Errno::ENOTTY as i32 && error.cause() != Cause::Adapter(ErrorKind::HasMux)
 }
 
 /// Whether the daemon that holds a lock is about to end: its mount is gone.
@@ -307,8 +313,9 @@ fn on_bus(
     })
 }
 
-/// Locks a gauge on a bus.
+/// Locks a gauge on a bus, which has no mux.
 fn claim(adapter: &Adapter, address: u8, mountpoint: &Path, clock: &Arc<dyn Clock>) -> Result<Lock> {
+    adapter.refuse_mux()?;
     Lock::gauge(adapter, address, mountpoint, &**clock, is_ending).or_else(|error| {
         if error.errno() != Errno::EBUSY as i32 {
             // Without permission for the bus, that is the first thing to correct.
