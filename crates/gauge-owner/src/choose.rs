@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT
 
-//! Which of several profiles a gauge gets: rules, of which the first that fits counts. They look at what the gauge answers,
-//! at a file, such as that of a converter which measures a resistor in the pack, or at what a program prints.
+//! Chooses a gauge's profile. Rules are tried in order, and the first match wins. They look at what the gauge answers, at a
+//! file, such as that of a converter which measures a resistor in the pack, or at what a program prints.
 
 use std::io::{self, ErrorKind};
 use std::path::PathBuf;
@@ -11,7 +11,7 @@ use ti_gauge::chip::{Answers, Chip};
 use ti_gauge::dataflash::Change;
 use ti_gauge::keys;
 
-/// A rule: a profile, and what must be the case for a gauge to get it. Without a condition it always fits.
+/// A rule: a profile, and its conditions. Without a condition it always fits.
 #[derive(Clone, Debug, Default)]
 pub struct Rule {
     /// The part.
@@ -66,8 +66,8 @@ impl From<String> for Undecided {
     }
 }
 
-/// The first choice that fits a gauge with these answers. An error says why there is none: no rule fits, or one cannot be
-/// decided, after which a later one must not count.
+/// The first choice that fits a gauge with these answers. An error says why nothing was chosen: no rule fits, or one cannot
+/// be decided, after which a later one must not count.
 pub(crate) fn choose<'a>(
     choices: &'a [Choice],
     answers: &Answers,

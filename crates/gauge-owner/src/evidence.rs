@@ -2,8 +2,8 @@
 
 //! Where a pack shows what it is, besides its gauge: in a file, or in what a program prints.
 //!
-//! Neither is gaugefs's own, and either may hang. A process that waits for a file system without an answer is not even ended
-//! by SIGKILL, so a child process looks, a thread waits for that, and whoever wants to know waits for a moment.
+//! Neither is gaugefs's own, and either may hang. Not even SIGKILL ends a process that waits for a file system without an
+//! answer, so a child process looks, a thread waits for the child, and the caller waits for the thread for a moment only.
 
 use std::fmt;
 use std::io::{self, ErrorKind, PipeReader, Read as _};
@@ -36,7 +36,7 @@ const READINGS: u32 = 3;
 const PAUSE: Duration = Duration::from_millis(10);
 /// All that a program finds in its environment, besides the name of the gauge.
 const PATH: &str = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin";
-/// Reads a file. What is not one is not even opened.
+/// Reads a regular file. Anything else is not even opened.
 const READ: &str = r#"if [ -e "$1" ] && [ ! -f "$1" ]; then echo "it is not a regular file"; exit 1; fi; exec cat -- "$1" 2>&1"#;
 
 /// Where a pack shows what it is.
@@ -73,8 +73,8 @@ impl fmt::Display for Evidence {
     }
 }
 
-/// The looks for one gauge. There is at most one at each piece of evidence: one that cannot be ended is left behind, and
-/// nothing is started beside it.
+/// The looks for one gauge, at most one at each piece of evidence: a look that cannot be ended is left behind, and none is
+/// started beside it.
 #[derive(Debug)]
 pub(crate) struct Looks {
     begun: Vec<Look>,
@@ -109,7 +109,7 @@ impl Default for Looks {
 }
 
 impl Looks {
-    /// Until when looks that are begun or asked for now are waited for.
+    /// The end of the time in which looks that are begun or asked for now are waited for.
     pub(crate) fn deadline(&self) -> Instant {
         Instant::now() + self.patience
     }

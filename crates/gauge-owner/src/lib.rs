@@ -4,9 +4,9 @@
 //! its registers, carries out requests one after the other, and pays what a failed access has left, such as a seal or an
 //! interrupted write. Nothing else touches the gauge's bus.
 //!
-//! An [`Opening`] finds the gauge that [`GaugeOptions`] name, locks it, and starts its owner, which has a [`Run`]. A [`Handle`] is what everybody
-//! else sees of it: the values of the last poll, which cost no transfer, and the way to ask for one of the
-//! [`operations`].
+//! An [`Opening`] finds the gauge that [`GaugeOptions`] name, locks it, and starts its owner, which has a [`Run`]. A
+//! [`Handle`] is what everybody else sees of it: the values of the last poll, which cost no transfer, and the way to ask for
+//! one of the [`operations`].
 //!
 //! ```
 //! use std::sync::Arc;

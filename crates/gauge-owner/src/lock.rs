@@ -11,7 +11,7 @@
 //! Users of different accounts are kept apart by the lock on the bus itself, in `bus::linux`, for which write
 //! access to the bus is needed. Before that, the locks of root and of the services are looked up, to name them.
 //!
-//! Who holds a lock is what the kernel lists in `/proc/locks`, not what the file says.
+//! The holder of a lock is the process in the kernel's list, `/proc/locks`, whatever the file says.
 
 use std::ffi::OsStr;
 use std::fmt;
@@ -38,11 +38,11 @@ mod related;
 
 use related::Name;
 
-/// Looks at the kernel's list of locks before one counts as free: it is passed on in pieces, and one whose neighbours are
-/// taken or released meanwhile may be left out.
+/// Looks at the kernel's list of locks before a lock counts as free: the list is passed on in pieces, and leaves out a lock
+/// whose neighbours are taken or released meanwhile.
 const LOOKS: u32 = 3;
-/// How long a holder is waited for of which it is not known whether it is about to end, one that is, which may have to pay
-/// what it owes to its gauges, and the time between two attempts.
+/// Time to wait for a holder that may or may not be about to end; for one that is about to end, which may have to pay first
+/// what it owes to its gauges; and between two attempts.
 const PATIENCE: Duration = Duration::from_secs(3);
 const ENDS: Duration = Duration::from_secs(60);
 const STEP: Duration = Duration::from_millis(50);

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT
 
-//! Opening gauges and starting their owners: one that has to answer, or many at the same time, of which some may not.
+//! Opening gauges and starting their owners: one gauge, which has to answer, or many at the same time, where some may be
+//! silent.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;

@@ -6,16 +6,23 @@
 //! the requests of the file system one after the other. Nothing else touches the gauge's bus, so bus
 //! traffic does not grow with the number of readers. It renders no text and knows no file names.
 //!
-//! `handle` is what everything else sees of a gauge, `operations` is what the owner can be asked to do, each a row of
-//! what `operation` is, `words` reads their arguments, `attempt` says which failure is shown, `calibrate` calibrates the gauge, `crew` has the threads in which owners work, `backup` saves a gauge's configuration before the
-//! first write, `direct` is an owner without a thread, `arrival` identifies a gauge that comes or comes back, `memory` keeps one with RAM configured, `learned` keeps what it has learned, `claim` says whose, `signed` on which host, `poll` reads its registers, `amiss` says what is wrong with one that answers, `report` records all
-//! of that for a bug report, and `debt` pays what a failed access has left: a seal, or a write that is neither done nor
-//! undone.
+//! An [`Owner`] has rooms, whose fields nobody else sets: `access` is the gauge with its data flash, the `debt` that an
+//! access has left, and the `schedule` of polls; `identity` is which part it is; `readings` is what polls read; `memory` keeps
+//! a gauge with RAM configured by its `profile`, and what that has learned (`learning`, in the files of `learned`, with a
+//! `claim` on the pack's name); `backup` saves the configuration before the first write; `turn` says when the owner works.
+//!
+//! What needs several rooms is a method of the owner: here the turns, in `arrival` a gauge that comes or comes back, in
+//! `poll` its polls, and in `operations` what the owner can be asked to do, each a row of what `operation` is.
+//!
+//! The other files: `handle` is what everything else sees of a gauge, `crew` has the threads in which owners work, `direct` is
+//! an owner without a thread, `words` reads the arguments of operations, `attempt` says which failure is shown, `calibrate`
+//! calibrates the gauge, `report` records it for a bug report, `amiss` says what is wrong with a gauge that answers,
+//! `written` logs what writes have changed, and `signed` says on which host a file was saved.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
-use std::sync::mpsc::{self, Receiver, SendError, Sender};
-use std::time::{Duration, Instant};
+use std::sync::mpsc::{self, Receiver};
+use std::time::Duration;
 
 use nix::errno::Errno;
 
@@ -26,13 +33,12 @@ use gauge_bus::Bus;
 use gauge_bus::clock::Clock;
 use ti_gauge::chip::Chip;
 use ti_gauge::dataflash::{Change, DataFlash, Limits};
-use ti_gauge::epoch::Fact;
 use ti_gauge::gauge::Gauge;
 pub use ti_gauge::gauge::{Answers, Seal};
 use ti_gauge::journal::Journal;
 use ti_gauge::keys::Keys;
-use ti_gauge::registers::Registers;
 
+mod access;
 mod amiss;
 mod arrival;
 mod attempt;
@@ -43,46 +49,49 @@ mod crew;
 mod debt;
 mod direct;
 mod handle;
+mod identity;
 mod learned;
+mod learning;
 mod memory;
 mod now;
 mod operation;
 pub mod operations;
 mod poll;
+mod profile;
+mod readings;
 mod report;
 #[cfg(any(test, feature = "rig"))]
 pub mod rig;
+mod schedule;
 mod signed;
+mod turn;
 #[cfg(test)]
 mod wire;
 mod words;
+mod written;
 
+use access::Access;
 pub use attempt::Attempt;
-pub use backup::Backup;
-pub use backup::readable;
+use backup::Backups;
+pub use backup::{Backup, readable};
 use crew::Member;
-use debt::Debt;
 pub use direct::Direct;
 pub use handle::{Failure, Handle, Published, Signal, Snapshot};
 use handle::{Queue, Shared};
+use identity::Identity;
 pub(crate) use learned::implausible_profile;
 pub use learned::{Learned, Version, Wish};
+use learning::Learning;
 use memory::Memory;
-use now::Content;
 pub use now::Presence;
 use operation::Request;
 pub use operation::{Context, Spoken};
 pub use operation::{Done, Operation};
-use poll::Schedule;
+use profile::Profile;
+use readings::Readings;
 pub use report::{Effect, Origin, Report, Times};
-
-/// Longest time without a look at the clock. The gauge's clock counts the time in which the host is asleep, and a wait does not: what
-/// fell due then is done at most this long after the host is awake.
-const NAP: Duration = Duration::from_secs(30);
-/// Longest time without a look at the clock for a gauge that may have lost its memory while the host was asleep.
-const NAP_OF_RAM: Duration = Duration::from_secs(1);
-/// Time by which the gauge's clock may be ahead of one that stops with the host, although the host was awake.
-const AWAKE: Duration = Duration::from_millis(500);
+use schedule::Schedule;
+use turn::Turn;
 
 /// How a gauge is run: its options, what they name, and what is known of it when its owner starts.
 #[derive(Debug)]
@@ -99,9 +108,9 @@ pub struct Run {
     pub single: bool,
     /// Limits on writes.
     pub limits: Limits,
-    /// Configuration that a gauge whose data memory is RAM gets again after it has lost its power.
+    /// Configuration that is restored in RAM after a loss of power.
     pub profile: Vec<Change>,
-    /// In its place, several of which one is chosen whenever the gauge comes, or has lost its power.
+    /// The profiles to choose from in its place, whenever the gauge comes, or has lost its power.
     pub choices: Vec<Choice>,
     /// Lets a write that a power cut of the host interrupts be settled afterwards.
     pub journal: Option<Journal>,
@@ -172,47 +181,19 @@ pub fn start(
 ) -> Result<(Handle, Receiver<Result<()>>)> {
     let (sender, opened) = mpsc::channel();
     let (mut owner, shared) = Owner::new(chip, bus, clock, run, signal);
-    owner.opening = Some(sender);
+    owner.turn.begin_with(sender);
     let member = Member::new(owner).map_err(|error| Error::io(chip.name, "cannot start a thread", &error))?;
     Ok((Handle::new(shared, Queue::Crew(member)), opened))
 }
 
 /// The owner: it alone has the gauge.
 struct Owner {
-    gauge: Gauge,
-    dataflash: DataFlash,
-    shared: Arc<Shared>,
-    schedule: Schedule,
-    debt: Debt,
-    /// Registers of the tiers that are not read with every poll.
-    rare: Registers,
-    /// The static tier has been read since data flash last changed.
-    statics: Fact<(), Content>,
-    /// What attributes need of data flash has been read since then, or was tried.
-    looked: Fact<(), Content>,
-    control_status: u32,
-    /// When the gauge was last asked what it is.
-    identified: Duration,
-    /// Polls in a row that found a gauge which has not measured since its power-up or reset.
-    unmeasured: u32,
-    /// What is known of its data memory, where that is RAM.
+    access: Access,
+    identity: Identity,
+    readings: Readings,
     memory: Memory,
-    /// See [`Run::backup`].
-    backup: Option<Backup>,
-    /// See [`Run::learned`], of a gauge with RAM.
-    learned: Option<Learned>,
-    /// The configuration of this gauge is saved.
-    backed_up: Fact<(), Presence>,
-    /// See [`Run::unverified`].
-    unverified: bool,
-    /// See [`Run::missing`].
-    missing: Option<Error>,
-    /// Whoever waits for the gauge to be opened, until it has been tried.
-    opening: Option<Sender<Result<()>>>,
-    /// It was asked to end: from then on it does nothing.
-    has_ended: bool,
-    /// The end of its last turn, by the gauge's clock and by one that stops while the host is asleep.
-    turned: Option<(Duration, Instant)>,
+    backups: Backups,
+    turn: Turn,
 }
 
 impl Owner {
@@ -230,80 +211,55 @@ impl Owner {
         }
         let shared = Shared::new(&gauge, run.options, run.interval, run.name, run.origin, signal);
         let shared = Arc::new(shared);
+        let dataflash = DataFlash::new(run.limits, run.journal);
+        let schedule = Schedule::new(run.phase, now);
+        let learning = Learning::new(run.learned.filter(|_| chip.volatile.is_some()));
         // By value it would be on the stack of its thread once for each function that passes it on.
         let owner = Box::new(Self {
-            gauge,
-            dataflash: DataFlash::new(run.limits, run.journal),
-            shared: shared.clone(),
-            schedule: Schedule::new(run.phase, now),
-            debt: Debt::default(),
-            rare: Registers::unread(chip.registers),
-            statics: Fact::default(),
-            looked: Fact::default(),
-            control_status: 0,
-            identified: Duration::ZERO,
-            unmeasured: 0,
-            memory: Memory::new(run.profile, run.choices),
-            backup: run.backup,
-            learned: run.learned.filter(|_| chip.volatile.is_some()),
-            backed_up: Fact::default(),
-            unverified: run.unverified,
-            missing: run.missing,
-            opening: None,
-            has_ended: false,
-            turned: None,
+            access: Access::new(gauge, dataflash, schedule, shared.clone()),
+            identity: Identity::new(run.unverified, run.missing),
+            readings: Readings::new(chip),
+            memory: Memory::new(Profile::new(run.profile, run.choices), learning),
+            backups: Backups::new(run.backup),
+            turn: Turn::default(),
         });
         (owner, shared)
     }
 
-    /// Opens the gauge and sends the outcome. After a failure the gauge is gone, and is tried again with
-    /// each poll.
-    fn begin(&mut self, opened: &Sender<Result<()>>) {
-        let outcome = self.first_poll();
-        // If the caller has stopped waiting, the outcome goes to the log instead.
-        match opened.send(outcome) {
-            Ok(()) => {}
-            Err(SendError(Ok(()))) => log::info!("{}: the gauge answers", self.shared.name()),
-            Err(SendError(Err(error))) => self.shared.report(Attempt::Poll, &error),
-        }
+    fn shared(&self) -> &Arc<Shared> {
+        self.access.shared()
     }
 
-    /// Opens the gauge. After a failure it is gone.
+    /// Opens the gauge. After a failure it is gone, and is tried again with each poll.
     fn first_poll(&mut self) -> Result<()> {
         let outcome = self.survive(Attempt::Poll, Self::open).and_then(|opened| opened);
         outcome.inspect_err(|error| {
-            self.schedule.set_gone(self.gauge.clock.now());
-            self.shared.record(Attempt::Poll, error);
+            self.access.set_gone();
+            self.shared().record(Attempt::Poll, error);
         })
     }
 
     /// Opens the gauge, carries out a request, or does what is due. Returns how long nothing is due then; `None` if it was
     /// asked to end.
     fn take_turn(&mut self, request: Option<(Duration, Request)>) -> Option<Duration> {
-        if let Some(opening) = self.opening.take() {
-            self.begin(&opening);
+        if let Some(opening) = self.turn.take_opening() {
+            let outcome = self.first_poll();
+            opening.answer(self.shared(), outcome);
         }
-        let next_poll = |owner: &Self| owner.schedule.due(owner.shared.published().interval);
-        let now = self.gauge.clock.now();
-        let was_asleep =
-            // A sleep that stops no clock shows in a nap that was too long.
-            |(then, awake): (Duration, Instant)| now.saturating_sub(then) > awake.elapsed().min(NAP_OF_RAM) + AWAKE;
-        let is_watched = self.memory.is_watched(self.gauge.chip);
-        if is_watched && (self.turned.is_some_and(was_asleep) || self.memory.is_look_due(now)) {
-            self.schedule.hurry();
+        let now = self.access.now();
+        let is_watched = self.memory.is_watched(self.access.chip());
+        if is_watched && (self.turn.was_asleep(now) || self.memory.is_look_due(now)) {
+            self.access.hurry();
         }
         if let Some((submitted, request)) = request {
-            self.carry_out(submitted, request);
-        } else if next_poll(self) <= now {
+            request.carry_out(self, submitted);
+        } else if self.access.next_poll() <= now {
             let _ = self.survive(Attempt::Poll, Self::poll_on_time);
-        } else if self.debt.due().is_some_and(|debt| debt <= now) {
-            let _ = self.survive(operations::SETTLE.itself(), Self::pay);
+        } else if self.access.next_payment().is_some_and(|due| due <= now) {
+            let _ = self.survive(Attempt::SETTLE, |owner| owner.access.pay());
         }
-        let due = self.debt.due().unwrap_or(Duration::MAX).min(next_poll(self));
-        let now = self.gauge.clock.now();
-        self.turned = Some((now, Instant::now()));
-        let nap = if is_watched { NAP_OF_RAM } else { NAP };
-        (!self.has_ended).then(|| due.saturating_sub(now).min(nap))
+        let due = self.access.next_payment().unwrap_or(Duration::MAX).min(self.access.next_poll());
+        self.turn.end(self.access.now(), due, is_watched)
     }
 
     /// Does some work. A panic in it is a failure of this gauge only: what is known of the gauge is thrown away, and it
@@ -325,50 +281,11 @@ impl Owner {
         } else {
             Errno::ENOTRECOVERABLE
         };
-        let error = Error::host(self.shared.name(), errno, why);
-        self.gauge.start_over();
-        self.dataflash.start_over();
-        self.forget_dataflash();
-        self.rare = Registers::unread(self.gauge.chip.registers);
-        self.debt = Debt::default();
-        self.schedule.set_gone(self.gauge.clock.now());
-        self.shared.publish(|published| {
-            published.snapshot = None;
-            published.presence = now::presence();
-            (published.owed, published.settling) = ("".into(), "".into());
-        });
-        self.shared.report(attempt, &error);
+        let error = Error::host(self.shared().name(), errno, why);
+        self.access.start_over();
+        self.readings.forget(self.access.chip());
+        self.shared().report(attempt, &error);
         Err(error)
-    }
-
-    /// Reports an error, or clears the failure of an earlier attempt, and passes the outcome on.
-    fn logged<T>(&self, attempt: Attempt, outcome: Result<T>) -> Result<T> {
-        match outcome {
-            Ok(done) => {
-                self.shared.succeeded(&attempt);
-                Ok(done)
-            }
-            Err(error) => {
-                self.shared.report(attempt, &error);
-                Err(error)
-            }
-        }
-    }
-
-    /// Another presence begins: whatever was read of the gauge is to be read again before anything follows from it.
-    fn begin_anew(&mut self) {
-        self.shared.publish(|published| published.presence = now::presence());
-    }
-
-    /// Forgets what was read of data flash, and its copies in registers: it may hold something else now.
-    fn forget_dataflash(&mut self) {
-        self.forget_values();
-        self.shared.doubt_scales();
-    }
-
-    /// Forgets what was read of data flash of a gauge that has not been exchanged: its scales have not changed.
-    fn forget_values(&mut self) {
-        self.shared.next_content();
     }
 }
 

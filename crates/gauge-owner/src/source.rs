@@ -112,7 +112,7 @@ pub struct Opened {
     pub subject: String,
     /// The simulated gauge, if it is one.
     pub sim: Option<Sim>,
-    /// Keeps other processes out while it is held. A gauge that ends with this process needs none.
+    /// Keeps other processes out while it is held; `None` for a gauge that ends with this process.
     pub lock: Option<Lock>,
     /// The name of its journal; `None` for a gauge that ends with this process.
     pub journal_key: Option<String>,

@@ -14,7 +14,7 @@ use super::{crates, files, without_tests};
 /// The most lines of each crate.
 const LINES: [(&str, usize); 10] = [
     ("gauge-bus", 2_650),
-    ("gauge-owner", 7_000),
+    ("gauge-owner", 7_750),
     ("gauge-sim", 10_300),
     ("gauge-station", 3_850),
     ("gaugefs", 17_700),
@@ -27,11 +27,11 @@ const LINES: [(&str, usize); 10] = [
 
 /// A function is long above that many lines, and so many are.
 const LONG: usize = 80;
-const LONG_FUNCTIONS: usize = 7;
+const LONG_FUNCTIONS: usize = 6;
 
 /// The most fields of the structs that hold what they say.
 const FIELDS: [(&str, &str, usize); 3] =
-    [("gauge-owner", "Owner", 20), ("ti-gauge", "DataFlash", 5), ("ti-gauge", "Gauge", 10)];
+    [("gauge-owner", "Owner", 6), ("ti-gauge", "DataFlash", 5), ("ti-gauge", "Gauge", 10)];
 
 /// The files of a crate that are product, and their text without tests.
 fn product(folder: &Path) -> BTreeMap<PathBuf, String> {

@@ -5,68 +5,63 @@
 
 use jiff::Timestamp;
 
-use super::{Owner, memory};
+use super::handle::Shared;
+use super::memory;
 use ti_gauge::chip::{Chip, Range, Role};
 use ti_gauge::registers::Registers;
 
 /// Polls in a row without a measurement, half a second to some seconds apart, after which a person is told.
 const FOR_GOOD: u32 = 5;
 
-impl Owner {
-    /// Publishes it. Called with each poll.
-    pub(super) fn tell_what_is_amiss(&self, registers: &Registers) {
-        let amiss = self.measures_nothing(registers).or_else(|| self.lacks_configuration(registers));
-        if self.shared.published().amiss.as_ref().map(|(_, amiss)| &**amiss) == amiss.as_deref() {
-            return;
+/// Publishes it with each poll. `is_managed` says that there is a profile, or will be.
+pub(super) fn tell(shared: &Shared, registers: &Registers, unmeasured: u32, is_managed: bool) {
+    let amiss = measures_nothing(shared.chip, registers, unmeasured);
+    let amiss = amiss.or_else(|| lacks_configuration(shared, registers).filter(|_| !is_managed));
+    if shared.published().amiss.as_ref().map(|(_, amiss)| &**amiss) == amiss.as_deref() {
+        return;
+    }
+    if let Some(amiss) = &amiss {
+        log::warn!("{}: {amiss}", shared.name());
+    }
+    shared.publish(|published| {
+        published.amiss = amiss.map(|amiss| (Timestamp::now(), amiss.into()));
+    });
+}
+
+fn measures_nothing(chip: &Chip, registers: &Registers, unmeasured: u32) -> Option<String> {
+    (unmeasured >= FOR_GOOD).then_some(())?;
+    let voltage = chip.register(Role::VoltageNow).and_then(|register| registers.value(register));
+    let sign = match chip.condition.complete {
+        _ if voltage == Some(0) => "Voltage() stays 0 mV".to_string(),
+        Some((shown_in, mask)) => {
+            let bits = chip.register_at(shown_in).map_or(chip.control_status, |register| register.bits);
+            format!("[{}] stays clear", bits.iter().find(|bit| bit.mask & mask != 0)?.name)
         }
-        if let Some(amiss) = &amiss {
-            log::warn!("{}: {amiss}", self.shared.name());
-        }
-        self.shared.publish(|published| {
-            published.amiss = amiss.map(|amiss| (Timestamp::now(), amiss.into()));
+        None => return None,
+    };
+    Some(format!(
+        "{sign}: the gauge has measured nothing since its power-up or reset, so no measured value is shown and nothing \
+         can be written; check the connection of the cell and its voltage at the gauge"
+    ))
+}
+
+fn lacks_configuration(shared: &Shared, registers: &Registers) -> Option<String> {
+    const REMEDY: &str =
+        "mount with --profile to have its own written whenever that is so (docs/FORGETFUL.md)";
+    let chip = shared.chip;
+    let flag = chip.volatile.filter(|_| shared.published().limited.is_none())?;
+    if flag != 0 {
+        return memory::reports_loss(chip, registers).then(|| {
+            format!("it has lost its configuration with its power, and works with TI's defaults; {REMEDY}")
         });
     }
-
-    fn measures_nothing(&self, registers: &Registers) -> Option<String> {
-        let chip = self.gauge.chip;
-        (self.unmeasured >= FOR_GOOD).then_some(())?;
-        let voltage = chip.register(Role::VoltageNow).and_then(|register| registers.value(register));
-        let sign = match chip.condition.complete {
-            _ if voltage == Some(0) => "Voltage() stays 0 mV".to_string(),
-            Some((shown_in, mask)) => {
-                let bits = chip.register_at(shown_in).map_or(chip.control_status, |register| register.bits);
-                format!("[{}] stays clear", bits.iter().find(|bit| bit.mask & mask != 0)?.name)
-            }
-            None => return None,
-        };
-        Some(format!(
-            "{sign}: the gauge has measured nothing since its power-up or reset, so no measured value is shown and nothing \
-             can be written; check the connection of the cell and its voltage at the gauge"
-        ))
-    }
-
-    fn lacks_configuration(&self, registers: &Registers) -> Option<String> {
-        let chip = self.gauge.chip;
-        let flag = chip
-            .volatile
-            .filter(|_| !self.memory.is_managed() && self.shared.published().limited.is_none())?;
-        const REMEDY: &str =
-            "mount with --profile to have its own written whenever that is so (docs/FORGETFUL.md)";
-        if flag != 0 {
-            return memory::reports_loss(chip, registers).then(|| {
-                format!(
-                    "it has lost its configuration with its power, and works with TI's defaults; {REMEDY}"
-                )
-            });
-        }
-        // Nothing else shows it.
-        let design = registers.value(chip.register(Role::ChargeFullDesign)?)?;
-        (default_capacity(chip)? == design).then(|| {
-            format!(
-                "DesignCapacity() is TI's default, {design} mAh: it has lost its configuration, or never had one; {REMEDY}"
-            )
-        })
-    }
+    // Nothing else shows it.
+    let design = registers.value(chip.register(Role::ChargeFullDesign)?)?;
+    (default_capacity(chip)? == design).then(|| {
+        format!(
+            "DesignCapacity() is TI's default, {design} mAh: it has lost its configuration, or never had one; {REMEDY}"
+        )
+    })
 }
 
 /// The Design Capacity that the part has by itself.

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! What was attempted when something failed: it decides which failure `gauge/last_error` shows, and which success
-//! clears it.
+//! Attempts: what failed decides which failure `gauge/last_error` shows, and which success clears it.
 
 use ti_gauge::dataflash::Place;
 
@@ -36,6 +35,12 @@ pub enum Importance {
 impl Attempt {
     /// To stage lines of `df/transaction`.
     pub const STAGE: Self = Self::Operation("stage", Importance::Change);
+    /// To settle what an access has left.
+    pub(super) const SETTLE: Self = Self::Operation("settle", Importance::Owed);
+
+    /// To calibrate the gauge.
+    pub(super) const CALIBRATE: Self = Self::Operation("calibrate", Importance::Change);
+
     /// To write the profile.
     pub(super) const RESTORE: Self = Self::Operation("restore", Importance::Change);
 

@@ -9,12 +9,14 @@ use std::time::Duration;
 
 use jiff::{SignedDuration, Timestamp};
 
-use super::Owner;
+use super::Presence;
+use super::access::Access;
 use super::signed::{is_own as is_of_this_host, signed, temporary, unsigned};
 use crate::error::{Error, Result};
 use gauge_bus::regular;
 use ti_gauge::chip::{CHIPS, Chip, Kind};
 use ti_gauge::dataflash::{self, Change, Place, Row};
+use ti_gauge::epoch::{Epoch, Fact};
 use ti_gauge::image::{self, Entry, Image, toml};
 use ti_gauge::journal;
 
@@ -149,20 +151,47 @@ impl Backup {
     }
 }
 
-impl Owner {
+/// The backups of one gauge, and whether it has one.
+pub(super) struct Backups {
+    /// See [`super::Run::backup`].
+    folder: Option<Backup>,
+    /// The configuration of this gauge is saved.
+    saved: Fact<(), Presence>,
+}
+
+impl Backups {
+    pub(super) fn new(folder: Option<Backup>) -> Self {
+        Self { folder, saved: Fact::default() }
+    }
+
+    /// Whether the configuration of the gauge was saved in that presence.
+    pub(super) fn is_saved(&self, presence: Epoch<Presence>) -> bool {
+        self.saved.is_known(presence)
+    }
+
+    /// The configuration of the gauge is saved.
+    pub(super) fn note_saved(&mut self, presence: Epoch<Presence>) {
+        self.saved.learn(presence, ());
+    }
+
     /// Makes sure that no row of flash is erased, or will be after these changes: by the table, and by the pack's own
     /// backups.
-    pub(super) fn check_erased(&mut self, changes: &[Change], waited: Duration) -> Result<()> {
-        let chip = self.gauge.chip;
+    pub(super) fn check_erased(
+        &self,
+        access: &mut Access,
+        changes: &[Change],
+        waited: Duration,
+    ) -> Result<()> {
+        let chip = access.chip();
         let readable = readable(chip);
-        let read = self.read(&readable, waited)?;
+        let read = access.read(&readable, waited)?;
         let bytes = |(subclass, parameter): Row| {
             let index = chip.subclasses.iter().position(|row| ptr::eq(row, subclass))?;
             let content = &read[readable.iter().position(|&at| at == index)?];
             let at = usize::from(parameter.offset - subclass.start());
             content.get(at..at + parameter.kind.size()).map(<[u8]>::to_vec)
         };
-        let own = self.backup.as_ref().and_then(|backup| backup.own(chip, &bytes));
+        let own = self.folder.as_ref().and_then(|backup| backup.own(chip, &bytes));
         let mut lost = dataflash::erased(chip, bytes);
         if let Some([(_, oldest), (_, newest)]) = &own {
             let of = |image: &Image, (subclass, parameter): Row| {
@@ -196,26 +225,26 @@ impl Owner {
 
     /// Saves the gauge's configuration, if that has not been done since the gauge came. A pack with an erased row that
     /// these changes do not write is refused.
-    pub(super) fn back_up(&mut self, changes: &[Change], waited: Duration) -> Result<()> {
-        let now = self.shared.published().presence;
-        let Some(backup) = self.backup.clone().filter(|_| !self.backed_up.is_known(now)) else {
+    pub(super) fn save(&mut self, access: &mut Access, changes: &[Change], waited: Duration) -> Result<()> {
+        let now = access.shared().published().presence;
+        let Some(backup) = self.folder.as_ref().filter(|_| !self.is_saved(now)) else {
             return Ok(());
         };
-        self.check_erased(changes, waited).map_err(|error| error.within("backup"))?;
-        let chip = self.gauge.chip;
+        self.check_erased(access, changes, waited).map_err(|error| error.within("backup"))?;
+        let chip = access.chip();
         let readable = readable(chip);
-        let read = self.read(&readable, waited).map_err(|error| error.within("backup"))?;
-        let published = self.shared.published();
+        let read = access.read(&readable, waited).map_err(|error| error.within("backup"))?;
+        let published = access.shared().published();
         let read = readable.iter().zip(&read).map(|(&index, bytes)| (index, &**bytes));
         let image = Image::of_flash(chip, Some(published.answers.firmware_version), read);
         let snapshot = published.snapshot.as_ref();
         let serial = snapshot.and_then(|snapshot| snapshot.value(serial_number(chip)?));
-        let prefix = &self.shared.prefix;
+        let prefix = &access.shared().prefix;
         match backup.save(&image, serial.unwrap_or_default() as u16, Timestamp::now())? {
             Saved::Written(path) => log::info!("{prefix}configuration saved in {}", path.display()),
             Saved::There(path) => log::info!("{prefix}configuration is as saved in {}", path.display()),
         }
-        self.backed_up.learn(now, ());
+        self.note_saved(now);
         Ok(())
     }
 }
@@ -235,7 +264,7 @@ fn covers(change: &Change, (subclass, parameter): Row) -> bool {
         && parameter.offset + parameter.kind.size() as u16 <= end
 }
 
-/// Whether an image is of the pack that has these bytes. What is erased shows nothing.
+/// Whether an image is of the pack that has these bytes. Erased bytes show nothing.
 fn is_own(chip: &'static Chip, image: &Image, bytes: &dyn Fn(Row) -> Option<Vec<u8>>) -> bool {
     let mut certain = false;
     for entry in &image.entries {
@@ -389,7 +418,7 @@ mod tests {
         for text in ["3100", "3200"] {
             write(&mut rig, text).expect("the default key");
         }
-        let files = rig.owner.backup.as_ref().expect("one is set").files();
+        let files = rig.owner.backups.folder.as_ref().expect("one is set").files();
         let [file] = &files[..] else { panic!("{files:?}") };
         let image = Image::open(file, None).expect("an image");
         let find = |name: &str| {
@@ -405,7 +434,7 @@ mod tests {
         rig.owner.arrive().expect("it answers");
         rig.owner.poll().expect("it answers");
         write(&mut rig, "3300").expect("the default key");
-        assert_eq!(rig.owner.backup.as_ref().expect("one is set").files().len(), 2);
+        assert_eq!(rig.owner.backups.folder.as_ref().expect("one is set").files().len(), 2);
         fs::remove_dir_all(folder).expect("it is there");
     }
 
@@ -418,7 +447,8 @@ mod tests {
             let mut rig = Rig::of(chip.name, Run { backup, ..Run::default() });
             rig.owner.open().expect("it answers");
             let begun = rig.clock.now();
-            rig.owner.back_up(&[], Duration::ZERO).expect("the default key");
+            let owner = &mut *rig.owner;
+            owner.backups.save(&mut owner.access, &[], Duration::ZERO).expect("the default key");
             let taken = rig.clock.now() - begun;
             assert!(taken < Duration::from_secs(8), "{}: {taken:?}", chip.name);
             println!("{}: {taken:?}", chip.name);

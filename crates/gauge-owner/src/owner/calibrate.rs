@@ -4,56 +4,52 @@
 
 use std::sync::Arc;
 
+use super::Attempt;
+use super::access::Access;
+use super::backup::Backups;
 use super::operation::Asked;
-use super::{Owner, operations};
 use crate::error::{Cause, Error, Result};
 use ti_gauge::calibration::{self, Job};
 
-impl Owner {
-    /// Carries out a calibration. Its steps are published before they are done.
-    pub(super) fn calibrate(&mut self, job: Job, asked: Asked) -> Result<()> {
-        let begun = self.gauge.clock.now();
-        self.shared.publish(|published| {
-            (published.calibration, published.measured) = (asked.title().into(), Arc::default());
+/// Carries out a calibration. Its steps are published before they are done.
+pub(super) fn calibrate(access: &mut Access, backups: &mut Backups, job: Job, asked: Asked) -> Result<()> {
+    let begun = access.now();
+    let shared = access.shared().clone();
+    shared.publish(|published| {
+        (published.calibration, published.measured) = (asked.title().into(), Arc::default());
+    });
+    if access.owed().is_some() {
+        access.pay();
+    }
+    if job != Job::Leave && access.owed().is_none() {
+        backups.save(access, &[], asked.waited)?;
+    }
+    let waited = asked.waited + access.now().saturating_sub(begun);
+    let mut tell = |text: &str| {
+        log::info!("{}calibration: {text}", shared.prefix);
+        shared.publish(|published| {
+            published.calibration = format!("{}{text}\n", published.calibration).into();
         });
-        if self.dataflash.owed().is_some() {
-            self.pay();
-        }
-        if job != Job::Leave && self.dataflash.owed().is_none() {
-            self.back_up(&[], asked.waited)?;
-        }
-        let waited = asked.waited + self.gauge.clock.now().saturating_sub(begun);
-        let shared = self.shared.clone();
-        let mut tell = |text: &str| {
-            log::info!("{}calibration: {text}", shared.prefix);
-            shared.publish(|published| {
-                published.calibration = format!("{}{text}\n", published.calibration).into();
-            });
-        };
-        let outcome = calibration::run(&mut self.dataflash, &mut self.gauge, &job, waited, &mut tell);
-        if let Ok(reached) = &outcome {
-            tell(&reached.text);
-            let measured = reached.measured.clone().into();
-            self.shared.publish(|published| published.measured = measured);
-        }
-        let outcome = self.noted(outcome);
-        self.forget_dataflash();
-        self.schedule.hurry();
-        self.publish_seal();
-        outcome.map(drop)
+    };
+    let outcome = access.run(|dataflash, gauge| calibration::run(dataflash, gauge, &job, waited, &mut tell));
+    if let Ok(reached) = &outcome {
+        tell(&reached.text);
+        let measured = reached.measured.clone().into();
+        shared.publish(|published| published.measured = measured);
     }
+    access.after_settling();
+    outcome.map(drop)
+}
 
-    /// Reports calibration mode that a host has left on, perhaps because it died.
-    pub(super) fn report_calibration_mode(&self) {
-        let chip = self.gauge.chip;
-        if !calibration::is_on(chip, self.control_status) || self.shared.published().limited.is_some() {
-            return;
-        }
-        let why = "the gauge is in calibration mode, which a program has entered and not left: its flash is open at any \
-                   voltage, and nothing is written; leave it with `gaugefs calibrate GAUGE leave`";
-        self.shared
-            .report(operations::CALIBRATE.itself(), &Error::new("CONTROL_STATUS [CALEN]", Cause::Busy, why));
+/// Reports calibration mode that a host has left on, perhaps because it died.
+pub(super) fn report_mode(access: &Access) {
+    let (chip, shared) = (access.chip(), access.shared());
+    if !calibration::is_on(chip, access.control_status()) || shared.published().limited.is_some() {
+        return;
     }
+    let why = "the gauge is in calibration mode, which a program has entered and not left: its flash is open at any \
+               voltage, and nothing is written; leave it with `gaugefs calibrate GAUGE leave`";
+    shared.report(Attempt::CALIBRATE, &Error::new("CONTROL_STATUS [CALEN]", Cause::Busy, why));
 }
 
 #[cfg(test)]

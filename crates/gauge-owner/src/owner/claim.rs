@@ -2,8 +2,8 @@
 
 //! The names of the packs that the gauges of this host have now: one pack is never in two bays.
 //!
-//! A lock on one byte of a file in the folder of what is learned says it, for as long as whoever holds it is there. Hosts
-//! that share the folder have bytes of their own.
+//! A lock on one byte of a file in the folder of what is learned says it, for as long as its holder runs. Hosts that share
+//! the folder have bytes of their own.
 
 use std::fs::{self, DirBuilder, File};
 use std::os::unix::fs::{DirBuilderExt as _, MetadataExt as _, OpenOptionsExt as _, fchown};
@@ -15,7 +15,7 @@ use nix::libc;
 use nix::unistd::geteuid;
 use ti_gauge::journal::Machine;
 
-/// The file, and half as many bytes as are locked in it at most.
+/// The file, and half of the bytes that are locked in it at most.
 const NAME: &str = "packs";
 const BYTES: u64 = 1 << 29;
 
@@ -28,8 +28,8 @@ pub(super) struct Claim {
 }
 
 impl Claim {
-    /// Says so to all who use the folder; `None` where no lock can be had. `anywhere` says that the pack itself shows its name,
-    /// and so has it in any place; other names belong to their places.
+    /// Says so to all users of the folder; `None` without a lock. With `anywhere` the pack itself shows its name, and has it in
+    /// any place; other names belong to their places.
     pub(super) fn new(folder: &Path, chip: &str, pack: &str, anywhere: bool) -> Option<Self> {
         DirBuilder::new().recursive(true).mode(0o700).create(folder).ok()?;
         let mut options = File::options();

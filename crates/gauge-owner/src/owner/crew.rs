@@ -3,8 +3,8 @@
 //! The threads in which owners work.
 //!
 //! An owner has a thread only while it has something to do: the stack of a thread keeps the memory that it has once used,
-//! and owners mostly wait. Which thread it is does not matter to it. No gauge waits for another: whoever begins to work
-//! makes sure that a thread waits for what is due next, and starts one if all are at work.
+//! and owners mostly wait. Any thread will do. No gauge waits for another: a thread that begins to work makes sure that one
+//! waits for what is due next, and starts one if all are at work.
 
 use std::collections::VecDeque;
 use std::io;
@@ -40,7 +40,7 @@ pub(super) trait Stage: Clone + Send + 'static {
     fn wake(&self, thread: &Self::Thread);
 }
 
-/// Who works in turns.
+/// An owner, which works in turns.
 pub(super) trait Worker: Send + 'static {
     type Request: Send;
 
@@ -200,8 +200,8 @@ impl<S: Stage> Crew<S> {
     }
 }
 
-/// An owner of the crew: whoever has this can ask it for something. When it is dropped, the owner finishes what it was
-/// asked for, and ends.
+/// An owner of the crew, to be asked for something. When it is dropped, the owner finishes what it was asked for, and
+/// ends.
 pub(super) struct Member<S: Stage = Here>(usize, S);
 
 impl Member {

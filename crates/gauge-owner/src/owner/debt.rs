@@ -7,13 +7,9 @@ use std::time::Duration;
 
 use jiff::Timestamp;
 
-use super::operation::Asked;
-use super::{Owner, operations};
-use crate::error::{Cause, Error, Reason, Result};
-use ti_gauge::dataflash::Decision;
+use super::handle::Shared;
+use ti_gauge::dataflash::Owed;
 
-/// Tries when gaugefs ends, and the pause between them.
-const LAST: u32 = 3;
 /// Pause before the first try, which doubles up to the longest.
 const FIRST: Duration = Duration::from_secs(1);
 const LONGEST: Duration = Duration::from_secs(30);
@@ -42,115 +38,26 @@ impl Debt {
             Some(_) => {}
         }
     }
-}
 
-impl Owner {
-    /// Notes and publishes what is owed after an access. The error of one that has left it, or has found why it is still
-    /// owed, says so.
-    pub(super) fn noted<T>(&mut self, outcome: Result<T>) -> Result<T> {
-        let is_new = self.note_debt();
-        outcome.map_err(|error| error.owing(is_new))
-    }
-
-    /// Notes and publishes what is owed. Returns whether that is something new.
-    fn note_debt(&mut self) -> bool {
-        let owed = self.dataflash.owed();
-        let can_be_paid = owed.as_ref().is_some_and(|owed| !owed.needs_decision);
-        self.debt.note(can_be_paid, self.gauge.clock.now());
+    /// Notes and publishes what is owed after an access. Returns whether that is something new.
+    pub(super) fn note_owed(&mut self, owed: Option<Owed<'_>>, shared: &Shared) -> bool {
+        let is_payable = owed.as_ref().is_some_and(|owed| !owed.needs_decision);
+        self.note(is_payable, shared.clock.now());
         let text = owed.map_or(String::new(), |owed| owed.why.into_owned());
-        let published = self.shared.published();
+        let published = shared.published();
         if *published.owed == *text {
             return false;
         }
         // The failure that has left it is over when it is no longer owed.
         if text.is_empty() && published.failed.as_ref().is_some_and(|failed| failed.owed) {
-            self.shared.clear_error();
+            shared.clear_error();
         }
         // What was shown of an interrupted write before is out of date.
-        self.shared.publish(|published| {
+        shared.publish(|published| {
             (published.owed, published.settling) = (text.as_str().into(), "".into());
             published.owed_since = Timestamp::now();
         });
         !text.is_empty()
-    }
-
-    /// Tries to pay what is owed.
-    pub(super) fn pay(&mut self) {
-        let data = self.dataflash.owed().is_some_and(|owed| owed.data);
-        match self.dataflash.settle(&mut self.gauge, Duration::ZERO) {
-            Ok(Some(message)) => {
-                log::warn!("{}: {message}", self.shared.name());
-                self.after_settling();
-                if data {
-                    let error = Error::new(self.gauge.chip.name, Cause::RolledBack, message);
-                    self.shared.record(operations::SETTLE.itself(), &error);
-                }
-            }
-            Ok(None) => {}
-            // The first failure was reported; why it still fails is published as what is owed.
-            Err(error) => log::debug!("{}: {error}", self.shared.name()),
-        }
-        self.note_debt();
-    }
-
-    /// Pays what is owed for the last time, because gaugefs ends. An error says what remains, which is then also in the
-    /// log; the next start finds it in the journal.
-    pub(super) fn end(&mut self) -> Result<()> {
-        self.has_ended = true;
-        for attempt in 0..LAST {
-            let is_owed = self.dataflash.owed().is_some_and(|owed| !owed.needs_decision);
-            if is_owed && attempt > 0 {
-                self.gauge.wait(FIRST);
-            }
-            if is_owed {
-                self.pay();
-            }
-        }
-        let Some(owed) = self.dataflash.owed() else { return Ok(()) };
-        let what = format!("gaugefs ends, and this is still owed: {}", owed.why);
-        Err(Error::of(self.shared.name(), Reason::Owed { decision: owed.needs_decision, what }))
-    }
-
-    /// Settles what an earlier process has left, before anybody sees what data flash holds.
-    pub(super) fn settle(&mut self) {
-        let outcome = self.dataflash.settle(&mut self.gauge, Duration::ZERO);
-        match self.noted(outcome) {
-            Ok(Some(found)) => {
-                self.forget_dataflash();
-                self.shared.report(
-                    operations::SETTLE.itself(),
-                    &Error::new(self.gauge.chip.name, Cause::RolledBack, found),
-                );
-            }
-            Ok(None) => {}
-            Err(error) => self.shared.report(operations::SETTLE.itself(), &error),
-        }
-    }
-
-    /// Shows what is known of an interrupted write, or settles it as somebody has decided.
-    pub(super) fn settle_as_decided(&mut self, decision: Option<Decision>, asked: Asked) -> Result<()> {
-        if decision.is_none() && self.dataflash.owed().is_some_and(|owed| !owed.needs_decision) {
-            self.pay();
-        }
-        let outcome = match decision {
-            None => self.dataflash.examine(&mut self.gauge, asked.waited),
-            Some(decision) => self.dataflash.decide(&mut self.gauge, decision, asked.waited),
-        };
-        if decision.is_some() {
-            self.after_settling();
-        }
-        let told = self.noted(outcome)?;
-        if decision.is_some() {
-            log::warn!("{}: {told}", self.shared.name());
-        }
-        self.shared.publish(|published| published.settling = (asked.title() + &told).into());
-        Ok(())
-    }
-
-    pub(super) fn after_settling(&mut self) {
-        self.forget_dataflash();
-        self.schedule.hurry();
-        self.publish_seal();
     }
 }
 
@@ -159,6 +66,7 @@ mod tests {
     use super::super::rig::{INTERVAL, Rig};
     use super::super::{Run, operations as op};
     use super::*;
+    use crate::error::{Cause, Error, Result};
     use gauge_bus::clock::Clock;
     use ti_gauge::dataflash::Change;
     use ti_gauge::value::Value;
@@ -202,10 +110,10 @@ mod tests {
         }
         // Nobody asks for anything.
         let (mut pays, begun) = (0, rig.clock.now());
-        while let Some(due) = rig.owner.debt.due() {
+        while let Some(due) = rig.owner.access.next_payment() {
             assert!(!rig.handle.published().owed.is_empty());
             rig.clock.sleep(due.saturating_sub(rig.clock.now()));
-            rig.owner.pay();
+            rig.owner.access.pay();
             pays += 1;
         }
         assert!((2..10).contains(&pays) && rig.clock.now() - begun < Duration::from_secs(100), "{pays}");
@@ -224,7 +132,7 @@ mod tests {
         assert!(refused.is_owed(), "{refused}");
         assert_eq!(*rig.handle.published().last_error, *refused.to_string());
         rig.clock.sleep(Duration::from_secs(60));
-        rig.owner.pay();
+        rig.owner.access.pay();
         assert_eq!(*rig.handle.published().last_error, *"");
 
         let mut rig = left_open();
@@ -233,7 +141,7 @@ mod tests {
         let error = Error::new("line 1", Cause::Invalid, owed.to_string());
         rig.handle.report(crate::Attempt::STAGE, &error);
         rig.clock.sleep(Duration::from_secs(60));
-        rig.owner.pay();
+        rig.owner.access.pay();
         assert_eq!(*rig.handle.published().owed, *"");
         assert_eq!(*rig.handle.published().last_error, *error.to_string());
     }
@@ -258,7 +166,7 @@ mod tests {
         rig.clock.sleep(Duration::from_secs(60));
         write(&mut rig).expect("it answers");
         assert_eq!(*rig.handle.published().owed, *"");
-        assert_eq!(rig.owner.debt.due(), None);
+        assert_eq!(rig.owner.access.next_payment(), None);
         assert_eq!(rig.sim.get("seal").as_deref(), Some("sealed"));
     }
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! A gauge without a thread of its own: whoever holds it asks, and has the answer when the request has been carried
+//! A gauge without a thread of its own: its holder asks, and has the answer when the request has been carried
 //! out. It is polled only when that is asked for.
 
 use std::sync::mpsc;
@@ -8,7 +8,7 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use super::handle::{Queue, Requests, lock};
-use super::{Handle, Operation, Owner, Run, operations};
+use super::{Attempt, Handle, Operation, Owner, Run};
 use crate::error::Result;
 use gauge_bus::Bus;
 use gauge_bus::clock::Clock;
@@ -54,46 +54,47 @@ impl Direct {
     ) -> Result<T> {
         let (done, outcome) = mpsc::channel();
         self.handle.ask(operation, argument, Box::new(move |answer| drop(done.send(answer))));
-        self.owner.gauge.clock.sleep(delay);
+        self.owner.shared().clock.sleep(delay);
         let next = lock(&self.requests).pop_front();
         if let Some((submitted, request)) = next {
-            self.owner.carry_out(submitted, request);
+            request.carry_out(&mut self.owner, submitted);
         }
         outcome.try_recv().unwrap_or_else(|_| unreachable!("a request that is dropped answers"))
     }
 
     /// Makes sure that no row of it is erased, by the table and by its own backups.
     pub fn check_erased(&mut self) -> Result<()> {
-        self.owner.check_erased(&[], Duration::ZERO)
+        let owner = &mut *self.owner;
+        owner.backups.check_erased(&mut owner.access, &[], Duration::ZERO)
     }
 
     /// The key that is sent to the gauge.
     pub fn key(&self, name: Name) -> Option<Secret> {
-        self.owner.gauge.key(name)
+        self.owner.access.key(name)
     }
 
     /// The manual's key, unless it must not be tried.
     pub fn default_key(&self, name: Name) -> Option<Secret> {
-        self.owner.gauge.default_key(name)
+        self.owner.access.default_key(name)
     }
 
-    /// The keys of which a change is neither done nor undone.
+    /// The keys whose change is neither done nor undone.
     pub fn owed_keys(&self) -> Vec<Name> {
-        self.owner.dataflash.owed().map_or(Vec::new(), |owed| owed.keys.to_vec())
+        self.owner.access.owed().map_or(Vec::new(), |owed| owed.keys.to_vec())
     }
 
     /// Tries to pay what a failed access has left to do, for as long as that. Returns why it is still owed, and
     /// whether only a person can decide it.
     pub fn settle(&mut self, patience: Duration) -> Option<(String, bool)> {
-        let clock = self.owner.gauge.clock.clone();
+        let clock = self.owner.shared().clock.clone();
         let end = clock.now() + patience;
         loop {
-            let owed = self.owner.dataflash.owed().map(|owed| (owed.why.to_string(), owed.needs_decision))?;
-            let due = self.owner.debt.due().filter(|due| *due <= end && !owed.1);
+            let owed = self.owner.access.owed().map(|owed| (owed.why.to_string(), owed.needs_decision))?;
+            let due = self.owner.access.next_payment().filter(|due| *due <= end && !owed.1);
             let Some(due) = due else { return Some(owed) };
             clock.sleep(due.saturating_sub(clock.now()));
             // A panic has thrown away what was known of the gauge, and its journal is still there.
-            if self.owner.survive(operations::SETTLE.itself(), Owner::pay).is_err() {
+            if self.owner.survive(Attempt::SETTLE, |owner| owner.access.pay()).is_err() {
                 return Some(owed);
             }
         }

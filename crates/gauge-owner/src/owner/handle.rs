@@ -64,7 +64,7 @@ pub struct Published {
     pub snapshot: Option<Arc<Snapshot>>,
     /// A poll has failed since.
     pub(super) is_failing: bool,
-    /// Another one whenever the gauge was away, or may be another one than before.
+    /// A new one whenever the gauge was away, or may have been exchanged.
     pub presence: Epoch<Presence>,
     /// The answers of the gauge when it was identified.
     pub answers: Answers,
@@ -81,7 +81,7 @@ pub struct Published {
     pub interval: Duration,
     /// The last failure, one line; empty for none.
     pub last_error: Arc<str>,
-    /// What is known of it; `None` for none.
+    /// The facts about it; `None` without a failure.
     pub failed: Option<Failure>,
     /// What is wrong with the gauge as long as it answers, one line, and since when.
     pub amiss: Option<(Timestamp, Arc<str>)>,
@@ -108,7 +108,7 @@ pub struct Failure {
     pub at: Timestamp,
     /// What has failed.
     pub attempt: Attempt,
-    /// It has left what is owed, or was refused because of it.
+    /// The attempt has left what is owed, or was refused because of it.
     pub owed: bool,
     /// The facts, as one line of JSON.
     pub facts: Arc<str>,
@@ -141,8 +141,8 @@ pub(super) struct Shared {
     pub(super) statistics: Arc<Statistics>,
     published: Mutex<Arc<Published>>,
     /// Subclasses that have been read, by their index in the table.
-    kept: Mutex<Memory>,
-    /// The scales in data flash that have been read, by their places; 0 for one that may have changed since.
+    kept: Mutex<Cache>,
+    /// The scales in data flash that have been read, by their places; 0 for a scale that may have changed since.
     flash_scales: Mutex<BTreeMap<(u8, u16), u8>>,
     signal: Arc<Signal>,
     /// See [`Handle::show_as`].
@@ -152,13 +152,13 @@ pub(super) struct Shared {
 }
 
 /// What was read of data flash.
-struct Memory {
+struct Cache {
     now: Epoch<Content>,
     /// By their index in the table.
     subclasses: Vec<Fact<Kept, Content>>,
 }
 
-impl Memory {
+impl Cache {
     fn get(&self, subclass: usize) -> Option<&Kept> {
         self.subclasses.get(subclass)?.get(self.now)
     }
@@ -213,7 +213,7 @@ impl Shared {
             clock: gauge.clock.clone(),
             statistics: gauge.statistics.clone(),
             published: Mutex::new(Arc::new(published)),
-            kept: Mutex::new(Memory {
+            kept: Mutex::new(Cache {
                 now: Epoch::default(),
                 subclasses: gauge.chip.subclasses.iter().map(|_| Fact::default()).collect(),
             }),
@@ -244,8 +244,8 @@ impl Shared {
         self.raise();
     }
 
-    /// Whether the gauge answers and has a battery. A poll that is too old to be shown is no sign that it does not, unless
-    /// others have failed since: an access may take long.
+    /// Whether the gauge answers and has a battery. An old poll is a sign of absence only if others have failed since: an
+    /// access may take long.
     pub(super) fn is_present(&self) -> bool {
         let published = self.published();
         let Some(last) = &published.snapshot else { return false };
@@ -290,6 +290,30 @@ impl Shared {
         self.publish(|published| (published.last_error, published.failed) = ("".into(), None));
     }
 
+    /// Reports an error, or clears the failure of an earlier attempt, and passes the outcome on.
+    pub(super) fn logged<T>(&self, attempt: Attempt, outcome: Result<T>) -> Result<T> {
+        match outcome {
+            Ok(done) => {
+                self.succeeded(&attempt);
+                Ok(done)
+            }
+            Err(error) => {
+                self.report(attempt, &error);
+                Err(error)
+            }
+        }
+    }
+
+    /// Another presence begins: whatever was read of the gauge is read again before anything follows from it.
+    pub(super) fn begin_presence(&self) {
+        self.publish(|published| published.presence = now::presence());
+    }
+
+    /// The reason to send nothing but standard commands to the gauge, if there is one.
+    pub(super) fn limitation(&self) -> Option<Error> {
+        self.published().limitation(self.chip)
+    }
+
     /// The gauge's name in messages: the chip's if there is only one gauge.
     pub(super) fn name(&self) -> &str {
         self.prefix.strip_suffix(": ").unwrap_or(self.chip.name)
@@ -322,7 +346,7 @@ impl Shared {
         Some(self.chip.layout.decode(kind, bytes.get(at..at + kind.size())?))
     }
 
-    /// A byte of data flash, likewise.
+    /// A byte of data flash, given in the same way.
     pub(super) fn kept_byte(&self, place: (u8, u16)) -> Option<u8> {
         match self.kept_value(place, Type::U(1))? {
             Value::Int(byte) => u8::try_from(byte).ok(),
@@ -414,10 +438,16 @@ impl Shared {
         self.raise();
     }
 
-    /// Data flash may hold something else from now on.
+    /// Data flash may hold something else from now on, but its scales are the same.
     pub(super) fn next_content(&self) {
         lock(&self.kept).now.next();
         self.raise();
+    }
+
+    /// Forgets what was read of data flash, and its copies in registers: another pack may be there.
+    pub(super) fn forget_dataflash(&self) {
+        self.next_content();
+        self.doubt_scales();
     }
 
     /// Since when data flash holds what it does.
@@ -441,7 +471,7 @@ pub(super) type Requests = VecDeque<(Duration, Request)>;
 pub(super) enum Queue {
     /// To the threads in which owners work.
     Crew(Member),
-    /// To whoever has the owner.
+    /// To the holder of the owner.
     Direct(Weak<Mutex<Requests>>),
 }
 
@@ -485,7 +515,7 @@ impl Handle {
         self.shared.kept_byte(place)
     }
 
-    /// A value of data flash, likewise.
+    /// A value of data flash, given in the same way.
     pub fn kept_value(&self, place: (u8, u16), kind: Type) -> Option<Value> {
         self.shared.kept_value(place, kind)
     }
@@ -527,7 +557,7 @@ impl Handle {
         self.shared.statistics.list()
     }
 
-    /// How many blocks the current write has programmed, and how many it has to; `None` while there is none.
+    /// Blocks that the current write has programmed, and all its blocks; `None` while nothing is written.
     pub fn progress(&self) -> Option<(u32, u32)> {
         self.shared.statistics.progress.get()
     }
@@ -556,7 +586,7 @@ impl Handle {
         self.ask_as(operation, argument, None, done);
     }
 
-    /// The same, with a number that whoever asks knows the answer by.
+    /// The same, with a number by which the caller knows the answer.
     pub(super) fn ask_as<A: Send, T>(
         &self,
         operation: &'static Operation<A, T>,
@@ -589,7 +619,7 @@ impl Handle {
     }
 }
 
-/// Raised by owners whenever something published has changed; whoever shows it waits for it.
+/// Raised by owners whenever something published has changed; waited for by what shows it.
 #[derive(Debug, Default)]
 pub struct Signal {
     state: Mutex<Raised>,
@@ -670,7 +700,7 @@ mod tests {
         assert_eq!(voltage(&before), old, "whoever holds the old one sees the old poll");
         assert!(!Arc::ptr_eq(&before, &after));
         // Most of it has not changed, and yet all of it is new.
-        rig.owner.shared.publish(|published| published.interval *= 2);
+        rig.owner.access.shared().publish(|published| published.interval *= 2);
         assert_eq!(after.interval, INTERVAL);
         assert_eq!(rig.handle.published().interval, INTERVAL * 2);
     }
@@ -684,7 +714,7 @@ mod tests {
         assert_eq!((before.seal, after.seal), (Seal::Sealed, Seal::Unsealed));
         let status = |published: &Published| published.snapshot.as_ref().expect("a poll").control_status;
         assert_ne!(status(&before), status(&after));
-        assert_eq!(status(&after), rig.owner.control_status);
+        assert_eq!(status(&after), rig.owner.access.control_status());
     }
 
     #[test]
@@ -704,7 +734,7 @@ mod tests {
     #[test]
     fn a_report_is_the_last_error_and_raises_the_signal() {
         let rig = Rig::open();
-        let signal = &rig.owner.shared.signal;
+        let signal = &rig.owner.access.shared().signal;
         rig.handle.show_as(3);
         let seen = signal.wait(u64::MAX, Some(Duration::ZERO));
         assert_eq!((signal.take_changed(), signal.take_changed()), (vec![3], vec![]));

@@ -2,8 +2,8 @@
 
 //! What a gauge with RAM has learned, kept beside the journals: its power is lost, and what took weeks to learn is not.
 //!
-//! It belongs to the pack. No gauge with RAM can tell its pack from another one after a loss of power, so that only what
-//! was named is believed (`--pack`); otherwise it waits for a person.
+//! It belongs to the pack. After a loss of power no gauge with RAM can tell its pack from another one, so that only a pack
+//! with a name (`--pack`) gets it back; otherwise it waits for a person.
 
 use std::fmt;
 use std::fs;
@@ -13,28 +13,21 @@ use std::time::Duration;
 use jiff::{SignedDuration, Timestamp};
 
 use super::claim::Claim;
-use super::operation::Asked;
 use super::signed::{is_own, signed, temporary};
-use super::{Attempt, Owner};
-use crate::error::{Cause, Error, Result};
-use ti_gauge::chip::{Chip, Parameter, Row, Stays, Subclass};
-use ti_gauge::dataflash::{self, Change, Place};
-use ti_gauge::gauge::Seal;
-use ti_gauge::image::{Entry, Image, toml};
+use crate::error::{Error, Result};
+use ti_gauge::chip::{Chip, Parameter};
+use ti_gauge::dataflash::{Change, Place};
+use ti_gauge::image::{Image, toml};
 use ti_gauge::journal;
 use ti_gauge::value::Value;
 
-/// The newest versions of one pack are kept, and besides them the last one of each of so many days: that what was learned is
-/// wrong may be noticed late.
+/// Versions of one pack that are kept: the newest ones, and besides them the last one of each of so many days, because it
+/// may be noticed late that what was learned is wrong.
 const KEPT: usize = 10;
 const DAYS: usize = 30;
 const SUFFIX: &str = ".learned.toml";
-/// Least time between two looks at what was learned: a gauge learns with charges and discharges. One that is SEALED is
-/// opened for it.
-const EVERY: Duration = Duration::from_secs(15 * 60);
-const EVERY_SEALED: Duration = Duration::from_secs(60 * 60);
-/// The first look comes early: a gauge learns while the host is off, too, and not every host is on for long.
-const FIRST: Duration = Duration::from_secs(60);
+/// Least time between two looks at what was learned: a gauge learns with charges and discharges.
+pub(super) const EVERY: Duration = Duration::from_secs(15 * 60);
 
 /// The folder with what the gauges in one place have learned.
 #[derive(Clone, Debug)]
@@ -63,7 +56,7 @@ pub enum Wish {
 pub struct Version(String);
 
 impl Version {
-    /// A version's name as text, in upper or lower case; `None` if it is none.
+    /// A version's name, in upper or lower case; `None` for another text.
     pub fn parse(text: &str) -> Option<Self> {
         let time: Timestamp = text.to_ascii_uppercase().parse().ok()?;
         Some(Self::at(time)).filter(|version| version.0.eq_ignore_ascii_case(text))
@@ -126,9 +119,12 @@ impl Learned {
         Self { pack, anywhere: true, ..self }
     }
 
-    /// Says that the gauge has this pack, if it has a name, to whoever else keeps what is learned in the folder.
-    fn claim(&self, chip: &Chip) -> Option<Claim> {
-        Claim::new(&self.folder, chip.name, self.pack.as_deref()?, self.anywhere)
+    /// Says that the gauge has this pack, if that has a name, to all others who keep what is learned in the folder. It goes on
+    /// saying so as `before`.
+    pub(super) fn claim(&self, chip: &Chip, before: Option<Claim>) -> Option<Claim> {
+        let pack = self.pack.as_deref()?;
+        let is_it = |claim: &Claim| claim.is_of(chip.name, pack, self.anywhere);
+        before.filter(is_it).or_else(|| Claim::new(&self.folder, chip.name, pack, self.anywhere))
     }
 
     /// The part of a file's name that tells packs apart. No pack has an empty name.
@@ -152,7 +148,7 @@ impl Learned {
     }
 
     /// The versions of this pack, oldest first.
-    fn files(&self, chip: &Chip) -> Vec<(Version, PathBuf)> {
+    pub(super) fn files(&self, chip: &Chip) -> Vec<(Version, PathBuf)> {
         let of_pack = self.all(chip).filter(|(pack, ..)| pack == self.pack());
         let mut files: Vec<_> = of_pack.map(|(_, version, path)| (version, path)).collect();
         files.sort();
@@ -160,7 +156,11 @@ impl Learned {
     }
 
     /// The newest version that can be read and is plausible, and why newer ones do not count.
-    fn newest(&self, chip: &'static Chip, design: Option<i64>) -> (Option<(Version, Image)>, Vec<String>) {
+    pub(super) fn newest(
+        &self,
+        chip: &'static Chip,
+        design: Option<i64>,
+    ) -> (Option<(Version, Image)>, Vec<String>) {
         let mut dropped = Vec::new();
         for (version, path) in self.files(chip).into_iter().rev() {
             match self.read(&path, chip, design) {
@@ -171,8 +171,14 @@ impl Learned {
         (None, dropped)
     }
 
-    /// The version that somebody has named, or why it does not count. Whose those without a name are, somebody knows.
-    fn named(&self, version: &Version, chip: &'static Chip, design: Option<i64>) -> Result<Image, String> {
+    /// The version that somebody has named, or why it does not count. One of a pack without a name counts as well: the person
+    /// knows whose it is.
+    pub(super) fn named(
+        &self,
+        version: &Version,
+        chip: &'static Chip,
+        design: Option<i64>,
+    ) -> Result<Image, String> {
         let files = self.files(chip);
         let nameless = self.clone().of_pack(None).files(chip);
         if let Some((_, path)) = files.iter().chain(&nameless).find(|(other, _)| other == version) {
@@ -208,7 +214,7 @@ impl Learned {
     }
 
     /// Saves a version, unless the newest one would restore the same. On return it is on disk.
-    fn save(&self, image: &Image, now: Timestamp) -> Result<bool> {
+    pub(super) fn save(&self, image: &Image, now: Timestamp) -> Result<bool> {
         let text = toml::write(image);
         let files = self.files(image.chip);
         let is_same = |(_, path): &(Version, PathBuf)| {
@@ -243,8 +249,8 @@ impl Learned {
         Ok(true)
     }
 
-    /// Removes all versions. One that cannot be removed keeps none of the others.
-    fn forget(&self, chip: &Chip) -> Result<usize> {
+    /// Removes all versions, also if one of them cannot be removed.
+    pub(super) fn forget(&self, chip: &Chip) -> Result<usize> {
         let files = self.files(chip);
         let remove = |(_, path): &(Version, PathBuf)| {
             fs::remove_file(path)
@@ -252,6 +258,67 @@ impl Learned {
         };
         let removed: Vec<_> = files.iter().rev().map(remove).collect();
         removed.into_iter().collect::<Result<()>>().map(|()| files.len())
+    }
+
+    /// What is kept, as a text. A gauge that `has_profile` gets it back by itself, unless the pack is `contested`.
+    pub(super) fn told(
+        &self,
+        chip: &'static Chip,
+        design: Option<i64>,
+        has_profile: bool,
+        contested: Option<&Error>,
+    ) -> String {
+        let (newest, dropped) = self.newest(chip, design);
+        let mut text = String::new();
+        if let Some((version, image)) = &newest {
+            text += &format!("{}: learned until {version}\n", named_pack(self.pack()));
+            for entry in &image.entries {
+                text += &format!("  {} = {}\n", image.name(entry), entry.shown());
+            }
+        }
+        for why in &dropped {
+            text += &format!("not restored: {why}\n");
+        }
+        let mut older = self.files(chip);
+        older.retain(|(version, _)| newest.as_ref().is_some_and(|(newest, _)| version < newest));
+        if !older.is_empty() {
+            text += &format!("older versions in {}; --restore=VERSION writes one:\n", self.folder.display());
+            text += &self.list(&older, chip, design);
+        }
+        let nameless = self.clone().of_pack(None).files(chip);
+        if self.pack.is_some() && !nameless.is_empty() {
+            text += "learned before the pack had a name; --restore=VERSION writes one, if it is this pack:\n";
+            text += &self.list(&nameless, chip, design);
+        }
+        if let Some(error) = contested {
+            text += &format!("{}\n", error.reason());
+            return text;
+        }
+        text += match (&newest, &self.pack) {
+            (None, _) => "nothing is kept that could be restored\n",
+            (Some(_), Some(_)) if !has_profile => {
+                "not restored by itself: the gauge has no profile; name one with --profile\n"
+            }
+            (Some(_), Some(_)) => "restored with the profile after a loss of power\n",
+            (Some(_), None) => {
+                "not restored by itself: nothing tells packs of this part apart after a loss of power; name the pack with \
+                 --pack, or write --restore\n"
+            }
+        };
+        text
+    }
+
+    /// Versions, newest first, a line each with its capacities.
+    fn list(&self, versions: &[(Version, PathBuf)], chip: &'static Chip, design: Option<i64>) -> String {
+        let line = |(version, path): &(Version, PathBuf)| match self.read(path, chip, design) {
+            Ok(image) => {
+                let capacities = image.entries.iter().filter(|entry| is_capacity(entry.parameter));
+                let shown = |entry| format!("{} = {}", image.name(entry), entry.shown());
+                format!("  {version}  {}\n", capacities.map(shown).collect::<Vec<_>>().join(", "))
+            }
+            Err(why) => format!("  {version}  not restored: {why}\n"),
+        };
+        versions.iter().rev().map(line).collect()
     }
 }
 
@@ -269,24 +336,9 @@ fn superfluous(files: &[(Version, PathBuf)]) -> Vec<&Path> {
     superfluous
 }
 
-/// The index of the subclass that a change is of.
-fn index_of(chip: &'static Chip, change: &Change) -> Option<usize> {
-    let (subclass, _) = change.row()?;
-    chip.subclasses.iter().position(|other| std::ptr::eq(other, subclass))
-}
-
 /// A pack, as a message has it.
 fn named_pack(name: &str) -> String {
     if name.is_empty() { "a pack without a name".into() } else { format!("the pack {name}") }
-}
-
-/// The subclasses, by their indices in the table, that hold what a gauge learns.
-fn learning(chip: &'static Chip) -> Vec<usize> {
-    let rows = chip.subclasses.iter().enumerate();
-    let learns = |subclass: &'static Subclass| {
-        subclass.parameters.iter().any(|row| !row.unproven && chip.stays((subclass, row)) == Stays::Pack)
-    };
-    rows.filter(|(_, row)| learns(row)).map(|(index, _)| index).collect()
 }
 
 /// Whether the charge of the pack when it is full follows from this parameter.
@@ -295,15 +347,8 @@ fn is_capacity(parameter: &Parameter) -> bool {
 }
 
 /// Whether Qmax is in parts of this parameter.
-fn is_design(parameter: &Parameter) -> bool {
+pub(super) fn is_design(parameter: &Parameter) -> bool {
     parameter.name == "Design Capacity"
-}
-
-/// The changes that restore what was learned. The image has Design Capacity besides, for comparison.
-fn restored(image: &Image) -> Result<Vec<Change>> {
-    let mut changes = image.to_restore()?;
-    changes.retain(|change| change.row().is_some_and(|row| image.chip.stays(row) == Stays::Pack));
-    Ok(changes)
 }
 
 /// Design Capacity in an image, in mAh.
@@ -326,8 +371,9 @@ fn content(image: &Image) -> Option<Vec<(Place, Vec<u8>)>> {
     Some(image.to_restore().ok()?.iter().map(stored).collect())
 }
 
-/// Why values cannot be what a gauge has learned. It limits Qmax itself to 120 % of its default (Max % Default Qmax). Design Capacity is needed for those in mAh.
-fn implausible(image: &Image, design: Option<i64>) -> Option<String> {
+/// Why values cannot be what a gauge has learned, which limits Qmax itself to 120 % of its default (Max % Default Qmax). For
+/// values in mAh the Design Capacity is needed.
+pub(super) fn implausible(image: &Image, design: Option<i64>) -> Option<String> {
     image.entries.iter().find_map(|entry| {
         let Value::Int(value) = entry.value else { return None };
         let name = entry.parameter.name;
@@ -349,320 +395,6 @@ fn implausible(image: &Image, design: Option<i64>) -> Option<String> {
             _ => None,
         }
     })
-}
-
-impl Owner {
-    /// Design Capacity by the profile.
-    fn design_capacity(&self) -> Option<i64> {
-        let is_it = |change: &&Change| change.row().is_some_and(|(_, row)| is_design(row));
-        let change = self.memory.profile().iter().find(is_it)?;
-        Some(change.bytes().iter().fold(0, |word, &byte| word << 8 | i64::from(byte)))
-    }
-
-    /// The profile with what the pack has learned in the place of the profile's own, and from when that is.
-    pub(super) fn profile_with_learned(&mut self) -> (Vec<Change>, Option<Version>) {
-        let mut profile = self.memory.profile().to_vec();
-        if self.memory.is_of_another_pack() {
-            profile = over(unlearned(self.gauge.chip, self.shared.published().answers.dm_code), profile);
-        }
-        let Some(store) = self.learned.clone() else { return (profile, None) };
-        if self.is_contested() {
-            self.memory.owes_learned = true;
-            return (profile, None);
-        }
-        self.memory.owes_learned = false;
-        if store.pack.is_none() {
-            if !store.files(self.gauge.chip).is_empty() {
-                let why = "what it had learned is kept and not restored, because its pack has no name; see \
-                           `gaugefs learned`";
-                log::info!("{}: {why}", self.shared.name());
-            }
-            return (profile, None);
-        }
-        let (newest, dropped) = store.newest(self.gauge.chip, self.design_capacity());
-        for why in dropped {
-            log::warn!("{}: {why}; it is not restored", self.shared.name());
-        }
-        let Some((time, image)) = newest else { return (profile, None) };
-        match restored(&image) {
-            Ok(learned) => (over(profile, learned), Some(time)),
-            Err(error) => {
-                log::warn!("{}: what it has learned is not restored: {error}", self.shared.name());
-                (profile, None)
-            }
-        }
-    }
-
-    /// Whether another gauge has the same pack. From now on that one knows of this one, too.
-    fn is_contested(&mut self) -> bool {
-        let chip = self.gauge.chip;
-        let pack = self.learned.as_ref().and_then(|store| Some((store, store.pack.as_deref()?)));
-        let claim = self.memory.claim.take();
-        self.memory.claim = pack.and_then(|(store, pack)| {
-            claim.filter(|claim| claim.is_of(chip.name, pack, store.anywhere)).or_else(|| store.claim(chip))
-        });
-        let is_contested = self.memory.claim.as_ref().is_some_and(Claim::is_contested);
-        if std::mem::replace(&mut self.memory.is_contested, is_contested) != is_contested {
-            match self.contested() {
-                Some(error) => self.shared.report(Attempt::LEARNED, &error),
-                None => self.shared.succeeded(&Attempt::LEARNED),
-            }
-        }
-        is_contested
-    }
-
-    /// Why nothing that was learned is saved or restored, while another gauge has the same pack.
-    fn contested(&self) -> Option<Error> {
-        let pack = self.learned.as_ref()?.pack.as_ref().filter(|_| self.memory.is_contested)?;
-        let why = format!(
-            "another gauge has the pack {pack} as well, and no pack is in two places: what either of them learns is not saved, \
-             and nothing is restored; give each pack a name of its own"
-        );
-        Some(Error::new("learned", Cause::NotNow, why))
-    }
-
-    /// Restores what was not restored while another gauge had the same pack, unless the gauge has learned something since.
-    fn restore_owed(&mut self) {
-        match self.look_at_learned() {
-            Ok(None) if self.memory.is_kept() => self.write_profile(0, true),
-            Ok(_) => {}
-            Err(error) => return self.shared.report(Attempt::LEARNED, &error),
-        }
-        self.memory.owes_learned = false;
-    }
-
-    /// Saves what the gauge has learned, now and then, while its memory is known to be what it should be.
-    pub(super) fn save_learned(&mut self) {
-        let published = self.shared.published();
-        let is_shown = |snapshot: &super::Snapshot| snapshot.is_valid && snapshot.is_configured;
-        let is_good = published.snapshot.as_deref().is_some_and(is_shown) && self.memory.is_kept();
-        let (Some(store), true) = (self.learned.clone(), is_good) else {
-            self.memory.next_look = None;
-            return;
-        };
-        if self.is_contested() {
-            return;
-        }
-        if self.memory.owes_learned {
-            return self.restore_owed();
-        }
-        let now = self.gauge.clock.now();
-        let pause = if published.seal == Seal::Sealed { EVERY_SEALED } else { EVERY };
-        if now < *self.memory.next_look.get_or_insert(now + FIRST) {
-            return;
-        }
-        self.memory.next_look = Some(now + pause);
-        match self.look_at_learned().and_then(|image| match image {
-            Some(image) => store.save(&image, Timestamp::now()),
-            None => Ok(false),
-        }) {
-            Ok(true) => log::info!("{}: what it has learned was saved", self.shared.name()),
-            Ok(false) => {}
-            Err(error) => return self.shared.report(Attempt::LEARNED, &error),
-        }
-        self.shared.succeeded(&Attempt::LEARNED);
-    }
-
-    /// What the gauge has learned; `None` if that is nothing, or no plausible value.
-    fn look_at_learned(&mut self) -> Result<Option<Image>> {
-        let chip = self.gauge.chip;
-        let mut indices = learning(chip);
-        if indices.is_empty() {
-            return Ok(None);
-        }
-        let profile = self.memory.profile().to_vec();
-        // Where no flag shows a loss of memory, what the profile has set does.
-        if chip.volatile == Some(0) {
-            indices.extend(profile.iter().filter_map(|change| index_of(chip, change)));
-            indices.sort_unstable();
-            indices.dedup();
-        }
-        let rows: Vec<&Subclass> = indices.iter().map(|&index| &chip.subclasses[index]).collect();
-        let read = self.dataflash.read(&mut self.gauge, &rows, Duration::ZERO);
-        let read = self.noted(read)?;
-        let holds = |change: &Change| {
-            let Some((subclass, row)) = change.row().filter(|(_, row)| !row.learned) else { return true };
-            let index = index_of(chip, change).and_then(|index| indices.iter().position(|at| *at == index));
-            let begin = usize::from(row.offset - subclass.start());
-            let bytes = index.and_then(|index| read[index].get(begin..begin + row.kind.size()));
-            bytes.is_some_and(|bytes| change.stored_over(bytes) == bytes)
-        };
-        let is_lost = match chip.volatile {
-            Some(0) => !profile.iter().all(holds),
-            _ => dataflash::has_lost_memory(&mut self.gauge)?,
-        };
-        // Unnoticed, since the poll: these are the part's defaults, or some of them.
-        if is_lost {
-            self.memory.doubt();
-            self.schedule.hurry();
-            return Ok(None);
-        }
-        let firmware = self.shared.published().answers.firmware_version;
-        let read = indices.iter().zip(&read).map(|(&index, bytes)| (index, &**bytes));
-        let mut image = Image::of_flash(chip, Some(firmware), read);
-        image.entries.retain(|entry| {
-            let is_of_pack = chip.stays((entry.subclass, entry.parameter)) == Stays::Pack;
-            !entry.parameter.unproven && (is_of_pack || is_design(entry.parameter))
-        });
-        let changes = restored(&image)?;
-        // Where no default is printed, only a change shows that something was learned.
-        self.memory.first.get_or_insert_with(|| changes.clone());
-        if let Some(why) = implausible(&image, self.design_capacity()) {
-            log::warn!("{}: what it has learned is not saved: {why}", self.shared.name());
-            return Ok(None);
-        }
-        // What the profile has is nothing that was learned.
-        let is_written = |change: &Change| {
-            let mut written = profile.iter().filter(|wrote| wrote.place() == change.place());
-            written.any(|wrote| wrote.stored_over(change.bytes()) == change.bytes())
-        };
-        // Bits that are never restored say nothing.
-        let is_default = |change: &Change| change.is_default(&change.stored_over(&[0; 8]));
-        let first = self.memory.first.iter().flatten();
-        let has_changed = |change: &Change| {
-            first.clone().any(|first| first.place() == change.place() && first.bytes() != change.bytes())
-        };
-        let is_new = |change: &Change| !is_written(change) && (!is_default(change) || has_changed(change));
-        Ok(changes.iter().any(is_new).then_some(image))
-    }
-
-    /// Shows what is kept of the gauge's pack, writes it, or removes it.
-    pub(super) fn keep_learned(&mut self, wish: Wish, asked: Asked) -> Result<()> {
-        let chip = self.gauge.chip;
-        let refuse = |why: &'static str| Error::new("learned", Cause::NotPermitted, why);
-        if chip.volatile.is_none() {
-            let why = "its data memory is flash, and keeps what the gauge learns without power";
-            return Err(refuse(why));
-        }
-        let Some(store) = self.learned.clone() else {
-            return Err(refuse("nothing is kept of a simulated gauge without --state-dir"));
-        };
-        let told = match wish {
-            Wish::Show => self.kept_text(&store),
-            Wish::Forget => format!(
-                "{} versions removed; what the gauge itself still has is saved with the next look, unless another pack is \
-                 there or its profile is imported\n",
-                store.forget(chip)?
-            ),
-            Wish::Restore(version) => self.restore_learned(&store, version, asked)?,
-        };
-        self.shared.publish(|published| published.learned = (asked.title() + &told).into());
-        Ok(())
-    }
-
-    /// Writes a version to the gauge, which is the newest one from then on. What the gauge has learned since the last look is a
-    /// version before it.
-    fn restore_learned(&mut self, store: &Learned, named: Option<Version>, asked: Asked) -> Result<String> {
-        if self.is_contested()
-            && let Some(error) = self.contested()
-        {
-            return Err(error);
-        }
-        let (chip, design) = (self.gauge.chip, self.design_capacity());
-        let not_now = |why| Error::new("learned", Cause::NotNow, why);
-        let (version, image) = match &named {
-            Some(version) => (version.clone(), store.named(version, chip, design).map_err(not_now)?),
-            None => {
-                let (newest, dropped) = store.newest(chip, design);
-                let why = dropped.into_iter().next().unwrap_or_else(|| "nothing is kept of it".into());
-                newest.ok_or_else(|| not_now(why))?
-            }
-        };
-        let begun = self.gauge.clock.now();
-        if self.memory.is_kept()
-            && let Some(present) = self.look_at_learned()?
-        {
-            store.save(&present, Timestamp::now())?;
-        }
-        let waited = asked.waited + (self.gauge.clock.now() - begun);
-        let learned = over(self.memory.profile().to_vec(), restored(&image)?);
-        let outcome = self.dataflash.restore(&mut self.gauge, &learned, true, waited);
-        let outcome = self.noted(outcome);
-        self.forget_values();
-        self.schedule.hurry();
-        let outcome = outcome?;
-        self.log_written(&learned, &outcome);
-        self.note_memory_written();
-        store.save(&image, Timestamp::now()).map_err(|error| {
-            error.within(&format!("{version} is restored, but is not the newest version from now on"))
-        })?;
-        Ok(format!("restored what it had learned until {version}\n"))
-    }
-
-    fn kept_text(&self, store: &Learned) -> String {
-        let (chip, design) = (self.gauge.chip, self.design_capacity());
-        let (newest, dropped) = store.newest(chip, design);
-        let mut text = self.memory.why().to_string();
-        if !text.is_empty() {
-            text.push('\n');
-        }
-        if let Some((version, image)) = &newest {
-            text += &format!("{}: learned until {version}\n", named_pack(store.pack()));
-            for entry in &image.entries {
-                text += &format!("  {} = {}\n", image.name(entry), entry.shown());
-            }
-        }
-        for why in &dropped {
-            text += &format!("not restored: {why}\n");
-        }
-        let mut older = store.files(chip);
-        older.retain(|(version, _)| newest.as_ref().is_some_and(|(newest, _)| version < newest));
-        let told = |older: &[(Version, PathBuf)]| -> String {
-            let line = |(version, path): &(Version, PathBuf)| match store.read(path, chip, design) {
-                Ok(image) => {
-                    let capacities = image.entries.iter().filter(|entry| is_capacity(entry.parameter));
-                    let shown = |entry| format!("{} = {}", image.name(entry), entry.shown());
-                    format!("  {version}  {}\n", capacities.map(shown).collect::<Vec<_>>().join(", "))
-                }
-                Err(why) => format!("  {version}  not restored: {why}\n"),
-            };
-            older.iter().rev().map(line).collect()
-        };
-        if !older.is_empty() {
-            text += &format!("older versions in {}; --restore=VERSION writes one:\n", store.folder.display());
-            text += &told(&older);
-        }
-        let nameless = store.clone().of_pack(None).files(chip);
-        if store.pack.is_some() && !nameless.is_empty() {
-            text += "learned before the pack had a name; --restore=VERSION writes one, if it is this pack:\n";
-            text += &told(&nameless);
-        }
-        if let Some(error) = self.contested() {
-            text += &format!("{}\n", error.reason());
-            return text;
-        }
-        text += match (&newest, &store.pack) {
-            (None, _) => "nothing is kept that could be restored\n",
-            (Some(_), Some(_)) if self.memory.profile().is_empty() => {
-                "not restored by itself: the gauge has no profile; name one with --profile\n"
-            }
-            (Some(_), Some(_)) => "restored with the profile after a loss of power\n",
-            (Some(_), None) => {
-                "not restored by itself: nothing tells packs of this part apart after a loss of power; name the pack with \
-                 --pack, or write --restore\n"
-            }
-        };
-        text
-    }
-}
-
-/// What a gauge that has learned nothing yet has in the place of that, where a source prints it.
-fn unlearned(chip: &'static Chip, dm_code: Option<u16>) -> Vec<Change> {
-    let rows = chip.rows().filter(|row| !row.1.unproven && chip.stays(*row) == Stays::Pack);
-    let default = |(subclass, parameter): Row| {
-        let value = Value::Int(parameter.int_default(dm_code)?);
-        Some(Entry { subclass, parameter, value, line: 0 })
-    };
-    let mut image = Image::new(chip, None);
-    image.entries = rows.filter_map(default).collect();
-    restored(&image).unwrap_or_default()
-}
-
-/// Changes, with others in the place of those of the same parameters.
-fn over(mut changes: Vec<Change>, others: Vec<Change>) -> Vec<Change> {
-    changes.retain(|change| others.iter().all(|other| other.place() != change.place()));
-    changes.extend(others);
-    changes
 }
 
 #[cfg(test)]

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! For how long what is known of a gauge holds.
+//! Epochs of a gauge: for how long a fact about it holds.
 
 use std::hash::{BuildHasher, Hasher, RandomState};
 

@@ -9,10 +9,10 @@ use nix::errno::Errno;
 
 use super::attempt::Importance;
 use super::{Attempt, Handle, Owner};
-use crate::error::{Cause, Error, Result};
+use crate::error::{Error, Result};
 use ti_gauge::chip::Chip;
 
-/// Requests queued longer than this are refused, so that write(2) returns within 30 s.
+/// Requests queued for longer are refused, so that write(2) returns within 30 s.
 pub(super) const QUEUE_LIMIT: Duration = Duration::from_secs(12);
 
 /// Called with the outcome of a request, as a rule from the owner's thread; must not block.
@@ -35,13 +35,13 @@ pub struct Operation<A, T = ()> {
 /// Reads the argument from what is written to the operation's file.
 type Parse<A> = fn(&Context, &[u8]) -> Result<A>;
 
-/// By what the text of an argument is read.
+/// What the text of an argument is read with.
 pub struct Context {
     /// The table of its gauge.
     pub chip: &'static Chip,
     /// The factor of voltages in data flash; `None` while it is not known.
     pub voltage_scale: Option<f64>,
-    /// The factor of currents in data flash, likewise.
+    /// The factor of currents in data flash; `None` while it is not known.
     pub current_scale: Option<f64>,
     /// The reason to send nothing but standard commands to the gauge.
     pub limitation: Option<Error>,
@@ -53,7 +53,7 @@ pub(super) struct Asked {
     pub(super) submitted: Duration,
     /// How long it was in the queue.
     pub(super) waited: Duration,
-    /// A number that whoever has asked knows the answer by.
+    /// A number by which its sender knows the answer.
     pub(super) name: Option<u64>,
 }
 
@@ -166,6 +166,11 @@ fn named(data: &[u8]) -> (&[u8], Option<u64>) {
 pub(super) struct Request(Box<dyn Work>);
 
 impl Request {
+    /// Carries it out. It was made at that time.
+    pub(super) fn carry_out(self, owner: &mut Owner, submitted: Duration) {
+        self.0.carry_out(owner, submitted);
+    }
+
     pub(super) fn new<A: Send + 'static, T: 'static>(
         operation: &'static Operation<A, T>,
         argument: A,
@@ -213,42 +218,23 @@ struct Task<A: 'static, T: 'static> {
 }
 
 impl<A: Send, T> Work for Task<A, T> {
-    /// A panic is an answer as well, also one of whoever takes the answer.
+    /// A panic becomes the answer, whether the operation or the callback panicked.
     fn carry_out(self: Box<Self>, owner: &mut Owner, submitted: Duration) {
         let Task { operation, argument, name, reply } = *self;
         let attempt = operation.attempt(Some(&argument));
-        let waited = owner.gauge.clock.now().saturating_sub(submitted);
+        let waited = owner.access.now().saturating_sub(submitted);
         let outcome = match owner.refusal(waited).filter(|_| operation.needs_gauge) {
             Some(error) => Err(error),
             None => owner
                 .survive(attempt.clone(), |owner| {
                     let outcome = (operation.call)(owner, argument, Asked { submitted, waited, name });
-                    if operation.reports { outcome } else { owner.logged(attempt.clone(), outcome) }
+                    match operation.reports {
+                        true => outcome,
+                        false => owner.shared().logged(attempt.clone(), outcome),
+                    }
                 })
                 .and_then(|outcome| outcome),
         };
         let _ = owner.survive(attempt, |_| reply.answer(outcome));
-    }
-}
-
-impl Owner {
-    /// Carries out a request that was made at that time.
-    pub(super) fn carry_out(&mut self, submitted: Duration, request: Request) {
-        request.0.carry_out(self, submitted);
-    }
-
-    /// The reason to refuse an operation that sends more than a poll does, before anything is sent.
-    fn refusal(&self, waited: Duration) -> Option<Error> {
-        if self.unverified {
-            let why =
-                "it has not answered yet, so nothing is sent to its address; check that it is connected";
-            return Some(Error::new(self.shared.name(), Cause::Gone, why));
-        }
-        if let Some(error) = self.limitation() {
-            return Some(error);
-        }
-        let why = "the gauge was busy with other requests for too long; nothing was sent, try again";
-        let late = || Error::new(self.gauge.chip.name, Cause::NotNow, why);
-        (waited > QUEUE_LIMIT).then(late)
     }
 }

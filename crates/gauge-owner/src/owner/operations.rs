@@ -7,31 +7,30 @@ use std::ptr;
 use std::sync::Arc;
 use std::time::Duration;
 
+use super::access::Access;
 use super::attempt::Importance;
-use super::operation::{Asked, Operation};
-use super::{Attempt, Owner, Presence, Seal, Wish, words};
-use crate::error::{Cause, Error, Reason, Result};
+use super::calibrate::calibrate;
+use super::operation::{Asked, Operation, QUEUE_LIMIT};
+use super::report::{self, Recording};
+use super::{Attempt, Owner, Presence, Seal, Wish, words, written};
+use crate::error::{Cause, Error, Result};
 use ti_gauge::authentication::{self, Message};
 use ti_gauge::calibration::Job;
 use ti_gauge::chip::Subclass;
 use ti_gauge::dataflash::{Change, Decision, Outcome, Place};
 use ti_gauge::epoch::{Epoch, Fact};
 use ti_gauge::keys;
-use ti_gauge::notation;
-use ti_gauge::quantity;
-use ti_gauge::text;
-use ti_gauge::unit;
 
 /// Reads subclasses, by their indices in the table. Those that are kept and still valid cost nothing.
 pub static READ: Operation<Vec<usize>, Vec<Arc<[u8]>>> =
-    Operation::new("read", |owner, wanted: Vec<usize>, asked| owner.read(&wanted, asked.waited))
+    Operation::new("read", |owner, wanted: Vec<usize>, asked| owner.access.read(&wanted, asked.waited))
         .attempting(|wanted| Attempt::Read(wanted.clone()))
         .reporting();
 
-/// Reads subclasses, and what the pack is known by, so that a later access sees whether it is still the one. A failure is
-/// none of a program's: it has asked for something else.
+/// Reads subclasses, and what the pack is known by, so that a later access sees whether it is still the one. No program has
+/// asked for this, so that a failure is not shown to one.
 pub static KNOW: Operation<Vec<usize>> =
-    Operation::new("know", |owner, wanted: Vec<usize>, asked| owner.know(&wanted, asked.waited))
+    Operation::new("know", |owner, wanted: Vec<usize>, asked| owner.access.know(&wanted, asked.waited))
         .attempting(|wanted| Attempt::Read(wanted.clone()))
         .reporting();
 
@@ -45,40 +44,50 @@ pub static COMMIT: Operation<(Epoch<Presence>, Vec<Change>)> =
 
 /// Makes every check of a write, and programs nothing.
 pub static CHECK: Operation<Vec<Change>> = Operation::new("check", |owner, changes: Vec<Change>, asked| {
-    let outcome = owner.dataflash.try_write(&mut owner.gauge, &changes, asked.waited);
-    owner.noted(outcome)
+    owner.access.run(|dataflash, gauge| dataflash.try_write(gauge, &changes, asked.waited))
 })
 .attempting(|changes| Attempt::Write(places(changes)));
 
 /// Goes to a seal state.
-pub static SEAL: Operation<Seal> = Operation::new("seal", Owner::go_to).parsed_by(words::seal);
+pub static SEAL: Operation<Seal> =
+    Operation::new("seal", |owner, goal, asked| go_to(&mut owner.access, goal, asked)).parsed_by(words::seal);
 
 /// Sends a subcommand that the table marks safe.
-pub static CONTROL: Operation<u16> = Operation::new("control", Owner::send).parsed_by(words::subcommand);
+pub static CONTROL: Operation<u16> =
+    Operation::new("control", |owner, code, _| send(&mut owner.access, code)).parsed_by(words::subcommand);
 
 /// Changes one of the gauge's keys. `gaugefs keys` writes blanks afterwards, which overwrite the key in the daemon's
 /// buffer.
-pub static KEYS: Operation<keys::KeyChange> = Operation::new("keys", Owner::change_key)
-    .parsed_by(|_, text| keys::KeyChange::parse(text))
-    .ignoring_blank();
+pub static KEYS: Operation<keys::KeyChange> =
+    Operation::new("keys", |owner, change, asked| change_key(&mut owner.access, &change, asked))
+        .parsed_by(|_, text| keys::KeyChange::parse(text))
+        .ignoring_blank();
 
 /// Publishes the gauge's answer to a challenge.
-pub static AUTHENTICATE: Operation<Message> =
-    Operation::new("authenticate", Owner::authenticate).parsed_by(|_, text| authentication::from_hex(text));
+pub static AUTHENTICATE: Operation<Message> = Operation::new("authenticate", |owner, challenge, asked| {
+    authenticate(&mut owner.access, challenge, asked)
+})
+.parsed_by(|_, text| authentication::from_hex(text));
 
 /// Shows what is known of an interrupted write, or settles it as somebody has decided.
-pub static SETTLE: Operation<Option<Decision>> = Operation::new("settle", Owner::settle_as_decided)
-    .parsed_by(words::decision)
-    .naming_answer()
-    .important(Importance::Owed);
+pub static SETTLE: Operation<Option<Decision>> =
+    Operation::new("settle", |owner, decision, asked| owner.access.settle_as_decided(decision, asked))
+        .parsed_by(words::decision)
+        .naming_answer()
+        .important(Importance::Owed);
 
 /// Shows what is kept of what a gauge with RAM has learned, writes it, or removes it.
 pub static LEARNED: Operation<Wish> =
-    Operation::new("learned", Owner::keep_learned).parsed_by(words::wish).naming_answer();
+    Operation::new("learned", |owner, wish, asked| owner.memory.keep_learned(&mut owner.access, wish, asked))
+        .parsed_by(words::wish)
+        .naming_answer();
 
 /// Calibrates the gauge, without polls meanwhile.
-pub static CALIBRATE: Operation<Job> =
-    Operation::new("calibrate", Owner::calibrate).parsed_by(words::job).naming_answer();
+pub static CALIBRATE: Operation<Job> = Operation::new("calibrate", |owner, job, asked| {
+    calibrate(&mut owner.access, &mut owner.backups, job, asked)
+})
+.parsed_by(words::job)
+.naming_answer();
 
 /// Publishes a report of the gauge.
 pub static REPORT: Operation<()> =
@@ -125,177 +134,82 @@ fn passes_sealed(now: Seal, goal: Seal) -> Option<&'static str> {
     )
 }
 
-/// A change and the bytes that it replaced, such as `3000 -> 3100 mV`: in the text form of the parameter, or in
-/// hexadecimal where it has none.
-fn difference(change: &Change, old: &[u8]) -> String {
-    let new = change.stored_over(old);
-    let show = |bytes: &[u8]| match change.row().zip(change.value_of(bytes)) {
-        Some(((_, parameter), value)) => notation::show(parameter, &value),
-        None => text::hex(bytes),
-    };
-    let unit = change.row().map_or("", |(_, parameter)| unit::shown(parameter));
-    quantity::change(&show(old), &show(&new), unit)
+/// Goes to a seal state.
+fn go_to(access: &mut Access, goal: Seal, asked: Asked) -> Result<()> {
+    if let Some(warning) = passes_sealed(access.shared().published().seal, goal) {
+        log::warn!("{}gauge/seal: {warning}", access.shared().prefix);
+    }
+    let outcome = access.run(|dataflash, gauge| dataflash.go_to(gauge, goal, asked.waited));
+    access.publish_seal();
+    outcome
+}
+
+/// Sends a subcommand, and publishes the answer.
+fn send(access: &mut Access, code: u16) -> Result<()> {
+    let outcome = access
+        .pay_before_subcommand()
+        .and_then(|()| check_takes(access, code))
+        .and_then(|()| access.gauge().ask(code));
+    access.publish_seal();
+    let shared = access.shared();
+    // Until then the last answer can be read, with the subcommand that it answers.
+    let answer = outcome.inspect_err(|_| shared.publish(|published| published.control = Fact::default()))?;
+    shared.publish(|published| published.control.learn(published.presence, (code, answer)));
+    log::info!("{}Control(0x{code:04x}) answered 0x{answer:04x}", shared.prefix);
+    Ok(())
+}
+
+/// Checks that the gauge takes a subcommand: one that is SEALED answers others, and does nothing.
+fn check_takes(access: &mut Access, code: u16) -> Result<()> {
+    let all = access.chip().subcommands;
+    let Some(subcommand) = all.iter().find(|one| one.code == code && !one.sealed) else { return Ok(()) };
+    if access.gauge().seal_anew()? != Seal::Sealed {
+        return Ok(());
+    }
+    let why = "a SEALED gauge does not take it, so it was not sent; write `unsealed` to gauge/seal before, and `sealed` \
+               afterwards";
+    Err(Error::new(subcommand.name, Cause::NotPermitted, why))
+}
+
+fn change_key(access: &mut Access, change: &keys::KeyChange, asked: Asked) -> Result<()> {
+    let settles = access.owed().is_some();
+    let order = access.shared().challenge_order();
+    let outcome = access.run(|dataflash, gauge| dataflash.change_key(gauge, change, order, asked.waited));
+    if settles {
+        access.after_settling();
+    }
+    access.publish_seal();
+    outcome?;
+    log::info!("{}{} key: changed and tried", access.shared().prefix, change.name.as_str());
+    Ok(())
+}
+
+/// Publishes the gauge's answer to a challenge.
+fn authenticate(access: &mut Access, challenge: Message, asked: Asked) -> Result<()> {
+    let order = access.shared().challenge_order();
+    let digest = authentication::ask(access.gauge(), &challenge, order, asked.waited);
+    let shared = access.shared();
+    let digest = digest.inspect_err(|_| shared.publish(|published| published.digest = Fact::default()))?;
+    shared.publish(|published| published.digest.learn(published.presence, (challenge, digest)));
+    Ok(())
 }
 
 impl Owner {
-    fn go_to(&mut self, goal: Seal, asked: Asked) -> Result<()> {
-        if let Some(warning) = passes_sealed(self.shared.published().seal, goal) {
-            log::warn!("{}gauge/seal: {warning}", self.shared.prefix);
-        }
-        let outcome = self.dataflash.go_to(&mut self.gauge, goal, asked.waited);
-        let outcome = self.noted(outcome);
-        self.publish_seal();
-        outcome
-    }
-
-    fn send(&mut self, code: u16, _: Asked) -> Result<()> {
-        let outcome =
-            self.settled_first().and_then(|()| self.check_takes(code)).and_then(|()| self.gauge.ask(code));
-        self.publish_seal();
-        // Until then whoever has asked before can read the answer, which says what it answers.
-        let answer =
-            outcome.inspect_err(|_| self.shared.publish(|published| published.control = Fact::default()))?;
-        self.shared.publish(|published| published.control.learn(published.presence, (code, answer)));
-        log::info!("{}Control(0x{code:04x}) answered 0x{answer:04x}", self.shared.prefix);
-        Ok(())
-    }
-
-    fn change_key(&mut self, change: keys::KeyChange, asked: Asked) -> Result<()> {
-        let settles = self.dataflash.owed().is_some();
-        let order = self.shared.challenge_order();
-        let outcome = self.dataflash.change_key(&mut self.gauge, &change, order, asked.waited);
-        if settles {
-            self.after_settling();
-        }
-        let outcome = self.noted(outcome);
-        self.publish_seal();
-        outcome?;
-        log::info!("{}{} key: changed and tried", self.shared.prefix, change.name.as_str());
-        Ok(())
-    }
-
-    fn authenticate(&mut self, challenge: Message, asked: Asked) -> Result<()> {
-        let order = self.shared.challenge_order();
-        let digest = authentication::ask(&mut self.gauge, &challenge, order, asked.waited);
-        let digest =
-            digest.inspect_err(|_| self.shared.publish(|published| published.digest = Fact::default()))?;
-        self.shared.publish(|published| published.digest.learn(published.presence, (challenge, digest)));
-        Ok(())
-    }
-
     fn set_interval(&mut self, interval: Duration, _: Asked) -> Result<()> {
         // By a longer interval it may seem that it has been there all the time.
-        if self.shared.published().snapshot.is_some() && !self.shared.is_present() {
-            self.begin_anew();
+        if self.shared().published().snapshot.is_some() && !self.shared().is_present() {
+            self.shared().begin_presence();
         }
-        self.shared.publish(|published| published.interval = interval);
+        self.shared().publish(|published| published.interval = interval);
         Ok(())
     }
 
     fn look_at_adapter(&mut self) -> Result<()> {
-        self.gauge.release_if_gone();
-        if self.schedule.has_failed() {
+        self.access.gauge().release_if_gone();
+        if self.access.schedule().has_failed() {
             self.poll_on_time();
         }
         Ok(())
-    }
-
-    /// Checks that the gauge takes a subcommand: one that is SEALED answers others, and does nothing.
-    fn check_takes(&mut self, code: u16) -> Result<()> {
-        let all = self.gauge.chip.subcommands;
-        let Some(subcommand) = all.iter().find(|one| one.code == code && !one.sealed) else { return Ok(()) };
-        if self.gauge.seal_anew()? != Seal::Sealed {
-            return Ok(());
-        }
-        let why = "a SEALED gauge does not take it, so it was not sent; write `unsealed` to gauge/seal before, and `sealed` \
-                   afterwards";
-        Err(Error::new(subcommand.name, Cause::NotPermitted, why))
-    }
-
-    /// Pays what is owed to the gauge. Until then no subcommand is sent: it would go to a gauge of which nobody knows
-    /// what it holds, or to another one.
-    fn settled_first(&mut self) -> Result<()> {
-        if self.dataflash.owed().is_some_and(|owed| !owed.needs_decision) {
-            self.pay();
-        }
-        match self.dataflash.owed() {
-            None => Ok(()),
-            Some(owed) => {
-                let what =
-                    format!("no subcommand is sent while an interrupted access is not settled: {}", owed.why);
-                let owed = Reason::Owed { decision: owed.needs_decision, what };
-                Err(Error::of(self.gauge.chip.name, owed).owing(true))
-            }
-        }
-    }
-
-    /// Returns the bytes of subclasses. Those that are not kept are read together, while the gauge is
-    /// unsealed once.
-    pub(super) fn read(&mut self, wanted: &[usize], waited: Duration) -> Result<Vec<Arc<[u8]>>> {
-        let kept: Vec<_> = wanted.iter().map(|&index| self.shared.kept(index)).collect();
-        let unread = wanted.iter().zip(&kept).filter(|(_, kept)| kept.is_none());
-        let unread: Vec<usize> = unread.map(|(&index, _)| index).collect();
-        let mut read = self.read_anew(&unread, waited)?.into_iter();
-        Ok(kept.into_iter().filter_map(|kept| kept.or_else(|| read.next())).collect())
-    }
-
-    fn know(&mut self, wanted: &[usize], waited: Duration) -> Result<()> {
-        if !wanted.is_empty() {
-            return self.read(wanted, waited).map(drop);
-        }
-        let outcome = self.dataflash.learn_pack(&mut self.gauge, waited);
-        self.noted(outcome)
-    }
-
-    pub(super) fn read_anew(&mut self, wanted: &[usize], waited: Duration) -> Result<Vec<Arc<[u8]>>> {
-        let rows: Vec<&Subclass> = wanted.iter().map(|&index| &self.gauge.chip.subclasses[index]).collect();
-        if rows.is_empty() {
-            return Ok(Vec::new());
-        }
-        let read = self.dataflash.read(&mut self.gauge, &rows, waited);
-        self.keep(wanted, read)
-    }
-
-    /// Reads what attributes and messages need of data flash, if the gauge is open: it is never unsealed for this.
-    pub(super) fn read_if_open(&mut self) {
-        let published = self.shared.published();
-        // Values that are about to be undone or restored must not be shown.
-        let is_settled = self.dataflash.owed().is_none() && !self.memory.is_waited_for();
-        let looked = self.looked.is_known(self.shared.content());
-        if looked || !is_settled || published.limited.is_some() || published.seal == Seal::Sealed {
-            return;
-        }
-        // A failure is in the log, and no reason to do without the gauge; the next look follows a change.
-        self.looked.learn(self.shared.content(), ());
-        let wanted = self.shared.unread_places();
-        let rows: Vec<&Subclass> = wanted.iter().map(|&index| &self.gauge.chip.subclasses[index]).collect();
-        if rows.is_empty() {
-            return;
-        }
-        let read = self.dataflash.read_if_open(&mut self.gauge, &rows).transpose();
-        if let Some(read) = read {
-            let _ = self.keep(&wanted, read);
-        }
-    }
-
-    /// Keeps the bytes of subclasses, and what they show.
-    fn keep(&mut self, wanted: &[usize], read: Result<Vec<Vec<u8>>>) -> Result<Vec<Arc<[u8]>>> {
-        let read = self.noted(read);
-        let first = &self.gauge.chip.subclasses[wanted[0]];
-        let read = read.map_err(|error| error.within(&format!("df of {}", first.name)));
-        let read = self.logged(Attempt::Read(wanted.to_vec()), read)?;
-        let read: Vec<Arc<[u8]>> = read.into_iter().map(Arc::from).collect();
-        if self.dataflash.doubts() {
-            log::warn!("{}: another pack answers, as data flash shows; it is read anew", self.shared.name());
-            self.forget_dataflash();
-            self.begin_anew();
-            self.schedule.hurry();
-        }
-        for (&index, bytes) in wanted.iter().zip(&read) {
-            self.shared.keep(index, bytes.clone(), self.schedule.number());
-        }
-        self.report_quirks();
-        Ok(read)
     }
 
     fn write(&mut self, changes: Vec<Change>, asked: Asked) -> Result<()> {
@@ -306,7 +220,7 @@ impl Owner {
     }
 
     fn commit(&mut self, (presence, changes): (Epoch<Presence>, Vec<Change>), asked: Asked) -> Result<()> {
-        if self.shared.published().presence == presence {
+        if self.shared().published().presence == presence {
             return self.write(changes, asked);
         }
         let why = "the gauge has been away or is another one since the commit was written, so nothing of it was done; check \
@@ -318,17 +232,16 @@ impl Owner {
         if changes.is_empty() {
             return Ok(());
         }
-        let begun = self.gauge.clock.now();
-        if self.dataflash.owed().is_some() {
-            self.pay();
+        let begun = self.access.now();
+        if self.access.owed().is_some() {
+            self.access.pay();
         }
         // While something is still owed the write is refused, and what data flash holds is no configuration.
-        if self.dataflash.owed().is_none() {
-            self.back_up(changes, waited)?;
+        if self.access.owed().is_none() {
+            self.backups.save(&mut self.access, changes, waited)?;
         }
-        let waited = waited + self.gauge.clock.now().saturating_sub(begun);
-        let outcome = self.dataflash.write(&mut self.gauge, changes, waited);
-        let outcome = self.noted(outcome);
+        let waited = waited + self.access.now().saturating_sub(begun);
+        let outcome = self.access.run(|dataflash, gauge| dataflash.write(gauge, changes, waited));
         match &outcome {
             Ok(Outcome::Unchanged) => {}
             Ok(Outcome::Written { reset: false, .. }) => {
@@ -336,92 +249,90 @@ impl Owner {
                     Some((subclass, _)) => ptr::eq(subclass, row),
                     None => change.place().subclass == row.id,
                 };
-                self.shared.forget(|row| changes.iter().any(|change| touched(row, change)));
-                self.looked = Fact::default();
+                self.shared().forget(|row| changes.iter().any(|change| touched(row, change)));
+                self.readings.look_again();
             }
             // After a reset, or a failure, nothing that was read before can be relied on.
             Ok(Outcome::Written { reset: true, .. }) => {
-                self.forget_values();
-                self.schedule.hurry();
+                self.shared().next_content();
+                self.access.hurry();
             }
             Err(_) => {
-                self.forget_values();
-                self.shared.doubt_scales_of(changes);
-                self.schedule.hurry();
+                self.shared().next_content();
+                self.shared().doubt_scales_of(changes);
+                self.access.hurry();
             }
         }
-        self.log_written(changes, &outcome?);
+        written::log(self.shared(), changes, &outcome?);
         Ok(())
-    }
-
-    /// Logs what each change of a write has replaced.
-    pub(super) fn log_written(&self, changes: &[Change], outcome: &Outcome) {
-        let prefix = format!("{}{}", self.shared.prefix, self.serial());
-        for change in changes {
-            let Place { subclass, offset } = change.place();
-            self.shared.note_scales(subclass, offset, change.bytes());
-        }
-        match outcome {
-            Outcome::Unchanged => {
-                for change in changes {
-                    log::info!("{prefix}{}: unchanged, nothing written", change.name());
-                }
-            }
-            Outcome::Written { old, .. } => {
-                for (change, old) in changes.iter().zip(old) {
-                    log::info!(
-                        "{prefix}{}: {}, written and verified",
-                        change.name(),
-                        difference(change, old)
-                    );
-                }
-            }
-        }
-    }
-
-    /// The pack's serial number at the last poll, as the beginning of a line of the log.
-    fn serial(&self) -> String {
-        let register = self.gauge.chip.serial_register();
-        let published = self.shared.published();
-        let word = register.and_then(|register| published.snapshot.as_ref()?.value(register));
-        word.map_or_else(String::new, |word| format!("serial 0x{word:04x}: "))
     }
 
     /// Looks at the gauge anew: forgets what was read of data flash, makes sure that it is the same gauge, and polls
     /// it.
     fn refresh(&mut self, submitted: Duration) -> Result<()> {
-        self.forget_values();
-        self.dataflash.suspect(self.gauge.chip);
+        self.shared().next_content();
+        self.access.suspect();
         // A look since then is as new as was asked for.
-        if self.schedule.is_newer_than(submitted) && submitted < self.identified {
+        if self.access.schedule().is_newer_than(submitted) && self.identity.was_asked_since(submitted) {
             return Ok(());
         }
-        self.gauge.wait(self.schedule.wait(self.gauge.clock.now()));
-        self.schedule.read_slow_tier();
+        self.access.wait_for_turn();
+        self.access.schedule().read_slow_tier();
         self.recognise().and_then(|()| self.update()).inspect_err(|error| self.asked_poll_failed(error))?;
-        self.repair_if_overdue();
+        self.memory.repair_if_overdue(&mut self.access);
         Ok(())
     }
 
-    /// Reads the seal state and CONTROL_STATUS, which a request may have changed. If that fails, so does the
-    /// next poll, which reports it.
-    pub(super) fn publish_seal(&mut self) {
-        if let Ok((seal, status)) = self.gauge.control_status() {
-            self.control_status = status;
-            self.shared.publish(|published| {
-                published.seal = seal;
-                if let Some(snapshot) = &mut published.snapshot {
-                    Arc::make_mut(snapshot).control_status = status;
-                }
-            });
+    /// Identifies and polls the gauge and reads blocks of data flash, records that, and publishes it.
+    fn make_report(&mut self, waited: Duration) -> Result<()> {
+        let recording = Recording::begin(&mut self.access);
+        let outcome = self.poll_for_report();
+        let report = recording.end(&mut self.access, outcome.is_ok(), waited);
+        outcome.inspect_err(|error| self.asked_poll_failed(error))?;
+        let report = Arc::new(report?);
+        self.shared().publish(|published| published.report = Some(report));
+        self.shared().succeeded(&REPORT.itself());
+        Ok(())
+    }
+
+    /// Begins as a mount does, so that the recording can be mounted.
+    fn poll_for_report(&mut self) -> Result<()> {
+        self.shared().forget_dataflash();
+        self.access.suspect();
+        self.recognise()?;
+        self.access.schedule().begin_anew();
+        for _ in 0..report::POLLS {
+            self.access.wait_for_turn();
+            self.update()?;
         }
+        Ok(())
+    }
+
+    /// Pays what is owed for the last time, and ends. An error says what remains.
+    fn end(&mut self) -> Result<()> {
+        self.turn.make_last();
+        self.access.pay_for_the_last_time()
+    }
+
+    /// The reason to refuse an operation that sends more than a poll does, before anything is sent.
+    pub(super) fn refusal(&self, waited: Duration) -> Option<Error> {
+        if self.identity.is_unverified() {
+            let why =
+                "it has not answered yet, so nothing is sent to its address; check that it is connected";
+            return Some(Error::new(self.shared().name(), Cause::Gone, why));
+        }
+        if let Some(error) = self.shared().limitation() {
+            return Some(error);
+        }
+        let why = "the gauge was busy with other requests for too long; nothing was sent, try again";
+        let late = || Error::new(self.access.chip().name, Cause::NotNow, why);
+        (waited > QUEUE_LIMIT).then(late)
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::super::Run;
-    use super::super::operation::QUEUE_LIMIT;
     use super::super::rig::{INTERVAL, Rig};
     use super::*;
     use crate::error::Cause;
@@ -479,19 +390,8 @@ mod tests {
     }
 
     #[test]
-    fn a_change_is_described_by_old_and_new_value() {
-        let chip = ti_gauge::chip::Chip::by_name("bq34z100-g1").expect("it has a table");
-        let of = |id: &str, offset: &str, old: &[u8], new: &[u8]| {
-            let row = chip.row(id, offset).expect("a parameter of the table");
-            let value = chip.layout.decode(row.1.kind, new);
-            difference(&Change::of_value(chip, row, &value, true).expect("a value in range"), old)
-        };
-        assert_eq!(of("80", "53", &[0x0b, 0xb8], &[0x0c, 0x1c]), "3000 -> 3100 mV");
-        assert_eq!(of("48", "4", &[0, 1], &[0, 7]), "0x0001 -> 0x0007");
-        assert_eq!(of("58", "3", &[0x00], &[0x5a]), "0x00 -> 0x5a");
-        assert_eq!(of("48", "31", b"\x04old\n       ", b"\x03new        "), "old%0a -> new");
-        let raw = Change::raw(chip, Place { subclass: 130, offset: 200 }, vec![0xab, 0xcd]).expect("no row");
-        assert_eq!(difference(&raw, &[0, 1]), "0001 -> abcd");
+    fn an_attempt_that_others_name_is_that_of_its_operation() {
+        assert_eq!((SETTLE.itself(), CALIBRATE.itself()), (Attempt::SETTLE, Attempt::CALIBRATE));
     }
 
     #[test]
@@ -519,7 +419,10 @@ mod tests {
     #[test]
     fn a_request_to_a_relative_without_a_table_is_refused() {
         let mut rig = Rig::open();
-        rig.owner.shared.publish(|published| published.limited = Some(Limited::Sibling(&SIBLINGS[0])));
+        rig.owner
+            .access
+            .shared()
+            .publish(|published| published.limited = Some(Limited::Sibling(&SIBLINGS[0])));
         refused(&mut rig, Duration::ZERO, |error| {
             matches!(error.cause(), Cause::NotPermitted) && error.to_string().starts_with(SIBLINGS[0].name)
         });

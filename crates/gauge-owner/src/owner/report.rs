@@ -8,7 +8,8 @@ use std::time::Duration;
 use jiff::Timestamp;
 use nix::errno::Errno;
 
-use super::{Answers, Owner, Seal, Snapshot, operations};
+use super::access::Access;
+use super::{Answers, Seal, Snapshot};
 use crate::error::{Cause, Error, Result};
 use gauge_bus::trace::Event;
 use ti_gauge::chip::{Chip, Kind, Limited, Row, Subclass};
@@ -16,8 +17,8 @@ use ti_gauge::dataflash::{anonymous, samples};
 use ti_gauge::gauge::{Effects, Statistics};
 use ti_gauge::value::{Type, Value};
 
-/// Polls in a report. A mount of the recording needs the first and the second, of which only that reads the slow tier.
-const POLLS: u32 = 3;
+/// Polls in a report. A mount of the recording needs the first one and the second one, which reads the slow tier.
+pub(super) const POLLS: u32 = 3;
 
 /// The place of a gauge.
 #[derive(Clone, Debug, Default)]
@@ -26,7 +27,7 @@ pub struct Origin {
     pub place: String,
     /// Its 7-bit address.
     pub address: u8,
-    /// The adapter, in words; empty where there is none.
+    /// The adapter, in words; empty without an adapter.
     pub adapter: String,
 }
 
@@ -47,8 +48,8 @@ pub struct Report {
     pub firmware: Vec<u8>,
     /// The subclasses of data flash that were read, none if the part is not known to have any; or why they were not.
     pub data_flash: Result<Vec<&'static Subclass>, String>,
-    /// Values of data flash that could decide what the table believes, where they were read; none is a number of the
-    /// pack's or a text.
+    /// Values of data flash that could decide what the table believes, where they were read, without numbers of the pack and
+    /// texts.
     pub values: Vec<(Row, Value)>,
     /// The steps of the last calibration since the mount, and what it has reached; empty for none.
     pub calibration: Arc<str>,
@@ -58,11 +59,11 @@ pub struct Report {
     pub events: Vec<Event>,
 }
 
-/// From a command until a look has shown its effect: how often that was seen, the longest time in which a look has shown it,
-/// and the longest after which one has not; in milliseconds.
+/// Times from a command to its effect, in milliseconds: the longest until a look has shown the effect, and the longest after
+/// which a look has not shown it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Effect {
-    /// How often.
+    /// Effects that were seen.
     pub count: u64,
     /// The first look that showed it.
     pub seen_ms: u64,
@@ -89,110 +90,105 @@ pub struct Times {
     pub offsets: Effect,
 }
 
-impl Owner {
-    /// Identifies and polls the gauge and reads a block of data flash, records that, and publishes it.
-    pub(super) fn make_report(&mut self, waited: Duration) -> Result<()> {
-        // What was published before is no report of what the gauge does now.
-        self.shared.publish(|published| published.report = None);
-        let (begun, taken) = (self.gauge.clock.now(), Timestamp::now());
-        self.gauge.record();
-        let outcome = self.poll_for_report();
-        let firmware = match &outcome {
-            Ok(()) => self.gauge.whole_firmware_answer().unwrap_or_default(),
-            Err(_) => Vec::new(),
+impl Times {
+    fn of(statistics: &Statistics) -> Self {
+        Self {
+            resets: Statistics::read(&statistics.resets),
+            commits: Effect::of(&statistics.commits),
+            reset_seals: Effect::of(&statistics.reset_seals),
+            offsets: Effect::of(&statistics.offsets),
+        }
+    }
+}
+
+/// A recording of what is sent for a report.
+pub(super) struct Recording {
+    begun: Duration,
+    taken: Timestamp,
+}
+
+impl Recording {
+    /// Begins it, and removes the last report, which does not describe the gauge as it is now.
+    pub(super) fn begin(access: &mut Access) -> Self {
+        access.shared().publish(|published| published.report = None);
+        let recording = Self { begun: access.now(), taken: Timestamp::now() };
+        access.gauge().record();
+        recording
+    }
+
+    /// Ends it. A gauge that was `polled` is reported with blocks of its data flash.
+    pub(super) fn end(self, access: &mut Access, polled: bool, waited: Duration) -> Result<Report> {
+        let firmware = match polled {
+            true => access.gauge().whole_firmware_answer().unwrap_or_default(),
+            false => Vec::new(),
         };
-        let published = self.shared.published();
-        let read = match &outcome {
-            Ok(()) => self.read_for_report(waited + self.gauge.clock.now().saturating_sub(begun)),
-            Err(_) => Err(String::new()),
+        let published = access.shared().published();
+        let read = match polled {
+            true => read(access, waited + access.now().saturating_sub(self.begun)),
+            false => Err(String::new()),
         };
         let (data_flash, values) = match read {
             Ok((read, values)) => (Ok(read), values),
             Err(why) => (Err(why), Vec::new()),
         };
-        let mut events = anonymous(self.gauge.chip, self.gauge.recorded());
-        outcome.inspect_err(|error| self.asked_poll_failed(error))?;
+        let mut events = anonymous(access.chip(), access.gauge().recorded());
         for event in &mut events {
             if let Event::Transfer { at, .. } = event {
-                *at = at.saturating_sub(begun);
+                *at = at.saturating_sub(self.begun);
             }
         }
         let Some(snapshot) = published.snapshot.clone() else {
-            return Err(Error::new(self.shared.name(), Cause::Gone, "it was not polled; try again"));
+            return Err(Error::new(access.shared().name(), Cause::Gone, "it was not polled; try again"));
         };
-        let (answers, limited, seal) = (published.answers, published.limited, published.seal);
-        let (calibration, statistics) = (published.calibration.clone(), &self.gauge.statistics);
-        let times = Times {
-            resets: Statistics::read(&statistics.resets),
-            commits: Effect::of(&statistics.commits),
-            reset_seals: Effect::of(&statistics.reset_seals),
-            offsets: Effect::of(&statistics.offsets),
-        };
-        let report = Report {
-            taken,
-            answers,
-            limited,
-            seal,
+        Ok(Report {
+            taken: self.taken,
+            answers: published.answers,
+            limited: published.limited,
+            seal: published.seal,
             snapshot,
             firmware,
             data_flash,
             values,
-            calibration,
-            times,
+            calibration: published.calibration.clone(),
+            times: Times::of(&access.shared().statistics),
             events,
-        };
-        self.shared.publish(|published| published.report = Some(Arc::new(report)));
-        self.shared.succeeded(&operations::REPORT.itself());
-        Ok(())
+        })
     }
+}
 
-    /// Begins as a mount does, so that the recording can be mounted.
-    fn poll_for_report(&mut self) -> Result<()> {
-        self.forget_dataflash();
-        self.dataflash.suspect(self.gauge.chip);
-        self.recognise()?;
-        self.schedule.begin_anew();
-        for _ in 0..POLLS {
-            self.gauge.wait(self.schedule.wait(self.gauge.clock.now()));
-            self.update()?;
-        }
-        Ok(())
+/// Reads blocks that hold nothing of one pack alone, and values that could decide a belief, as any access to `df` would. An
+/// error says why not, without the names of files.
+fn read(access: &mut Access, waited: Duration) -> Result<DataFlash, String> {
+    let chip = access.chip();
+    let (shared, rows) = (samples(chip), deciding(chip));
+    // A block with a number of the pack's is not in the recording, and what is shown of it is the row alone.
+    let holds = |index: &usize| rows.iter().any(|(row, _)| std::ptr::eq(*row, &chip.subclasses[*index]));
+    let more = (0..chip.subclasses.len()).filter(|index| holds(index) && !shared.contains(index));
+    let indices: Vec<usize> = shared.iter().copied().chain(more).collect();
+    if indices.is_empty() {
+        return Ok(Default::default());
     }
-
-    /// Reads blocks that belong to no one, and values that could decide a belief, as any access to `df` would. Returns why
-    /// not, without the names of files.
-    fn read_for_report(&mut self, waited: Duration) -> Result<DataFlash, String> {
-        let chip = self.gauge.chip;
-        let (shared, rows) = (samples(chip), deciding(chip));
-        // A block with a number of the pack's is not in the recording, and what is shown of it is the row alone.
-        let holds = |index: &usize| rows.iter().any(|(row, _)| std::ptr::eq(*row, &chip.subclasses[*index]));
-        let more = (0..chip.subclasses.len()).filter(|index| holds(index) && !shared.contains(index));
-        let indices: Vec<usize> = shared.iter().copied().chain(more).collect();
-        if indices.is_empty() {
-            return Ok(Default::default());
+    if let Some(limited) = access.shared().limitation() {
+        return Err(limited.to_string());
+    }
+    if access.owed().is_some() {
+        return Err("an interrupted access is still to be settled".into());
+    }
+    let read = access.read_anew(&indices, waited);
+    let value = |row: &Row| {
+        let place = (row.0.id, row.1.offset);
+        Some((*row, access.shared().kept_value(place, row.1.kind)?))
+    };
+    let values = rows.iter().filter_map(value).collect();
+    // What a mount of the recording has not read, this one has not either.
+    access.shared().forget_dataflash();
+    match read {
+        Ok(_) => Ok((shared.iter().map(|&index| &chip.subclasses[index]).collect(), values)),
+        Err(error) if error.errno() == Errno::EPERM as i32 => {
+            Err("the gauge is sealed and no key opens it".into())
         }
-        if let Some(limited) = self.limitation() {
-            return Err(limited.to_string());
-        }
-        if self.dataflash.owed().is_some() {
-            return Err("an interrupted access is still to be settled".into());
-        }
-        let read = self.read_anew(&indices, waited);
-        let value = |row: &Row| {
-            let place = (row.0.id, row.1.offset);
-            Some((*row, self.shared.kept_value(place, row.1.kind)?))
-        };
-        let values = rows.iter().filter_map(value).collect();
-        // What a mount of the recording has not read, this one has not either.
-        self.forget_dataflash();
-        match read {
-            Ok(_) => Ok((shared.iter().map(|&index| &chip.subclasses[index]).collect(), values)),
-            Err(error) if error.errno() == Errno::EPERM as i32 => {
-                Err("the gauge is sealed and no key opens it".into())
-            }
-            Err(error) if matches!(error.cause(), Cause::Io(_)) => Err("an error of the host".into()),
-            Err(error) => Err(error.to_string()),
-        }
+        Err(error) if matches!(error.cause(), Cause::Io(_)) => Err("an error of the host".into()),
+        Err(error) => Err(error.to_string()),
     }
 }
 

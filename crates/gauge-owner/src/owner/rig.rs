@@ -99,7 +99,7 @@ impl Rig {
     /// A report leaves no recording going on.
     pub fn gauge_records_nothing(&mut self) -> bool {
         self.owner.poll_on_time();
-        self.owner.gauge.recorded().is_empty()
+        self.owner.access.gauge().recorded().is_empty()
     }
 
     /// How many transfers the gauge has seen from its owner.

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT
 
-//! Files that say which host has saved them, as journals do: several hosts may keep theirs in one folder, where a place has
-//! the same name on each of them.
+//! Files that say which host has saved them, as journals do: several hosts may share a folder, and a place has the same
+//! name on each of them.
 
 use std::path::Path;
 
@@ -19,7 +19,7 @@ pub(super) fn unsigned(text: &str) -> &str {
     text.split_once('\n').filter(|(line, _)| machine(line).is_some()).map_or(text, |(_, rest)| rest)
 }
 
-/// Whether this host has saved a file. One that says nothing, as those of an earlier version, may be its own.
+/// Whether this host has saved a file. A file of an earlier version, which names no host, may be its own.
 pub(super) fn is_own(path: &Path) -> bool {
     let text = regular::read_text(path, image::LONGEST).unwrap_or_default();
     let line = text.split_once('\n').map_or(text.as_str(), |(line, _)| line);

@@ -12,7 +12,7 @@ use ti_gauge::chip::Effect;
 use ti_gauge::dataflash::Decision;
 use ti_gauge::text;
 
-/// Whatever is written means the same.
+/// Any text means the same.
 pub(super) fn anything(_: &Context, _: &[u8]) -> Result<()> {
     Ok(())
 }

@@ -1,10 +1,15 @@
 // SPDX-License-Identifier: MIT
 
+use std::time::Duration;
+
+use super::super::identity::check_identity;
 use super::super::rig::{INTERVAL, Rig};
-use super::super::{Run, Seal, operations as op};
+use super::super::{Answers, Run, Seal, operations as op};
 use super::*;
+use crate::error::{Cause, Error};
 use gauge_bus::Bus as _;
 use gauge_bus::clock::Clock as _;
+use ti_gauge::chip::{Chip, Limited};
 use ti_gauge::dataflash::Change;
 use ti_gauge::value::Value;
 
@@ -64,7 +69,7 @@ fn another_version_of_the_chip_says_which_one_is_proven() {
 #[test]
 fn a_gauge_without_a_table_is_only_read() {
     for chip in ti_gauge::chip::kernel::GAUGES {
-        let mut rig = Rig::of(chip.name, super::super::Run::default());
+        let mut rig = Rig::of(chip.name, Run::default());
         rig.sim.keep_log(true);
         rig.owner.open().expect("it answers");
         for _ in 0..12 {
@@ -92,7 +97,7 @@ fn a_gauge_without_a_table_is_only_read() {
 #[test]
 fn regression_the_firmware_that_is_shown_is_the_gauges() {
     for (chip, version) in [("bq27220", 0x0003), ("bq34110", 0x0100), ("bq35100", 0x0018)] {
-        let mut rig = Rig::of(chip, super::super::Run::default());
+        let mut rig = Rig::of(chip, Run::default());
         rig.owner.open().expect("it answers");
         assert_eq!(rig.handle.published().answers.firmware_version, version, "{chip}");
         rig.sim.set("firmware", "0x0201").expect("a knob");
@@ -122,7 +127,7 @@ fn with_image() -> Rig {
     let image = "chip = \"bq27441-g1\"\n[state]\ndesign-capacity = 1234\n";
     let image = ti_gauge::image::Image::parse(image, Some(chip)).expect("an image");
     let profile = image.to_restore().expect("values in range");
-    let run = super::super::Run { profile, ..super::super::Run::default() };
+    let run = Run { profile, ..Run::default() };
     let mut rig = Rig::of("bq27441-g1", run);
     rig.owner.open().expect("it answers");
     rig
@@ -176,7 +181,7 @@ fn a_failed_restoration_is_tried_again_until_it_succeeds() {
         rig.owner.poll_on_time();
         let failure = rig.handle.published().last_error.to_string();
         assert!(failure.starts_with("profile: ") && failure.contains("tried again"), "{failure}");
-        pauses.push(rig.owner.schedule.due(INTERVAL) - rig.clock.now());
+        pauses.push(rig.owner.access.schedule().due(INTERVAL) - rig.clock.now());
         rig.clock.sleep(INTERVAL);
         rig.sim.set("fault", CORRUPT).expect("a fault");
     }
@@ -223,8 +228,8 @@ fn terminate(rig: &mut Rig) -> u16 {
 /// Whether the gauge has been met anew since this was last asked.
 fn has_arrived(rig: &mut Rig) -> bool {
     let now = rig.handle.published().presence;
-    let was_known = rig.owner.backed_up.is_known(now);
-    rig.owner.backed_up.learn(now, ());
+    let was_known = rig.owner.backups.is_saved(now);
+    rig.owner.backups.note_saved(now);
     !was_known
 }
 
@@ -258,18 +263,18 @@ fn a_gauge_that_is_found_open_has_its_pack_described_once() {
     for rig in [&mut sealed, &mut open] {
         rig.owner.open().expect("it answers");
     }
-    assert!(sealed.owner.shared.unread_places().len() >= 3, "nothing is unsealed for it");
+    assert!(sealed.owner.access.shared().unread_places().len() >= 3, "nothing is unsealed for it");
     assert_eq!(sealed.sim.get("seal").as_deref(), Some("sealed"));
-    assert!(open.owner.shared.unread_places().is_empty());
+    assert!(open.owner.access.shared().unread_places().is_empty());
     assert_eq!(open.sim.get("seal").as_deref(), Some("unsealed"), "left as it was found");
     for _ in 0..12 {
         assert_eq!(transfers_of_a_poll(&mut open), transfers_of_a_poll(&mut sealed), "no poll is dearer");
     }
     // What a refresh forgets is read again.
     open.ask(&op::REFRESH, ()).expect("it answers");
-    assert!(!open.owner.shared.unread_places().is_empty());
+    assert!(!open.owner.access.shared().unread_places().is_empty());
     open.poll_after(INTERVAL);
-    assert!(open.owner.shared.unread_places().is_empty());
+    assert!(open.owner.access.shared().unread_places().is_empty());
 }
 
 #[test]
@@ -278,11 +283,11 @@ fn a_gauge_that_was_sealed_meanwhile_is_not_unsealed_to_describe_its_pack() {
     control(&rig, &KEYS);
     rig.owner.open().expect("it answers");
     control(&rig, &[SEALED]);
-    rig.owner.forget_dataflash();
+    rig.owner.access.shared().forget_dataflash();
     assert_ne!(rig.handle.published().seal, Seal::Sealed, "nothing has shown it yet");
     rig.owner.read_if_open();
     assert_eq!(rig.sim.get("seal").as_deref(), Some("sealed"));
-    assert!(!rig.owner.shared.unread_places().is_empty());
+    assert!(!rig.owner.access.shared().unread_places().is_empty());
 }
 
 #[test]
@@ -416,7 +421,7 @@ fn a_bit_error_in_a_poll_does_not_make_another_pack() {
                 rig.owner.poll_on_time();
                 rig.sim.set("fault", "none").expect("a knob");
                 rig.owner.poll_on_time();
-                let doubts = rig.owner.dataflash.doubts() || has_arrived(&mut rig);
+                let doubts = rig.owner.access.doubts() || has_arrived(&mut rig);
                 assert!(!doubts, "transfer {transfer} byte {byte} bit {bit}");
             }
         }
@@ -440,7 +445,8 @@ fn a_gauge_that_is_missing_at_first_is_opened_by_a_later_poll() {
     let missing = Some(Error::new("/dev/i2c-9", Cause::Gone, "no such bus"));
     let mut rig = Rig::new(Run { missing, unverified: true, ..Run::default() });
     let (sender, opened) = std::sync::mpsc::channel();
-    rig.owner.begin(&sender);
+    rig.owner.turn.begin_with(sender);
+    rig.owner.take_turn(None);
     let error = opened.try_recv().expect("an outcome").expect_err("it is missing");
     assert_eq!(*rig.handle.published().last_error, *error.to_string());
     assert_eq!(rig.transfers(), 0);

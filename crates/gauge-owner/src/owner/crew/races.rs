@@ -102,7 +102,7 @@ impl Rig {
         self.clock().passed
     }
 
-    /// Begins to wait, until that is so. Whoever makes it so counts this thread among those that have something to do.
+    /// Begins to wait, until that is so. The thread that makes it so counts this one among those that have something to do.
     fn wait_while(&self, mut clock: MutexGuard<'_, Clock>, is_waiting: impl Fn(&Clock) -> bool) {
         clock.rest();
         self.0.changed.notify_all();

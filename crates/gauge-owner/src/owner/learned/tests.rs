@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: MIT
 
+use super::super::learning::{EVERY_SEALED, FIRST, learning};
 use super::super::rig::{INTERVAL, Rig};
 use super::super::{Run, operations as op};
 use super::*;
 use gauge_bus::clock::Clock as _;
-use ti_gauge::chip::{CHIPS, FLAT};
+use ti_gauge::chip::{CHIPS, FLAT, Stays, Subclass};
 
 const QMAX: (u16, usize) = (82, 0);
 
@@ -26,10 +27,13 @@ fn chip() -> &'static Chip {
     Chip::by_name("bq27441-g1").expect("it has a table")
 }
 
-fn rig(folder: &std::path::Path, pack: Option<&str>) -> Rig {
+fn rig(folder: &Path, pack: Option<&str>) -> Rig {
+    rig_with(Learned::new(folder.into(), "i2c-1-55".into(), pack.map(String::from)))
+}
+
+fn rig_with(learned: Learned) -> Rig {
     let image = "chip = \"bq27441-g1\"\n[state]\ndesign-capacity = 1234\nqmax-cell-0 = 16000\n";
     let image = Image::parse(image, Some(chip())).expect("an image");
-    let learned = Learned::new(folder.into(), "i2c-1-55".into(), pack.map(String::from));
     let profile = image.to_restore().expect("values in range");
     let run = Run { profile, learned: Some(learned), ..Run::default() };
     let mut rig = Rig::of("bq27441-g1", run);
@@ -167,7 +171,7 @@ fn versions(rig: &mut Rig, qmaxes: &[u16]) -> Vec<Version> {
     for &qmax in qmaxes {
         learn(rig, qmax);
     }
-    let store = rig.owner.learned.clone().expect("it was given");
+    let store = rig.owner.memory.store().expect("it was given");
     store.files(chip()).into_iter().map(|(version, _)| version).collect()
 }
 
@@ -213,7 +217,7 @@ fn a_version_that_cannot_be_right_is_refused_with_the_reason() {
     let error = refused(&mut rig, &other);
     assert!(error.contains(&format!("there are {}, {}", there[0], there[1])), "{error}");
 
-    let store = rig.owner.learned.clone().expect("it was given");
+    let store = rig.owner.memory.store().expect("it was given");
     let path = store.files(chip())[0].1.clone();
     let text = fs::read_to_string(&path).expect("text");
     for (from, to, why) in [
@@ -282,9 +286,9 @@ fn regression_what_somebody_had_restored_was_replaced_by_the_profile() {
 fn a_clock_that_jumps_by_years_makes_no_older_version_the_newest() {
     let folder = folder("jumps");
     let rig = rig(&folder, Some("A"));
-    let store = rig.owner.learned.clone().expect("it was given");
+    let store = rig.owner.memory.store().expect("it was given");
     // Another daemon, as after a restart.
-    let stores = [store.clone(), rig.owner.learned.clone().expect("it was given")];
+    let stores = [store.clone(), rig.owner.memory.store().expect("it was given")];
     let times =
         ["2026-11-25T09:30:00Z", "1970-01-01T00:00:00Z", "2099-01-01T00:00:00Z", "2026-11-25T09:30:00Z"];
     for (number, time) in (0..).zip(times) {
@@ -505,7 +509,7 @@ fn what_cannot_be_right_is_neither_saved_nor_restored() {
 fn an_older_version_counts_where_the_newest_cannot_be_read() {
     let folder = folder("versions");
     let mut rig = rig(&folder, Some("A"));
-    let store = rig.owner.learned.clone().expect("it was given");
+    let store = rig.owner.memory.store().expect("it was given");
     for qmax in 0..15 {
         learn(&mut rig, 15_000 + qmax);
     }
@@ -553,7 +557,7 @@ fn a_loss_of_power_while_it_is_looked_at_saves_no_defaults() {
             rig.poll_after(Duration::from_secs(4));
         }
         // What was learned before is lost with the first cut; nothing else is ever there.
-        for (_, path) in rig.owner.learned.clone().expect("it was given").files(chip()) {
+        for (_, path) in rig.owner.memory.store().expect("it was given").files(chip()) {
             let text = fs::read_to_string(path).expect("text");
             let is_right =
                 ["15000", "16000"].iter().any(|qmax| text.contains(&format!("qmax-cell-0 = {qmax}")));
@@ -618,7 +622,7 @@ fn regression_what_a_gauge_had_after_an_unnoticed_loss_was_saved_as_learned() {
                     rig.poll_after(Duration::from_secs(4));
                 }
                 rig.poll_after(EVERY_SEALED);
-                let files = rig.owner.learned.clone().expect("it was given").files(chip);
+                let files = rig.owner.memory.store().expect("it was given").files(chip);
                 for (_, path) in &files {
                     let image = Image::open(path, Some(chip)).expect("an image");
                     for (_, row, value) in rows {
@@ -692,10 +696,8 @@ fn regression_a_capacity_of_zero_was_plausible_without_a_design_capacity() {
 
 /// A gauge in a bay of the same host, whose pack shows its name.
 fn in_bay(folder: &Path, bay: u32) -> Rig {
-    let mut rig = rig(folder, Some("A"));
-    let store = Learned::new(folder.into(), format!("i2c-{bay}-55"), None);
-    rig.owner.learned = Some(store.of_pack_anywhere(Some("A".into())));
-    rig.owner.memory.claim = None;
+    let learned = Learned::new(folder.into(), format!("i2c-{bay}-55"), None);
+    let mut rig = rig_with(learned.of_pack_anywhere(Some("A".into())));
     rig.poll_after(INTERVAL);
     rig
 }
@@ -831,8 +833,8 @@ fn a_host_that_is_on_for_two_minutes_saves_what_was_learned_while_it_was_off() {
 fn regression_a_gauge_that_is_polled_once_an_hour_had_its_first_look_after_an_hour() {
     let folder = folder("hourly");
     let mut rig = rig(&folder, Some("A"));
-    let store = rig.owner.learned.clone().expect("it was given");
-    rig.owner.shared.publish(|published| published.interval = Duration::from_secs(3600));
+    let store = rig.owner.memory.store().expect("it was given");
+    rig.owner.access.shared().publish(|published| published.interval = Duration::from_secs(3600));
     rig.poll_after(INTERVAL);
     for (qmax, limit) in [(15_432, FIRST), (15_433, EVERY_SEALED)] {
         learn_now(&mut rig, qmax);
@@ -840,7 +842,7 @@ fn regression_a_gauge_that_is_polled_once_an_hour_had_its_first_look_after_an_ho
         let polls = rig.transfers();
         while store.files(chip()).len() == before {
             // Nobody was asleep.
-            rig.owner.turned = None;
+            rig.owner.turn.pretend_ended(None);
             let pause = rig.owner.take_turn(None).expect("nobody ends it");
             rig.clock.sleep(pause);
             let took = rig.clock.now() - begun;

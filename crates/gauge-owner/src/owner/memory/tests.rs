@@ -3,6 +3,8 @@
 use super::super::rig::{INTERVAL, Rig};
 use super::super::{Run, operations as op};
 use super::*;
+use crate::choose::Choice;
+use crate::evidence::Evidence;
 use gauge_bus::clock::{Clock, RealClock, SimClock};
 use gauge_bus::{Bus, BusError};
 use gauge_sim::{Options, Sim, SimBus};
@@ -103,7 +105,7 @@ fn a_gauge_that_resets_as_soon_as_it_is_configured_is_left_alone_after_three_tri
         let mut modes = 0;
         for _ in 0..30 {
             rig.poll_after(INTERVAL);
-            let resets = Statistics::read(&rig.owner.gauge.statistics.resets);
+            let resets = Statistics::read(&rig.owner.access.shared().statistics.resets);
             modes = resets.max(modes);
         }
         // A try that fails without a flag that shows why is undone, too.
@@ -491,10 +493,11 @@ fn a_loss_while_the_host_was_asleep_is_found_when_it_is_awake() {
 #[test]
 fn regression_a_loss_in_a_sleep_that_stopped_no_clock_was_found_with_the_next_poll() {
     let mut rig = rig(Chip::by_name("bq27441-g1").expect("it has a table"), "");
-    rig.owner.shared.publish(|published| published.interval = Duration::from_secs(3600));
+    rig.owner.access.shared().publish(|published| published.interval = Duration::from_secs(3600));
     rig.poll_after(INTERVAL);
     let asleep = Duration::from_secs(20);
-    rig.owner.turned = std::time::Instant::now().checked_sub(asleep).map(|then| (rig.clock.now(), then));
+    let then = std::time::Instant::now().checked_sub(asleep).map(|then| (rig.clock.now(), then));
+    rig.owner.turn.pretend_ended(then);
     lose_power(&rig.sim);
     rig.clock.sleep(asleep);
     rig.owner.take_turn(None);
@@ -518,7 +521,7 @@ fn the_first_values_are_right_within_three_seconds_of_the_bus() {
         }
         let begun = rig.clock.now();
         rig.start().expect("it answers");
-        let due = rig.owner.schedule.due(INTERVAL);
+        let due = rig.owner.access.schedule().due(INTERVAL);
         rig.poll_after(due.saturating_sub(rig.clock.now()));
         let expected = chip.register(Role::ChargeFullDesign).map(|_| CAPACITY);
         assert_eq!(shown(&rig), expected, "{} {is_sealed}", chip.name);

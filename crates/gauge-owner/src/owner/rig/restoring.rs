@@ -105,7 +105,8 @@ pub fn cost(chip: &'static Chip, changes: &[Change], lost: Lost, as_a_write: boo
         // What attributes need of data memory is read afterwards.
         false => {
             rig.owner.update().expect("it answers");
-            rig.owner.keep_configured();
+            let owner = &mut *rig.owner;
+            owner.memory.keep_configured(&mut owner.access);
         }
     }
     let cost = Cost { transfers: rig.transfers() - transfers, time: rig.clock.now() - begun };

@@ -1,0 +1,94 @@
+// SPDX-License-Identifier: MIT
+
+//! Reading data flash for everybody: what was read is kept for as long as it is valid.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use super::super::Attempt;
+use super::super::handle::Shared;
+use super::Access;
+use crate::error::{Cause, Error, Result};
+use ti_gauge::chip::Subclass;
+use ti_gauge::dataflash::Place;
+
+impl Access {
+    /// Returns the bytes of subclasses. Those that are not kept are read together, while the gauge is unsealed once.
+    pub(in super::super) fn read(&mut self, wanted: &[usize], waited: Duration) -> Result<Vec<Arc<[u8]>>> {
+        let kept: Vec<_> = wanted.iter().map(|&index| self.shared.kept(index)).collect();
+        let unread = wanted.iter().zip(&kept).filter(|(_, kept)| kept.is_none());
+        let unread: Vec<usize> = unread.map(|(&index, _)| index).collect();
+        let mut read = self.read_anew(&unread, waited)?.into_iter();
+        Ok(kept.into_iter().filter_map(|kept| kept.or_else(|| read.next())).collect())
+    }
+
+    /// Reads subclasses, or without any what distinguishes the pack, so that a later access sees whether it is the same one.
+    pub(in super::super) fn know(&mut self, wanted: &[usize], waited: Duration) -> Result<()> {
+        if !wanted.is_empty() {
+            return self.read(wanted, waited).map(drop);
+        }
+        self.run(|dataflash, gauge| dataflash.learn_pack(gauge, waited))
+    }
+
+    /// Reads subclasses, whether they are kept or not.
+    pub(in super::super) fn read_anew(
+        &mut self,
+        wanted: &[usize],
+        waited: Duration,
+    ) -> Result<Vec<Arc<[u8]>>> {
+        let rows = self.rows(wanted);
+        if rows.is_empty() {
+            return Ok(Vec::new());
+        }
+        let read = self.dataflash.read(&mut self.gauge, &rows, waited);
+        self.keep(wanted, read)
+    }
+
+    /// Reads what attributes and messages need of data flash and what is not kept, if the gauge is open: it is never
+    /// unsealed for this.
+    pub(in super::super) fn read_if_open(&mut self) {
+        let wanted = self.shared.unread_places();
+        let rows = self.rows(&wanted);
+        if rows.is_empty() {
+            return;
+        }
+        let read = self.dataflash.read_if_open(&mut self.gauge, &rows).transpose();
+        // A failure is in the log, and no reason to do without the gauge.
+        if let Some(read) = read {
+            let _ = self.keep(&wanted, read);
+        }
+    }
+
+    fn rows(&self, wanted: &[usize]) -> Vec<&'static Subclass> {
+        wanted.iter().map(|&index| &self.gauge.chip.subclasses[index]).collect()
+    }
+
+    /// Keeps the bytes of subclasses, and what they show.
+    fn keep(&mut self, wanted: &[usize], read: Result<Vec<Vec<u8>>>) -> Result<Vec<Arc<[u8]>>> {
+        let read = self.noted(read);
+        let first = &self.gauge.chip.subclasses[wanted[0]];
+        let read = read.map_err(|error| error.within(&format!("df of {}", first.name)));
+        let read = self.shared.logged(Attempt::Read(wanted.to_vec()), read)?;
+        let read: Vec<Arc<[u8]>> = read.into_iter().map(Arc::from).collect();
+        if self.dataflash.doubts() {
+            self.note_another("data flash");
+        }
+        for (&index, bytes) in wanted.iter().zip(&read) {
+            self.shared.keep(index, bytes.clone(), self.schedule.number());
+        }
+        report_quirks(&self.shared);
+        Ok(read)
+    }
+}
+
+/// Reports the flaws that the table describes, if the bytes that show them have been read.
+fn report_quirks(shared: &Shared) {
+    for quirk in shared.chip.quirks {
+        let byte = shared.kept_byte((quirk.subclass, quirk.offset));
+        if byte.is_some_and(|byte| byte & quirk.mask == quirk.wrong) {
+            let file = format!("df/{}", Place::from((quirk.subclass, quirk.offset)));
+            let why = format!("{}; {}", quirk.effect, quirk.remedy);
+            shared.report(Attempt::Other, &Error::new(file, Cause::Protocol, why));
+        }
+    }
+}
