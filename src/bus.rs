@@ -82,8 +82,7 @@ impl<B: Bus> Target for Wired<B> {
             BusError::ArbitrationLost => Errno::AGAIN,
             BusError::Timeout | BusError::Hung(_) | BusError::TooSlow { .. } => Errno::TIMEDOUT,
             BusError::Gone => Errno::NODEV,
-            BusError::Busy => Errno::BUSY,
-            BusError::HasMux => Errno::OPNOTSUPP,
+            BusError::Busy | BusError::HasMux => Errno::BUSY,
             BusError::Short => Errno::IO,
             BusError::Other(number) | BusError::MaybeNoAck(number) => Errno::from_raw_os_error(number),
         })

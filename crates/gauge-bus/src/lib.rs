@@ -146,7 +146,7 @@ impl BusError {
             }
             BusError::HasMux => (
                 "the bus has got a mux, so the pack may change at any time; use the bus of its channel",
-                Errno::OPNOTSUPP,
+                Errno::BUSY,
                 false,
             ),
             BusError::ReadOnly => ("a recording takes no writes", Errno::ROFS, false),
