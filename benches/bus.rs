@@ -240,7 +240,7 @@ const AFTER_A_RESET: u64 = 2;
 fn rig(chip: &'static Chip, found: Seal) -> Result<(Arc<SimClock>, Gauge, DataFlash)> {
     let clock = Arc::new(SimClock::new());
     let sim = Sim::new(chip.name, &Options::default(), clock.clone()).expect("a simulated gauge");
-    let mut gauge = Gauge::new(chip, Box::new(sim.bus()), clock.clone(), Keys::default(), false);
+    let mut gauge = Gauge::new(chip, Box::new(sim.bus()), clock.clone(), Keys::default());
     clock.sleep(Duration::from_secs(2));
     if chip.name == BUDGETED {
         serve(&clock, &mut gauge)?;

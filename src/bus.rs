@@ -84,6 +84,7 @@ impl<B: Bus> Target for Wired<B> {
             BusError::Gone => Errno::NODEV,
             BusError::Busy | BusError::HasMux => Errno::BUSY,
             BusError::Short => Errno::IO,
+            BusError::TooLong { .. } => Errno::OPNOTSUPP,
             BusError::Other(number) | BusError::MaybeNoAck(number) => Errno::from_raw_os_error(number),
         })
     }

@@ -17,7 +17,8 @@ use crate::error::{Cause, Error, Result};
 use crate::output::{print, print_json};
 use gauge_bus::clock::{Clock, RealClock};
 use gauge_bus::linux::{Adapter, LinuxBus, adapters, described};
-use gauge_bus::{Bus, BusError, GAUGE_ADDRESS};
+use gauge_bus::{Bus, BusError, GAUGE_ADDRESS, Reach};
+use gauge_owner::GaugeOptions;
 use ti_gauge::chip::Role;
 use ti_gauge::probe::{self, ROM_ADDRESS, Reading, Target};
 use ti_gauge::rom;
@@ -155,10 +156,11 @@ impl Probe {
     }
 
     fn look(&self, adapter: &Adapter) -> Result<Report> {
+        let options = GaugeOptions { byte_writes: self.byte_writes, ..GaugeOptions::default() };
         let found = match self.address {
-            Some(address) => vec![examine(adapter, address, true, self.byte_writes)?],
+            Some(address) => vec![examine(adapter, address, true, options.reach())?],
             None => side_by_side(vec![
-                (GAUGE_ADDRESS, examine(adapter, GAUGE_ADDRESS, false, false)),
+                (GAUGE_ADDRESS, examine(adapter, GAUGE_ADDRESS, false, Reach::FULL)),
                 (ROM_ADDRESS, examine_rom(adapter)),
             ])?,
         };
@@ -244,7 +246,7 @@ fn advice(found: &[Found], bus: &str) -> String {
 }
 
 /// Looks at an address. Asks for the type only if the user has named the address.
-fn examine(adapter: &Adapter, address: u8, named: bool, byte_writes: bool) -> Result<Found> {
+fn examine(adapter: &Adapter, address: u8, named: bool, reach: Reach) -> Result<Found> {
     let found = |state, chips, details| Ok(Found { address, state, chips, details });
     if let Some(details) = driver(adapter, address) {
         return found(State::Driver, Vec::new(), details);
@@ -254,7 +256,7 @@ fn examine(adapter: &Adapter, address: u8, named: bool, byte_writes: bool) -> Re
         let bus = LinuxBus::open(adapter.clone(), address, clock.clone())?;
         Ok(Box::new(bus) as Box<dyn Bus>)
     };
-    let target = Target { open: &open, clock: &clock, byte_writes, clock_hz: adapter.clock_hz() };
+    let target = Target { open: &open, clock: &clock, reach, clock_hz: adapter.clock_hz() };
     let plausible = match probe::candidates(&target) {
         Ok(plausible) => plausible,
         Err(error) => match (unanswered(&error), Errno::from_raw(error.errno())) {

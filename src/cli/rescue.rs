@@ -174,7 +174,7 @@ fn bring_back(
     })?;
     wait_for(&mut *gauge, &**clock).map_err(within)?;
     // The type is asked for at the present address.
-    let mut gauge = Gauge::new(chip, gauge, clock.clone(), Keys::default(), false);
+    let mut gauge = Gauge::new(chip, gauge, clock.clone(), Keys::default());
     let answers = gauge.identify().map_err(within)?;
     print(&format!(
         "The gauge answers at 0x{GAUGE_ADDRESS:02x} again: device type 0x{:04x}, firmware 0x{:04x}.\n\

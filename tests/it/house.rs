@@ -832,7 +832,6 @@ fn an_option_of_a_gauge_stands_in_its_row_and_at_its_use() {
             "of what it becomes below the owner",
             &[
                 ("allow_learning", "crates/ti-gauge/"),
-                ("byte_writes", "crates/ti-gauge/"),
                 ("key_file", "crates/gauge-owner/src/owner.rs"),
                 ("key_file", "crates/ti-gauge/"),
                 ("writes_per_hour", "crates/ti-gauge/"),

@@ -14,7 +14,7 @@ use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
 use crate::clock::Clock;
-use crate::{Bus, BusError};
+use crate::{Bus, BusError, Reach};
 
 /// Longest wait for a transfer. The kernel's adapters give up after at most 5 s, most of them after 1 s.
 pub const PATIENCE: Duration = Duration::from_secs(8);
@@ -47,8 +47,9 @@ enum Job {
     Release,
 }
 
-/// The outcome of a job, and the bytes that were read; or the panic of the job.
-type Outcome = thread::Result<(Result<(), BusError>, Vec<u8>)>;
+/// The outcome of a job, the bytes that were read, and the reach of the bus, which has changed if the adapter has; or the
+/// panic of the job.
+type Outcome = thread::Result<(Result<(), BusError>, Vec<u8>, Reach)>;
 
 /// A bus, the thread that transfers on it, and the time that it may take.
 pub struct Bounded {
@@ -63,18 +64,21 @@ pub struct Bounded {
     overdue: bool,
     /// See [`Bus::limit`].
     latest: Option<Duration>,
+    /// That of the bus when it was last asked.
+    reach: Reach,
 }
 
 impl Bounded {
     /// Transfers on `bus`, a target of the adapter of that number and name, in a thread of its own.
     pub fn new(
-        bus: impl Bus + 'static,
+        mut bus: impl Bus + 'static,
         (adapter, name): (u64, String),
         patience: Duration,
         clock: Arc<dyn Clock>,
     ) -> Self {
         let (jobs, queue) = mpsc::channel();
         let (sender, outcomes) = mpsc::channel();
+        let reach = bus.reach();
         let thread = thread::Builder::new().name("bus".into()).stack_size(64 * 1024);
         // Without a thread each transfer reports the adapter as gone.
         let started = thread.spawn(move || run(bus, &queue, &sender));
@@ -83,7 +87,7 @@ impl Bounded {
         });
         names().insert(adapter, name);
         let (jobs, thread) = (Some(jobs), started.ok());
-        Self { adapter, patience, clock, jobs, outcomes, thread, overdue: false, latest: None }
+        Self { adapter, patience, clock, jobs, outcomes, thread, overdue: false, latest: None, reach }
     }
 
     /// Takes note of a transfer that has returned after all.
@@ -110,7 +114,10 @@ impl Bounded {
         let jobs = self.jobs.as_ref().ok_or(BusError::Gone)?;
         jobs.send(job).map_err(|_| BusError::Gone)?;
         match self.outcomes.recv_timeout(patience) {
-            Ok(Ok((outcome, read))) => outcome.map(|()| read),
+            Ok(Ok((outcome, read, reach))) => {
+                self.reach = reach;
+                outcome.map(|()| read)
+            }
             // As if it had happened here.
             Ok(Err(panic)) => panic::resume_unwind(panic),
             Err(RecvTimeoutError::Disconnected) => Err(BusError::Gone),
@@ -138,16 +145,19 @@ impl Drop for Bounded {
 
 fn run(mut bus: impl Bus, jobs: &Receiver<Job>, outcomes: &Sender<Outcome>) {
     while let Ok(job) = jobs.recv() {
-        let outcome = panic::catch_unwind(AssertUnwindSafe(|| match job {
-            Job::Transfer { write, read } => {
-                let mut bytes = vec![0; read];
-                (bus.transfer(&write, &mut bytes), bytes)
-            }
-            Job::Claim => (bus.claim(), Vec::new()),
-            Job::Release => {
-                bus.release_if_gone();
-                (Ok(()), Vec::new())
-            }
+        let outcome = panic::catch_unwind(AssertUnwindSafe(|| {
+            let (outcome, bytes) = match job {
+                Job::Transfer { write, read } => {
+                    let mut bytes = vec![0; read];
+                    (bus.transfer(&write, &mut bytes), bytes)
+                }
+                Job::Claim => (bus.claim(), Vec::new()),
+                Job::Release => {
+                    bus.release_if_gone();
+                    (Ok(()), Vec::new())
+                }
+            };
+            (outcome, bytes, bus.reach())
         }));
         if outcomes.send(outcome).is_err() {
             return;
@@ -160,6 +170,10 @@ impl Bus for Bounded {
         let bytes = self.carry_out(Job::Transfer { write: write.to_vec(), read: read.len() })?;
         read.copy_from_slice(&bytes);
         Ok(())
+    }
+
+    fn reach(&mut self) -> Reach {
+        self.reach
     }
 
     fn claim(&mut self) -> Result<(), BusError> {
@@ -185,10 +199,17 @@ mod tests {
     struct Driver {
         begun: Sender<Vec<u8>>,
         returns: Receiver<Result<(), BusError>>,
+        reach: Reach,
     }
 
     impl Bus for Driver {
+        fn reach(&mut self) -> Reach {
+            self.reach
+        }
+
         fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
+            // As another adapter.
+            self.reach.read -= 1;
             self.begun.send(write.to_vec()).expect("the test listens");
             read.fill(0x5a);
             self.returns.recv().expect("the test decides")
@@ -212,7 +233,7 @@ mod tests {
 
     fn rig(adapter: u64, patience: Duration) -> Rig {
         let ((begin, begun), (returns, returned)) = (mpsc::channel(), mpsc::channel());
-        let driver = Driver { begun: begin, returns: returned };
+        let driver = Driver { begun: begin, returns: returned, reach: Reach::smbus(32, false) };
         let named = (adapter, format!("/tmp/bus-{adapter}"));
         Rig { bus: Bounded::new(driver, named, patience, Arc::new(RealClock::new())), begun, returns }
     }
@@ -226,7 +247,9 @@ mod tests {
         let mut rig = rig(900, LONG);
         let mut read = [0; 3];
         rig.returns.send(Ok(())).expect("a driver");
+        assert_eq!(rig.bus.reach().read, 32);
         assert_eq!(rig.bus.transfer(&[8], &mut read), Ok(()));
+        assert_eq!(rig.bus.reach().read, 31, "that of the adapter which is there now");
         assert_eq!((rig.begun.recv(), read), (Ok(vec![8]), [0x5a; 3]));
         rig.returns.send(Err(BusError::NoAck)).expect("a driver");
         assert_eq!(rig.bus.transfer(&[8], &mut read), Err(BusError::NoAck));

@@ -82,6 +82,7 @@ impl embedded_hal::i2c::Error for BusError {
             | BusError::MaybeNoAck(_)
             | BusError::Hung(_)
             | BusError::TooSlow { .. }
+            | BusError::TooLong { .. }
             | BusError::Other(_) => ErrorKind::Other,
         }
     }

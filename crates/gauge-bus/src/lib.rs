@@ -48,11 +48,13 @@ pub mod error;
 pub mod hal;
 #[cfg(feature = "linux")]
 pub mod linux;
+mod reach;
 pub mod regular;
 pub mod replay;
 pub mod trace;
 
 pub use error::{Error, ErrorKind};
+pub use reach::Reach;
 
 /// The address of all supported gauges; it cannot be changed.
 pub const GAUGE_ADDRESS: u8 = 0x55;
@@ -93,6 +95,13 @@ pub enum BusError {
         milliseconds: u32,
         /// The limit, in milliseconds.
         limit: u32,
+    },
+    /// Not sent: a message has more bytes than the bus carries in one.
+    TooLong {
+        /// The bytes of the message.
+        bytes: u16,
+        /// The most that the bus carries.
+        most: u16,
     },
     /// Any other error number from the adapter.
     Other(i32),
@@ -172,6 +181,12 @@ impl BusError {
                 };
                 return (text.into(), Errno::TIMEDOUT.raw_os_error(), true);
             }
+            BusError::TooLong { bytes, most } => {
+                let text = format!(
+                    "a message of {bytes} bytes, and the adapter carries {most} at most; connect the gauge to another one"
+                );
+                return (text.into(), Errno::OPNOTSUPP.raw_os_error(), false);
+            }
             BusError::Other(number) => {
                 let text =
                     format!("the adapter answered: {}", error::reason(&io::Error::from_raw_os_error(number)));
@@ -242,6 +257,11 @@ pub trait Bus: Send {
     /// there by itself: a layer that forgot to pass on `set_secret` would leave keys in a recording below it.
     fn inner(&mut self) -> Option<&mut dyn Bus> {
         None
+    }
+
+    /// What it can carry. Whoever sends more is refused.
+    fn reach(&mut self) -> Reach {
+        self.inner().map_or(Reach::FULL, |bus| bus.reach())
     }
 
     /// Checks that no kernel driver is bound to the address, without a transfer.
@@ -315,7 +335,7 @@ mod tests {
         for errno in [Errno::OPNOTSUPP, Errno::INVAL, Errno::NOMEM, Errno::ACCESS, Errno::PERM] {
             assert!(!other(errno).is_transient(), "{errno}");
         }
-        let gone = [BusError::Gone, BusError::Hung(1)];
+        let gone = [BusError::Gone, BusError::Hung(1), BusError::TooLong { bytes: 3, most: 2 }];
         for error in gone.into_iter().chain([BusError::Busy, BusError::ReadOnly, BusError::NotRecorded]) {
             assert!(!error.is_transient(), "{error}");
         }
@@ -354,6 +374,10 @@ mod tests {
             Ok(())
         }
 
+        fn reach(&mut self) -> Reach {
+            Reach::smbus(32, false)
+        }
+
         fn claim(&mut self) -> Result<(), BusError> {
             self.keep("claim".into());
             Err(BusError::Busy)
@@ -390,6 +414,7 @@ mod tests {
         let told = Told::default();
         let said = told.0.clone();
         let mut bus: Box<dyn Bus> = Box::new(Layer(Box::new(Layer(Box::new(told)))));
+        assert_eq!(bus.reach(), Reach::smbus(32, false));
         assert_eq!(bus.claim(), Err(BusError::Busy));
         bus.limit(Some(Duration::from_secs(1)));
         bus.release_if_gone();

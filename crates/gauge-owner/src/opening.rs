@@ -230,7 +230,7 @@ impl Opening {
         let is_one_of_many = phase.is_some();
         let waits = is_one_of_many && source.chip().is_some();
         let opened = source.open(&self.mountpoint, &self.clock, waits)?;
-        let Opened { chip, bus, single, address, subject, sim, lock, journal_key, node, unverified, missing } =
+        let Opened { chip, bus, reach, address, subject, sim, lock, journal_key, node, unverified, missing } =
             opened;
         let head = format!("{} on {subject}, {:.0}", chip.name, Timestamp::now());
         let bus = options.traced(bus, address, &self.clock, &head)?;
@@ -240,7 +240,7 @@ impl Opening {
         };
         let run = options.run(keys, chip, &subject, place, self.no_backup)?;
         let run = Run {
-            single: run.single || single,
+            reach: run.reach.narrowed(reach),
             name: if is_one_of_many { name.clone() } else { String::new() },
             phase: phase.unwrap_or_default(),
             unverified,

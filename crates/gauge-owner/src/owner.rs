@@ -29,8 +29,8 @@ use nix::errno::Errno;
 use crate::choose::Choice;
 use crate::error::{Error, Result};
 use crate::options::GaugeOptions;
-use gauge_bus::Bus;
 use gauge_bus::clock::Clock;
+use gauge_bus::{Bus, Reach};
 use ti_gauge::chip::Chip;
 use ti_gauge::dataflash::{Change, DataFlash, Limits};
 use ti_gauge::gauge::Gauge;
@@ -104,8 +104,8 @@ pub struct Run {
     pub keys_from: Option<String>,
     /// Time between polls.
     pub interval: Duration,
-    /// Write one byte a transfer.
-    pub single: bool,
+    /// What it takes, whatever its bus carries.
+    pub reach: Reach,
     /// Limits on writes.
     pub limits: Limits,
     /// Configuration that is restored in RAM after a loss of power.
@@ -138,7 +138,7 @@ impl Default for Run {
             keys: Keys::default(),
             keys_from: None,
             interval: Duration::from_secs(30),
-            single: false,
+            reach: Reach::FULL,
             limits: Limits::default(),
             profile: Vec::new(),
             choices: Vec::new(),
@@ -205,7 +205,7 @@ impl Owner {
         signal: Arc<Signal>,
     ) -> (Box<Self>, Arc<Shared>) {
         let now = clock.now();
-        let mut gauge = Gauge::new(chip, bus, clock, run.keys, run.single);
+        let mut gauge = Gauge::new(chip, bus, clock, run.keys).within(run.reach);
         if let Some(file) = run.keys_from {
             gauge.key_file = file;
         }

@@ -120,7 +120,7 @@ impl GaugeOptions {
             keys,
             keys_from: key_file.or_else(key_file::of_credential),
             interval: self.interval(&Source::of(self)?),
-            single: self.is_single(),
+            reach: self.reach(),
             limits: Limits {
                 allow_learning: self.allow_learning,
                 writes_per_hour: self.writes_per_hour.unwrap_or(WRITES_PER_HOUR),

@@ -16,7 +16,7 @@ use gauge_bus::clock::Clock;
 use gauge_bus::error::ErrorKind;
 use gauge_bus::linux::{Adapter, LinuxBus};
 use gauge_bus::replay::{Recording, Replay};
-use gauge_bus::{Bus, GAUGE_ADDRESS};
+use gauge_bus::{Bus, GAUGE_ADDRESS, Reach};
 use gauge_sim::scenario::Scenario;
 use gauge_sim::{self, Level, Sim, SimBus};
 use gaugefs_client::mounts;
@@ -75,8 +75,8 @@ pub enum Source {
         address: u8,
         /// `None` where the gauge is asked.
         chip: Option<&'static Chip>,
-        /// Write one byte a transfer, also while the gauge is asked.
-        single: bool,
+        /// What the gauge takes, also while it is asked.
+        reach: Reach,
     },
 }
 
@@ -104,8 +104,8 @@ pub struct Opened {
     pub chip: &'static Chip,
     /// The way to it.
     pub bus: Box<dyn Bus>,
-    /// Its bus is faster than the manual allows for writes of several bytes.
-    pub single: bool,
+    /// What it takes at the clock of its bus.
+    pub reach: Reach,
     /// Its 7-bit address.
     pub address: u8,
     /// Its name in messages.
@@ -125,9 +125,9 @@ pub struct Opened {
 }
 
 impl GaugeOptions {
-    /// Whether it is written to one byte a transfer, wherever it is.
-    pub(crate) fn is_single(&self) -> bool {
-        self.byte_writes
+    /// What it takes, wherever it is.
+    pub fn reach(&self) -> Reach {
+        if self.byte_writes { Reach::ONE_BYTE_A_WRITE } else { Reach::FULL }
     }
 }
 
@@ -151,7 +151,7 @@ impl Source {
                 bus: bus.clone(),
                 address: options.address.unwrap_or(options.chip.map_or(GAUGE_ADDRESS, |chip| chip.address)),
                 chip: options.chip,
-                single: options.is_single(),
+                reach: options.reach(),
             }),
             (None, None) => Err(Error::new(
                 "gauge",
@@ -228,8 +228,8 @@ impl Source {
                 let (chip, replay) = recorded(path)?;
                 Ok(Opened::new(chip, Box::new(replay), subject))
             }
-            &Self::Bus { ref bus, address, chip, single } => {
-                let opened = on_bus(bus, address, chip, single, &subject, mountpoint, clock);
+            &Self::Bus { ref bus, address, chip, reach } => {
+                let opened = on_bus(bus, address, chip, reach, &subject, mountpoint, clock);
                 let opened = match (opened, chip) {
                     (Err(error), Some(chip)) if waits && may_come(&error) => {
                         absent(bus, address, chip, subject, error, clock)?
@@ -286,7 +286,7 @@ fn on_bus(
     bus: &Path,
     address: u8,
     chip: Option<&'static Chip>,
-    single: bool,
+    reach: Reach,
     subject: &str,
     mountpoint: &Path,
     clock: &Arc<dyn Clock>,
@@ -301,11 +301,11 @@ fn on_bus(
         Some(chip) => chip,
         None => {
             let clock_hz = adapter.clock_hz();
-            probe::find(subject, &Target { open: &open, clock, byte_writes: single, clock_hz })?
+            probe::find(subject, &Target { open: &open, clock, reach, clock_hz })?
         }
     };
     Ok(Opened {
-        single: known.is_slower_than(adapter.clock_hz()),
+        reach: known.reach_at(adapter.clock_hz()),
         lock: Some(lock),
         journal_key: Some(lock::key_of_gauge(&adapter, address)),
         unverified: chip.is_some(),
@@ -353,7 +353,7 @@ impl Opened {
         Self {
             chip,
             bus,
-            single: false,
+            reach: Reach::FULL,
             address: chip.address,
             subject,
             sim: None,

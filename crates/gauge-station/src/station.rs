@@ -28,7 +28,7 @@ use crate::error::{Cause, Error, Result};
 use crate::options::Date;
 use crate::setup::Setup;
 use gauge_bus::clock::Clock;
-use gauge_bus::{Bus, regular};
+use gauge_bus::{Bus, Reach, regular};
 use gauge_owner::{GaugeOptions, Run, Source, journal_dir, key_file};
 use gaugefs_host::sign::Sign;
 use gaugefs_host::{input, program};
@@ -146,8 +146,8 @@ struct Bench {
     subject: String,
     /// The folder of its journal and backups, and its name there.
     place: (PathBuf, String),
-    /// The bus is faster than the manual allows.
-    is_fast: bool,
+    /// What packs take at the clock of the bus.
+    reach: Reach,
 }
 
 /// What all benches of a station share.
@@ -354,15 +354,15 @@ impl Plan {
         self.image.chip
     }
 
-    /// The bench of a gauge. `is_fast` and `journal_key` are properties of its bus.
-    fn bench(&self, at: usize, subject: String, is_fast: bool, journal_key: Option<String>) -> Result<Bench> {
+    /// The bench of a gauge. `reach` and `journal_key` are properties of its bus.
+    fn bench(&self, at: usize, subject: String, reach: Reach, journal_key: Option<String>) -> Result<Bench> {
         let (keys, new_keys) = self.keys[at].clone();
         let folder = self.setup.options.state_dir.as_deref().or(Some(&self.setup.images));
         // A mount looks for journals of packs on a bus there.
         let folder = if journal_key.is_some() { self.setup.options.state_dir.as_deref() } else { folder };
         let place = journal_dir::place(folder, journal_key)?.unwrap_or_default();
         let (name, options) = self.setup.gauges[at].clone();
-        Ok(Bench { name, options, keys, new_keys, subject, place, is_fast })
+        Ok(Bench { name, options, keys, new_keys, subject, place, reach })
     }
 }
 
@@ -397,7 +397,7 @@ impl Bench {
         let keys = self.keys.clone();
         let run = self.options.run(keys, chip, &self.subject, place, no_backup)?;
         Ok(Run {
-            single: run.single || self.is_fast,
+            reach: run.reach.narrowed(self.reach),
             journal: run.journal.map(|journal| journal.on(station.disk.clone())),
             name: self.name.clone(),
             unverified: true,

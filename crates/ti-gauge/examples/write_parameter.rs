@@ -34,7 +34,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     };
     let chip = Chip::by_name("bq34z100-g1").expect("it has a table");
     // Without a key of its own, the gauge is unsealed with the manual's default.
-    let mut gauge = Gauge::new(chip, bus, clock, Keys::default(), false);
+    let mut gauge = Gauge::new(chip, bus, clock, Keys::default());
     let mut dataflash = DataFlash::default();
 
     let (subclass, parameter) = chip.row("80", "53").expect("Cell Terminate Voltage");

@@ -10,6 +10,7 @@ use std::time::Duration;
 use crate::codec::Layout;
 use crate::text;
 use crate::value::Type;
+use gauge_bus::Reach;
 
 pub mod bq27220;
 pub mod bq27421_g1;
@@ -785,9 +786,12 @@ impl Subcommand {
 }
 
 impl Chip {
-    /// Whether it takes only one byte per write at that clock of the bus, where the clock is known.
-    pub fn is_slower_than(&self, clock_hz: Option<u32>) -> bool {
-        self.byte_writes_above_hz.zip(clock_hz).is_some_and(|(limit_hz, clock_hz)| clock_hz > limit_hz)
+    /// What it takes at that clock of the bus, where the clock is known: above a limit one byte a write.
+    pub fn reach_at(&self, clock_hz: Option<u32>) -> Reach {
+        match self.byte_writes_above_hz.zip(clock_hz) {
+            Some((limit_hz, clock_hz)) if clock_hz > limit_hz => Reach::ONE_BYTE_A_WRITE,
+            _ => Reach::FULL,
+        }
     }
 
     /// Every chip: those with a table, then those of which only the standard commands are known.

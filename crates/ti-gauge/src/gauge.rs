@@ -12,8 +12,8 @@ pub use crate::chip::Answers;
 use crate::chip::Chip;
 use crate::error::{Cause, Error, Result, Step};
 use crate::keys::Keys;
-use gauge_bus::Bus;
 use gauge_bus::clock::Clock;
+use gauge_bus::{Bus, Reach};
 
 mod access;
 mod control;
@@ -71,13 +71,7 @@ pub struct Gauge {
 
 impl Gauge {
     /// A gauge with a chip's table on a bus. Nothing is sent yet.
-    pub fn new(
-        chip: &'static Chip,
-        bus: Box<dyn Bus>,
-        clock: Arc<dyn Clock>,
-        keys: Keys,
-        byte_writes: bool,
-    ) -> Self {
+    pub fn new(chip: &'static Chip, bus: Box<dyn Bus>, clock: Arc<dyn Clock>, keys: Keys) -> Self {
         let statistics = Arc::default();
         Self {
             chip,
@@ -87,10 +81,17 @@ impl Gauge {
             dialect: dialect::of(chip),
             presence: Presence::default(),
             effects: Watch::default(),
-            wire: Wire::new(bus, byte_writes),
+            wire: Wire::new(bus),
             looks: Looks::new(),
             access: Access::new(keys),
         }
+    }
+
+    /// The gauge within a reach, where it takes less than its bus carries.
+    #[must_use]
+    pub fn within(mut self, reach: Reach) -> Self {
+        self.wire.within(reach);
+        self
     }
 
     /// Forgets all that is known of the gauge, after an access that was not brought to its end.

@@ -29,7 +29,7 @@
 //! clock.sleep(Duration::from_secs(1)); // from power to the first voltage
 //!
 //! let chip = Chip::by_name("bq34z100-g1").expect("a table");
-//! let mut gauge = Gauge::new(chip, Box::new(sim.bus()), clock, Keys::default(), false);
+//! let mut gauge = Gauge::new(chip, Box::new(sim.bus()), clock, Keys::default());
 //! let mut dataflash = DataFlash::default();
 //!
 //! let row = chip.row("80", "53").expect("Cell Terminate Voltage");

@@ -16,7 +16,7 @@ use crate::gauge::{Answers, Gauge};
 use crate::keys::Keys;
 use crate::registers::{Registers, bursts};
 use gauge_bus::clock::Clock;
-use gauge_bus::{Bus, BusError};
+use gauge_bus::{Bus, BusError, Reach};
 
 /// The address of a gauge in ROM mode.
 pub const ROM_ADDRESS: u8 = 0x0b;
@@ -65,8 +65,8 @@ pub struct Target<'a> {
     pub open: &'a Open<'a>,
     /// Clock for waiting.
     pub clock: &'a Arc<dyn Clock>,
-    /// Write one byte per transfer, at any bus clock.
-    pub byte_writes: bool,
+    /// What the device takes, at any clock of the bus.
+    pub reach: Reach,
     /// Clock of the bus, if known.
     pub clock_hz: Option<u32>,
 }
@@ -74,8 +74,8 @@ pub struct Target<'a> {
 impl Target<'_> {
     /// The device as a given chip.
     fn gauge(&self, chip: &'static Chip) -> Result<Gauge> {
-        let byte_writes = self.byte_writes || chip.is_slower_than(self.clock_hz);
-        Ok(Gauge::new(chip, (self.open)()?, self.clock.clone(), Keys::default(), byte_writes))
+        let gauge = Gauge::new(chip, (self.open)()?, self.clock.clone(), Keys::default());
+        Ok(gauge.within(self.reach.narrowed(chip.reach_at(self.clock_hz))))
     }
 }
 

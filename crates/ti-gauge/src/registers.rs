@@ -276,7 +276,7 @@ mod tests {
         let polled = |code| chip.register_at(Source::Command(code)).expect("a register");
         let read = |broken| {
             let clock = Arc::new(SimClock::new());
-            let mut gauge = Gauge::new(chip, Box::new(Addresses { broken }), clock, Keys::default(), false);
+            let mut gauge = Gauge::new(chip, Box::new(Addresses { broken }), clock, Keys::default());
             let mut registers = Registers::unread(chip.registers);
             let outcome = registers.read(&mut gauge, |tier| tier == Tier::Poll);
             (outcome.is_ok(), registers)

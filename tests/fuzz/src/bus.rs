@@ -10,7 +10,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use gauge_bus::clock::{Clock, SimClock};
-use gauge_bus::{Bus, BusError};
+use gauge_bus::{Bus, BusError, Reach};
 use gauge_sim::{Options, Sim, SimBus};
 use ti_gauge::authentication::Order;
 use ti_gauge::chip::{Chip, FLAT, Kind, Subclass, Tier};
@@ -153,7 +153,7 @@ pub(crate) fn run(input: &[u8]) {
     match access % 9 {
         0 => {
             let open = || Ok(bus());
-            let target = Target { open: &open, clock: &timed, byte_writes: false, clock_hz: None };
+            let target = Target { open: &open, clock: &timed, reach: Reach::FULL, clock_hz: None };
             let _ = probe::find("bus", &target);
             let _ = probe::answers_in_rom(&mut *bus());
         }

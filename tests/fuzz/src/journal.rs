@@ -45,7 +45,7 @@ fn settle(name: &str, input: &[u8], decision: Option<Decision>) {
         _ => (104, 1),
     };
     sim.set_flash(subclass.into(), offset, &[3]);
-    let mut gauge = Gauge::new(chip, Box::new(sim.bus()), clock.clone(), Keys::default(), false);
+    let mut gauge = Gauge::new(chip, Box::new(sim.bus()), clock.clone(), Keys::default());
     let disk = Memory::default();
     let journal = disk.journal();
     let path = journal.path();

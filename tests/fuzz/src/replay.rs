@@ -28,7 +28,7 @@ pub(crate) fn run(input: &[u8]) {
     assert!(replay.transfer(&[0x40, 1], &mut []).is_err());
     assert!(replay.transfer(&[0x60, 1], &mut []).is_err());
     let _ = replay.transfer(&[0xff, 1, 2, 3], &mut [0; 40]);
-    let mut gauge = Gauge::new(chip, Box::new(replay), Arc::new(SimClock::new()), Keys::default(), false);
+    let mut gauge = Gauge::new(chip, Box::new(replay), Arc::new(SimClock::new()), Keys::default());
     let _ = gauge.identify();
     let mut registers = Registers::unread(chip.registers);
     let _ = registers.read(&mut gauge, |tier| tier != Tier::Window);

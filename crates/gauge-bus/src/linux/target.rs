@@ -19,8 +19,10 @@ use super::{Adapter, I2C_FUNC_I2C, functions, hold};
 use crate::bounded::{Bounded, PATIENCE};
 use crate::clock::Clock;
 use crate::error::{Driver, Error, ErrorKind, Result};
-use crate::{Bus, BusError};
+use crate::{Bus, BusError, Reach};
 
+/// It sends and compares packet error codes.
+const I2C_FUNC_SMBUS_PEC: libc::c_ulong = 8;
 /// Bus-free time that the gauges need between transfers at 400 kHz; it costs little at 100 kHz.
 const BUS_FREE: Duration = Duration::from_micros(66);
 
@@ -36,6 +38,8 @@ struct Target {
     address: u8,
     /// What is known of the adapter's driver.
     row: Option<&'static Row>,
+    /// What the adapter that was there last carries.
+    reach: Reach,
     clock: Arc<dyn Clock>,
     /// `None` while the adapter is unplugged.
     device: Option<LinuxI2CDevice>,
@@ -88,8 +92,9 @@ impl LinuxBus {
         let name = format!("{adapter} 0x{address:02x}");
         let last = clock.now().saturating_sub(BUS_FREE);
         let row = open.as_ref().and_then(|_| adapter.row());
+        let reach = open.as_ref().map_or(Reach::FULL, |(device, _)| reach(device));
         let (device, above) = open.map_or((None, Vec::new()), |(device, above)| (Some(device), above));
-        let target = Target { adapter, address, row, clock: clock.clone(), device, above, last };
+        let target = Target { adapter, address, row, reach, clock: clock.clone(), device, above, last };
         let named = (number, target.adapter.to_string());
         Self { target: Bounded::new(target, named, PATIENCE, clock), name }
     }
@@ -118,6 +123,7 @@ impl Target {
                 let device = device.map_err(|error| claim_error(errno(&error)))?;
                 self.adapter.refuse_mux().map_err(|_| BusError::HasMux)?;
                 self.above = hold_all(&device, &self.adapter, self.address).map_err(|_| BusError::Busy)?;
+                self.reach = reach(&device);
                 Ok(gone.insert(device))
             }
         }
@@ -163,6 +169,10 @@ impl Bus for Target {
         }
     }
 
+    fn reach(&mut self) -> Reach {
+        self.reach
+    }
+
     fn release_if_gone(&mut self) {
         if !self.adapter.is_there() {
             self.close();
@@ -174,6 +184,12 @@ impl Bus for Target {
         self.device()?.set_slave_address(address).map_err(|error| claim_error(errno(&error)))?;
         self.adapter.refuse_mux().map_err(|_| BusError::HasMux)
     }
+}
+
+/// What an adapter carries. I2C_FUNCS says what kinds of messages; their longest lengths are known to its driver alone.
+fn reach(device: &LinuxI2CDevice) -> Reach {
+    let pec = functions(device).unwrap_or(0) & I2C_FUNC_SMBUS_PEC != 0;
+    Reach { pec, ..Reach::FULL }
 }
 
 /// Locks the gauge on its own adapter, and on each adapter in front of a mux that leads to it; the latter together with

@@ -9,7 +9,7 @@ use super::{Bench, Plan, STEADY, Slot};
 use crate::error::{Error, Result};
 use crate::options::Rehearsed;
 use gauge_bus::clock::Clock;
-use gauge_bus::{Bus, BusError};
+use gauge_bus::{Bus, BusError, Reach};
 use gauge_owner::Source;
 use gauge_owner::lock::{self, Lock};
 use gauge_sim::{Level, Sim};
@@ -53,14 +53,14 @@ impl Place {
                 looks: STEADY,
                 error: None,
             };
-            return Ok(Self { bench: plan.bench(at, subject, false, key)?, slot: Box::new(slot) });
+            return Ok(Self { bench: plan.bench(at, subject, Reach::FULL, key)?, slot: Box::new(slot) });
         }
         // The image tells the part, so no device is asked before its registers read like that part's.
         if let Source::Bus { chip, .. } = &mut source {
             *chip = Some(chip_of_packs);
         }
         let opened = source.open(Path::new(""), clock, false)?;
-        let bench = plan.bench(at, opened.subject, opened.single, opened.journal_key)?;
+        let bench = plan.bench(at, opened.subject, opened.reach, opened.journal_key)?;
         let bus = Shared(Arc::new(Mutex::new(opened.bus)));
         let slot = Wired { looks: Looks::of(chip_of_packs), bus, clock: clock.clone(), _lock: opened.lock };
         Ok(Self { bench, slot: Box::new(slot) })
@@ -80,6 +80,10 @@ impl Shared {
 impl Bus for Shared {
     fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
         self.with(|bus| bus.transfer(write, read))
+    }
+
+    fn reach(&mut self) -> Reach {
+        self.with(|bus| bus.reach())
     }
 
     fn claim(&mut self) -> Result<(), BusError> {

@@ -10,7 +10,7 @@ use std::time::Duration;
 use std::{fs, io};
 
 use gauge_bus::clock::{Clock, SimClock};
-use gauge_bus::{Bus, BusError};
+use gauge_bus::{Bus, BusError, Reach};
 use gauge_sim::{Sim, SimBus};
 use sha2::{Digest, Sha256};
 use ti_gauge::chip::{Chip, Kind};
@@ -347,7 +347,7 @@ impl Line {
     fn start(plan: Plan, typed: &[&str], cut: Option<u64>) -> Result<Self> {
         let said = Said::default();
         let power = Arc::new(Power { cut, ..Power::default() });
-        let bench = plan.bench(0, "i2c-1 address 0x55".into(), false, Some(KEY.into()))?;
+        let bench = plan.bench(0, "i2c-1 address 0x55".into(), Reach::FULL, Some(KEY.into()))?;
         let disk = Arc::new(Memory(power.clone()));
         let stops = Arc::new(AtomicBool::new(false));
         let station = Station::start(plan, disk, Box::new(said.clone()), Lines::of(typed), None, stops)?;

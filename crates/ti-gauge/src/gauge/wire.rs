@@ -13,7 +13,7 @@ use super::effects::Seen;
 use super::statistics::Statistics;
 use crate::error::{Cause, Error, Result, Step};
 use gauge_bus::trace::Event;
-use gauge_bus::{Bus, BusError, wire_bytes};
+use gauge_bus::{Bus, BusError, Reach, wire_bytes};
 
 mod recognise;
 
@@ -33,7 +33,8 @@ const BUS_FREE: Duration = Duration::from_micros(66);
 /// The bus, and what is known of the transfers on it.
 pub(super) struct Wire {
     bus: Box<dyn Bus>,
-    byte_writes: bool,
+    /// What the gauge takes, whatever its bus carries.
+    takes: Reach,
     /// Transfers are not recorded while this is not 0.
     secrets: u32,
     /// The transfers since [`Gauge::record`].
@@ -61,10 +62,10 @@ struct Limit {
 }
 
 impl Wire {
-    pub(super) fn new(bus: Box<dyn Bus>, byte_writes: bool) -> Self {
+    pub(super) fn new(bus: Box<dyn Bus>) -> Self {
         Self {
             bus,
-            byte_writes,
+            takes: Reach::FULL,
             secrets: 0,
             recording: None,
             failures: 0,
@@ -74,6 +75,10 @@ impl Wire {
             rested: Cell::default(),
             limit: None,
         }
+    }
+
+    pub(super) fn within(&mut self, reach: Reach) {
+        self.takes = reach;
     }
 }
 
@@ -260,9 +265,9 @@ impl Gauge {
         Ok(())
     }
 
-    /// Whether the bus takes one byte a write.
-    pub(super) fn writes_bytes(&self) -> bool {
-        self.wire.byte_writes
+    /// Whether the gauge takes one byte a write.
+    pub(super) fn takes_bytes(&self) -> bool {
+        self.wire.takes.write <= Reach::ONE_BYTE_A_WRITE.write
     }
 
     /// Makes sure that no kernel driver has taken the address.

@@ -280,7 +280,7 @@ impl Run {
             fault,
             armed: armed.clone(),
         };
-        let gauge = Gauge::new(self.chip, Box::new(bus), self.clock.clone(), Keys::default(), false);
+        let gauge = Gauge::new(self.chip, Box::new(bus), self.clock.clone(), Keys::default());
         let dataflash = DataFlash::new(Limits::default(), Some(self.folder.journal()));
         Booted { gauge, dataflash, transfers, armed, changes: Vec::new() }
     }

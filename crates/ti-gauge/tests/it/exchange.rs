@@ -142,7 +142,7 @@ struct Scene {
 
 fn open_second(sim: &Sim, rig: &Rig, key: Option<[u16; 2]>, found: Seal) {
     let keys = key.map_or_else(Keys::default, |key| Keys::of(Name::Unseal, &key.into()));
-    let mut gauge = Gauge::new(rig.gauge.chip, Box::new(sim.bus()), rig.clock.clone(), keys, false);
+    let mut gauge = Gauge::new(rig.gauge.chip, Box::new(sim.bus()), rig.clock.clone(), keys);
     DataFlash::default().go_to(&mut gauge, found, Duration::ZERO).expect("its own key");
 }
 
@@ -190,8 +190,7 @@ impl Scene {
         let mut other = Rig::on(table, self.second.clone(), self.first.clock.clone());
         if self.draw.is_new {
             let keys = key.map_or_else(Keys::default, |key| Keys::of(Name::Unseal, &key.into()));
-            other.gauge =
-                Gauge::new(table, Box::new(self.second.bus()), self.first.clock.clone(), keys, false);
+            other.gauge = Gauge::new(table, Box::new(self.second.bus()), self.first.clock.clone(), keys);
             let changes = self.case.changes(&other);
             other.write_all(&changes).expect("no fault");
         }
@@ -224,7 +223,7 @@ impl Scene {
             fails: fails.then(|| self.first.sim.clone()),
         };
         let (clock, chip) = (self.first.clock.clone(), self.first.gauge.chip);
-        let gauge = Gauge::new(chip, Box::new(bus), clock, Keys::default(), false);
+        let gauge = Gauge::new(chip, Box::new(bus), clock, Keys::default());
         (gauge, DataFlash::new(Limits::default(), Some(self.folder.journal())))
     }
 
@@ -453,7 +452,7 @@ impl Boards {
             is_back: Arc::default(),
             fails: None,
         };
-        let gauge = Gauge::new(first.gauge.chip, Box::new(bus), first.clock.clone(), Keys::default(), false);
+        let gauge = Gauge::new(first.gauge.chip, Box::new(bus), first.clock.clone(), Keys::default());
         let dataflash = DataFlash::new(Limits::default(), Some(folder.journal()));
         let mut host = (gauge, dataflash);
         meet(&mut host, 104);
@@ -585,7 +584,7 @@ fn what_was_known_of_a_pack_is_forgotten_when_another_may_have_come_in_mid_calib
             fails: None,
         };
         let (done, at) = (bus.done.clone(), bus.comes.clone());
-        let gauge = Gauge::new(first.gauge.chip, Box::new(bus), first.clock.clone(), Keys::default(), false);
+        let gauge = Gauge::new(first.gauge.chip, Box::new(bus), first.clock.clone(), Keys::default());
         let mut host = (gauge, DataFlash::new(Limits::default(), None));
         meet(&mut host, 104);
         host.0.prove_key();

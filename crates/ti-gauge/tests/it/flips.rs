@@ -7,6 +7,7 @@
 
 use std::time::Duration;
 
+use gauge_bus::Reach;
 use gauge_bus::clock::Clock;
 use ti_gauge::authentication::Order;
 use ti_gauge::calibration::{Job, run};
@@ -374,13 +375,13 @@ fn regression_a_seal_that_shows_late_was_taken_for_an_open_gauge() {
 fn a_wrong_bit_does_not_prove_a_key() {
     let mut keys = Keys::default();
     keys.set(Name::Unseal, &[0x1234u16, 0x5678].into());
-    let mut plain = Rig::with("bq34z100-g1", keys.clone(), false);
+    let mut plain = Rig::with("bq34z100-g1", keys.clone(), Reach::FULL);
     plain.sim.clear_log();
     plain.read(80, 53).expect_err("the key is wrong");
     for (at, record) in plain.sim.log().into_iter().enumerate() {
         for (byte, bit) in bits(at + 1, record.read.len()) {
             let fault = format!("flip {} {} {bit}", at + 1, record.write.len() + byte);
-            let mut rig = Rig::with("bq34z100-g1", keys.clone(), false);
+            let mut rig = Rig::with("bq34z100-g1", keys.clone(), Reach::FULL);
             rig.sim.set("fault", &fault).expect("a fault");
             rig.read(80, 53).expect_err(&fault);
             assert!(!rig.gauge.key_is_proven(), "{fault}");

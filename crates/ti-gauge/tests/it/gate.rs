@@ -338,7 +338,7 @@ fn a_failed_configuration_is_undone() {
             let mut rig = pack();
             let before = rig.sim.flash();
             let bus = Box::new(Drops(Box::new(rig.sim.bus()), block));
-            rig.gauge = Gauge::new(rig.gauge.chip, bus, rig.clock.clone(), Keys::default(), false);
+            rig.gauge = Gauge::new(rig.gauge.chip, bus, rig.clock.clone(), Keys::default());
             rig.gauge.seal().expect("the gauge answers");
             let error = write_all(&mut rig, values).expect_err("not stored");
             assert_eq!(cause(&error), "rolled-back", "{values:?} {block}: {error}");
@@ -405,7 +405,7 @@ impl Rig {
             selected: Duration::ZERO,
         };
         let keys = Keys::default();
-        self.gauge = Gauge::new(self.gauge.chip, Box::new(bus), self.clock.clone(), keys, false);
+        self.gauge = Gauge::new(self.gauge.chip, Box::new(bus), self.clock.clone(), keys);
         self.gauge.seal().expect("the gauge answers");
         since
     }
@@ -455,7 +455,7 @@ impl Bus for Misselects {
 fn another_block_is_not_taken_for_the_limit() {
     let mut rig = at("bq34z100-g1", "2700");
     let bus = Box::new(Misselects(Box::new(rig.sim.bus()), false));
-    rig.gauge = Gauge::new(rig.gauge.chip, bus, rig.clock.clone(), Keys::default(), false);
+    rig.gauge = Gauge::new(rig.gauge.chip, bus, rig.clock.clone(), Keys::default());
     rig.gauge.seal().expect("the gauge answers");
     refused(&mut rig, &[((80, 53), "3100")], "not-now", &["2800 mV (68/0)"]);
 }

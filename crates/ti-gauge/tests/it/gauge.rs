@@ -58,7 +58,7 @@ impl Bus for Wire {
 fn answering(name: &str, firmware: [u8; 6], stale: u32) -> Gauge {
     let chip = Chip::by_name(name).expect("a chip in the tables");
     let wire = Wire { device_type: chip.identity.device_type, firmware, stale, last: 0, elsewhere: false };
-    Gauge::new(chip, Box::new(wire), Arc::new(SimClock::new()), Keys::default(), false)
+    Gauge::new(chip, Box::new(wire), Arc::new(SimClock::new()), Keys::default())
 }
 
 #[test]
@@ -115,11 +115,11 @@ fn an_idempotent_transfer_is_sent_again_whatever_the_adapter_calls_the_failure()
     let chip = Chip::by_name("bq34z100-g1").expect("a chip in the tables");
     for error in [BusError::NoAck, BusError::Timeout, BusError::Other(5)] {
         let bus = Box::new(Disturbed(Box::new(sim.bus()), error, false));
-        let mut gauge = Gauge::new(chip, bus, clock.clone(), Keys::default(), false);
+        let mut gauge = Gauge::new(chip, bus, clock.clone(), Keys::default());
         assert_eq!(gauge.seal(), Ok(Seal::Sealed), "{error}");
     }
     let bus = Box::new(Disturbed(Box::new(sim.bus()), BusError::Other(22), false));
-    let mut gauge = Gauge::new(chip, bus, clock, Keys::default(), false);
+    let mut gauge = Gauge::new(chip, bus, clock, Keys::default());
     gauge.seal().expect_err("the adapter cannot do it");
 }
 

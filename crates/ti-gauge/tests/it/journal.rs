@@ -133,7 +133,7 @@ fn regression_a_journal_is_kept_until_settling_succeeds() {
     // Without a key, then with a gauge that does not answer, then with a bus on which every transfer fails.
     for fault in ["no key", "power", "noise"] {
         let keys = if fault == "no key" { Keys::none() } else { Keys::default() };
-        let mut gauge = Gauge::new(rig.gauge.chip, Box::new(rig.sim.bus()), rig.clock.clone(), keys, false);
+        let mut gauge = Gauge::new(rig.gauge.chip, Box::new(rig.sim.bus()), rig.clock.clone(), keys);
         match fault {
             "power" => rig.sim.set("power", "off").expect("a knob"),
             "noise" => rig.sim.set("fault", "random 1000").expect("a knob"),
@@ -191,8 +191,7 @@ fn a_voltage_drop_at_any_transfer_causes_no_false_success() {
             let mut rig = case.rig();
             let changes = case.changes(&rig);
             let bus = Sinks { bus: rig.sim.bus(), sim: rig.sim.clone(), left };
-            let mut gauge =
-                Gauge::new(rig.gauge.chip, Box::new(bus), rig.clock.clone(), Keys::default(), false);
+            let mut gauge = Gauge::new(rig.gauge.chip, Box::new(bus), rig.clock.clone(), Keys::default());
             let mut dataflash = DataFlash::new(Limits::default(), Some(folder.journal()));
             let outcome = dataflash.write(&mut gauge, &changes, Duration::ZERO);
             runs += 1;

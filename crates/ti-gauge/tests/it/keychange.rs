@@ -74,7 +74,7 @@ fn opens(rig: &mut Rig, change: &KeyChange, new: bool) -> bool {
     let key = if new { &change.new } else { &change.old };
     let mut keys = Keys::default();
     keys.set(change.name, key);
-    let mut gauge = Gauge::new(rig.gauge.chip, Box::new(rig.sim.bus()), rig.clock.clone(), keys, false);
+    let mut gauge = Gauge::new(rig.gauge.chip, Box::new(rig.sim.bus()), rig.clock.clone(), keys);
     if change.name == Name::Authentication {
         let challenge = *b"a challenge of 20 by";
         let bytes: [u8; 16] = key.bytes().try_into().expect("16 bytes");
@@ -231,7 +231,7 @@ fn an_ambiguous_byte_order_is_not_guessed() {
     let sim = gauge_sim::Sim::new("bq34z100-g1", &options, clock.clone()).expect("a chip");
     let keys = Keys::of(Name::Unseal, &[0x1212, 0x1212].into());
     let table = ti_gauge::chip::Chip::by_name("bq34z100-g1").expect("a chip");
-    let gauge = Gauge::new(table, Box::new(sim.bus()), clock.clone(), keys, false);
+    let gauge = Gauge::new(table, Box::new(sim.bus()), clock.clone(), keys);
     clock.sleep(Duration::from_secs(1));
     let mut rig = Rig { clock, sim, gauge, dataflash: Default::default() };
     refused(&mut rig, "unseal 1212 1212 1234 5678", "not-permitted", "order of bytes");
@@ -304,9 +304,8 @@ fn an_interrupted_change_can_be_repeated() {
         for count in 0..plain.cost().0 - before {
             let at = format!("{}, {count} transfers", case.name());
             let rig = case.rig();
-            let host = |bus: Box<dyn Bus>| {
-                Gauge::new(rig.gauge.chip, bus, rig.clock.clone(), Keys::default(), false)
-            };
+            let host =
+                |bus: Box<dyn Bus>| Gauge::new(rig.gauge.chip, bus, rig.clock.clone(), Keys::default());
             let dying = host(Box::new(Dying(rig.sim.bus(), count)));
             let after = host(Box::new(rig.sim.bus()));
             let mut dying = Rig { gauge: dying, ..rig };
@@ -393,7 +392,6 @@ fn a_fault_at_any_transfer_of_a_key_change_causes_no_false_success() {
                             Box::new(rig.sim.bus()),
                             rig.clock.clone(),
                             Keys::default(),
-                            false,
                         ),
                         ..rig
                     };
@@ -626,14 +624,14 @@ fn regression_keys_that_are_erased_cannot_be_changed() {
         }
         let keys = b"unseal = 8d3e b7c5\nfull_access = 1a2b 3c4d";
         let keys = Keys::parse("keys", keys, "BAT0").expect("keys");
-        let mut gauge = Gauge::new(rig.gauge.chip, Box::new(rig.sim.bus()), rig.clock.clone(), keys, false);
+        let mut gauge = Gauge::new(rig.gauge.chip, Box::new(rig.sim.bus()), rig.clock.clone(), keys);
         assert!(goes_up(&mut gauge), "{chip}");
 
         // The full-access key of the owner is one that he gives, and the gauge has ffff ffff as well.
         let mut rig = Rig::calibrated(chip, Seal::Sealed);
         rig.sim.set_flash(area, start, &vec![0xff; block.length]);
         let keys = Keys::parse("keys", b"full_access = 1a2b 3c4d", "BAT0").expect("keys");
-        rig.gauge = Gauge::new(rig.gauge.chip, Box::new(rig.sim.bus()), rig.clock.clone(), keys, false);
+        rig.gauge = Gauge::new(rig.gauge.chip, Box::new(rig.sim.bus()), rig.clock.clone(), keys);
         run(&mut rig, "unseal ffff ffff 8d3e b7c5").unwrap_or_else(|error| panic!("{chip}: {error}"));
         run(&mut rig, "full-access ffff ffff 1a2b 3c4d").unwrap_or_else(|error| panic!("{chip}: {error}"));
         assert!(goes_up(&mut rig.gauge), "{chip}");
@@ -672,12 +670,12 @@ fn erased_keys_of_a_gauge_with_another_order_of_bytes_are_not_lost() {
         rig.sim.set_flash(112, 0, &[0xff; 8]);
         let keys = Keys::parse("keys", b"unseal = ffff ffff", "BAT0").expect("keys");
         let bus = Turned(rig.sim.bus(), false);
-        rig.gauge = Gauge::new(rig.gauge.chip, Box::new(bus), rig.clock.clone(), keys.clone(), false);
+        rig.gauge = Gauge::new(rig.gauge.chip, Box::new(bus), rig.clock.clone(), keys.clone());
         let before = rig.sim.flash();
         let error = run(&mut rig, text).expect_err("another order");
         assert_eq!(cause(&error), "rolled-back", "{error}");
         assert!(rig.sim.flash() == before, "{error}");
-        let mut gauge = Gauge::new(rig.gauge.chip, Box::new(rig.sim.bus()), rig.clock.clone(), keys, false);
+        let mut gauge = Gauge::new(rig.gauge.chip, Box::new(rig.sim.bus()), rig.clock.clone(), keys);
         assert!(goes_up(&mut gauge), "{error}");
     }
     // In another order this one would be RESET.
@@ -792,7 +790,7 @@ fn keys_come_no_deeper_than_half_of_what_is_wiped() {
         let mut rig = case.rig();
         let lowest = Arc::new(AtomicUsize::new(usize::MAX));
         let bus = Deep { bus: rig.sim.bus(), is_secret: false, lowest: lowest.clone() };
-        rig.gauge = Gauge::new(rig.gauge.chip, Box::new(bus), rig.clock.clone(), Keys::default(), false);
+        rig.gauge = Gauge::new(rig.gauge.chip, Box::new(bus), rig.clock.clone(), Keys::default());
         rig.gauge.seal().expect("the gauge answers");
         let here = 0_u8;
         let deep =

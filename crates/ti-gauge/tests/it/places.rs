@@ -27,7 +27,7 @@ impl Rig {
     fn comes_to(&mut self, journal: Journal) -> ti_gauge::error::Result<Option<String>> {
         self.pause(5);
         self.gauge =
-            Gauge::new(self.gauge.chip, Box::new(self.sim.bus()), self.clock.clone(), Keys::default(), false);
+            Gauge::new(self.gauge.chip, Box::new(self.sim.bus()), self.clock.clone(), Keys::default());
         self.dataflash = DataFlash::new(Limits::default(), Some(journal));
         self.arrive()
     }

@@ -85,7 +85,7 @@ impl Rig {
 
     fn tamper(&mut self, tamper: Tamper) {
         let bus = Box::new(Tampered(Box::new(self.sim.bus()), 0, tamper));
-        self.gauge = Gauge::new(self.gauge.chip, bus, self.clock.clone(), Keys::default(), false);
+        self.gauge = Gauge::new(self.gauge.chip, bus, self.clock.clone(), Keys::default());
         self.gauge.seal().expect("the gauge answers");
     }
 

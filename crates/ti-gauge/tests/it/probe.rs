@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use gauge_bus::clock::{Clock, SimClock};
-use gauge_bus::{Bus, BusError};
+use gauge_bus::{Bus, BusError, Reach};
 use gauge_sim::{Options, Sim};
 use ti_gauge::chip::{CHIPS, Chip, SIBLINGS, Sibling};
 use ti_gauge::error::{Cause, Result};
@@ -16,7 +16,7 @@ use ti_gauge::keys::Keys;
 use ti_gauge::probe::{self, Open, ROM_ADDRESS, Reading, Target, Who, answers_in_rom, check};
 
 fn target<'a>(open: &'a Open<'a>, clock: &'a Arc<dyn Clock>) -> Target<'a> {
-    Target { open, clock, byte_writes: false, clock_hz: None }
+    Target { open, clock, reach: Reach::FULL, clock_hz: None }
 }
 
 fn candidates(open: &Open<'_>, clock: &Arc<dyn Clock>) -> Result<Vec<Reading>> {
@@ -50,7 +50,7 @@ fn an_eeprom_is_read_but_never_written() {
         assert!(candidates(&open, &clock).expect("it answers").is_empty());
         find("here", &open, &clock).expect_err("not a gauge");
         let bus = open().expect("it opens");
-        let mut gauge = Gauge::new(CHIPS[0], bus, clock.clone(), Keys::default(), false);
+        let mut gauge = Gauge::new(CHIPS[0], bus, clock.clone(), Keys::default());
         check(&mut gauge).expect_err("not a gauge");
     }
 }
@@ -197,7 +197,7 @@ impl Bus for Recorded {
 }
 
 /// All transfers of the identification of a simulated gauge.
-fn identification(chip: &Chip, byte_writes: bool, clock_hz: Option<u32>) -> Vec<Transfer> {
+fn identification(chip: &Chip, reach: Reach, clock_hz: Option<u32>) -> Vec<Transfer> {
     let clock: Arc<dyn Clock> = Arc::new(SimClock::new());
     let sim = Sim::new(chip.name, &Options::default(), clock.clone()).expect("a gauge");
     clock.sleep(Duration::from_secs(1));
@@ -206,7 +206,7 @@ fn identification(chip: &Chip, byte_writes: bool, clock_hz: Option<u32>) -> Vec<
         let (inner, clock, transfers) = (Box::new(sim.bus()), clock.clone(), transfers.clone());
         Ok(Box::new(Recorded { inner, clock, transfers }) as Box<dyn Bus>)
     };
-    let target = Target { open: &open, clock: &clock, byte_writes, clock_hz };
+    let target = Target { open: &open, clock: &clock, reach, clock_hz };
     assert_eq!(probe::find("here", &target).expect("a gauge").name, chip.name);
     std::mem::take(&mut transfers.lock().expect("no panic"))
 }
@@ -216,7 +216,7 @@ fn identification(chip: &Chip, byte_writes: bool, clock_hz: Option<u32>) -> Vec<
 fn no_register_is_read_and_no_subcommand_is_sent_more_than_twice_a_second() {
     for chip in CHIPS {
         let mut times: HashMap<(bool, u16), Vec<Duration>> = HashMap::new();
-        for (now, write, read) in identification(chip, false, None) {
+        for (now, write, read) in identification(chip, Reach::FULL, None) {
             match write[..] {
                 [0x00 | 0x3e, low, high] => {
                     times.entry((true, u16::from_le_bytes([low, high]))).or_default().push(now);
@@ -239,13 +239,12 @@ fn no_register_is_read_and_no_subcommand_is_sent_more_than_twice_a_second() {
 #[test]
 fn one_byte_is_written_a_transfer_while_a_gauge_is_identified() {
     let chip = Chip::by_name("bq27427").expect("a chip");
-    let longest = |byte_writes, clock_hz| {
-        let written =
-            identification(chip, byte_writes, clock_hz).into_iter().map(|(_, write, _)| write.len());
+    let longest = |reach, clock_hz| {
+        let written = identification(chip, reach, clock_hz).into_iter().map(|(_, write, _)| write.len());
         written.max()
     };
-    assert_eq!(longest(false, None), Some(3));
-    assert_eq!(longest(false, Some(100_000)), Some(3));
-    assert_eq!(longest(true, None), Some(2));
-    assert_eq!(longest(false, Some(400_000)), Some(2));
+    assert_eq!(longest(Reach::FULL, None), Some(3));
+    assert_eq!(longest(Reach::FULL, Some(100_000)), Some(3));
+    assert_eq!(longest(Reach::ONE_BYTE_A_WRITE, None), Some(2));
+    assert_eq!(longest(Reach::FULL, Some(400_000)), Some(2));
 }

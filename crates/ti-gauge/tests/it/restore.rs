@@ -363,7 +363,7 @@ fn a_sealed_gauge_that_does_not_show_its_new_capacity_is_looked_at_as_a_whole() 
             rig.is_found(Seal::Sealed);
             let bus = Box::new(Shows { bus: rig.sim.bus(), word });
             let table = rig.gauge.chip;
-            rig.gauge = Gauge::new(table, bus, rig.clock.clone(), Keys::default(), false);
+            rig.gauge = Gauge::new(table, bus, rig.clock.clone(), Keys::default());
             rig.gauge.seal().expect("it answers");
             rig.sim.clear_log();
             let outcome = rig.restore(&changes(chip, values));

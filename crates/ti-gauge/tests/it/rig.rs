@@ -5,6 +5,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+use gauge_bus::Reach;
 use gauge_bus::clock::{Clock, SimClock};
 use gauge_sim::{Options, Sim};
 use ti_gauge::chip::{CHIPS, Chip, FLAT, Parameter, Subclass};
@@ -28,16 +29,16 @@ pub(crate) fn first_address(chip: &Chip) -> usize {
 
 impl Rig {
     pub(crate) fn new(chip: &str) -> Self {
-        Self::with(chip, Keys::default(), false)
+        Self::with(chip, Keys::default(), Reach::FULL)
     }
 
-    pub(crate) fn with(chip: &str, keys: Keys, byte_writes: bool) -> Self {
+    pub(crate) fn with(chip: &str, keys: Keys, reach: Reach) -> Self {
         let clock = Arc::new(SimClock::new());
         let sim = Sim::new(chip, &Options::default(), clock.clone()).expect("a chip that is simulated");
         sim.be_strict();
         sim.keep_log(true);
         let table = Chip::by_name(chip).expect("a chip in the tables");
-        let mut gauge = Gauge::new(table, Box::new(sim.bus()), clock.clone(), keys, byte_writes);
+        let mut gauge = Gauge::new(table, Box::new(sim.bus()), clock.clone(), keys).within(reach);
         // A gauge answers about 250 ms after power-up.
         clock.sleep(Duration::from_secs(1));
         // The state after the first poll.
@@ -47,7 +48,7 @@ impl Rig {
 
     /// The engine on a gauge that is there already.
     pub(crate) fn on(table: &'static Chip, sim: Sim, clock: Arc<SimClock>) -> Self {
-        let gauge = Gauge::new(table, Box::new(sim.bus()), clock.clone(), Keys::default(), false);
+        let gauge = Gauge::new(table, Box::new(sim.bus()), clock.clone(), Keys::default());
         Self { clock, sim, gauge, dataflash: DataFlash::default() }
     }
 

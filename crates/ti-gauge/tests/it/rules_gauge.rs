@@ -449,7 +449,7 @@ fn transfers_stay_secret_until_the_outer_caller_has_ended_it() {
     let secret = Arc::new(Mutex::new(false));
     let chip = Chip::by_name("bq34z100-g1").expect("a chip in the tables");
     let bus = Box::new(Hushed(secret.clone()));
-    let mut gauge = Gauge::new(chip, bus, Arc::new(SimClock::new()), Keys::default(), false);
+    let mut gauge = Gauge::new(chip, bus, Arc::new(SimClock::new()), Keys::default());
     for (call, expected) in [(true, true), (true, true), (false, true), (false, false)] {
         gauge.set_secret(call);
         assert_eq!(*secret.lock().unwrap(), expected);

@@ -289,7 +289,7 @@ fn nothing_but_register_pointers_is_sent_to_a_part_without_a_table() {
     let chip = Chip::by_name("bq27000").expect("the kernel's driver has it");
     let sent = Arc::new(AtomicU32::new(0));
     let clock = Arc::new(SimClock::new());
-    let mut gauge = Gauge::new(chip, Box::new(Counted(sent.clone())), clock, Keys::default(), false);
+    let mut gauge = Gauge::new(chip, Box::new(Counted(sent.clone())), clock, Keys::default());
     assert_eq!(gauge.write_once(0x00, &[0x20, 0x00]), Err(BusError::ReadOnly));
     assert!(gauge.try_key(&[0x0414, 0x3672].into(), Seal::Unsealed).is_err());
     gauge.read(0x08, &mut [0; 2]).expect("a register");

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
-use gauge_bus::Bus as _;
+use gauge_bus::{Bus as _, Reach};
 use ti_gauge::chip::{CHIPS, Chip, Subclass};
 use ti_gauge::gauge::Seal;
 use ti_gauge::keys::Keys;
@@ -17,7 +17,7 @@ use crate::rig::{Rig, cause};
 fn locked(chip: &Chip) -> Rig {
     let mut keys = Keys::default();
     keys.no_default = true;
-    let mut rig = Rig::with(chip.name, keys, false);
+    let mut rig = Rig::with(chip.name, keys, Reach::FULL);
     for row in rows(chip) {
         let bytes: Vec<u8> = (0..row.length as u8).map(|at| 0xa0 ^ at).collect();
         rig.sim.set_flash(row.id.into(), 0, &bytes);

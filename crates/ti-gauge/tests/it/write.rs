@@ -4,6 +4,7 @@
 
 use std::time::Duration;
 
+use gauge_bus::Reach;
 use gauge_bus::clock::Clock;
 use ti_gauge::chip::{FLAT, Kind};
 use ti_gauge::dataflash::Outcome;
@@ -41,7 +42,7 @@ fn a_value_is_stored_and_the_gauge_is_sealed_again() {
 /// SLUSBZ5D 7.3.3.1 with byte-wise writes: the order and the bytes of the manual's own example, VOLTSEL.
 #[test]
 fn the_bytes_on_the_wire_match_the_manuals_example() {
-    let mut rig = Rig::with("bq34z100-g1", Keys::default(), true);
+    let mut rig = Rig::with("bq34z100-g1", Keys::default(), Reach::ONE_BYTE_A_WRITE);
     // The pin of an external divider, and a limit with which the bit leaves flash open.
     assert_eq!(rig.write(68, 0, "0"), Ok(WRITTEN));
     rig.sim.set("voltage_mv", "850").expect("a knob");
@@ -186,7 +187,7 @@ fn without_a_key_a_sealed_gauge_stays_sealed() {
     let none = Keys::none();
     let wrong = Keys::of(Name::Unseal, &[0x1234, 0x5678].into());
     for keys in [none, wrong] {
-        let mut rig = Rig::with("bq34z100-g1", keys, false);
+        let mut rig = Rig::with("bq34z100-g1", keys, Reach::FULL);
         let before = rig.sim.flash();
         for _ in 0..3 {
             assert_eq!(cause(&rig.write(80, 53, "3100").expect_err("no key")), "not-permitted");
@@ -258,7 +259,7 @@ fn on_a_flat_part_the_bytes_match_slua790() {
 /// Byte by byte, too, the checksum is written before the length.
 #[test]
 fn a_flat_part_can_be_written_byte_by_byte() {
-    let mut rig = Rig::with("bq34110", Keys::default(), true);
+    let mut rig = Rig::with("bq34110", Keys::default(), Reach::ONE_BYTE_A_WRITE);
     assert_eq!(rig.write(FLAT, 0x41F5, "6000"), Ok(STORED));
     let sent = rig.log();
     let at = sent.iter().position(|line| line == "W 40 17").expect("the first new byte");
@@ -374,7 +375,7 @@ fn data_memory_behind_manufacturer_access_is_written_in_config_update() {
 #[test]
 fn data_memory_needs_the_full_access_key() {
     let keys = Keys::of(Name::FullAccess, &[0x1234, 0x5678].into());
-    let mut rig = Rig::with("bq27220", keys, false);
+    let mut rig = Rig::with("bq27220", keys, Reach::FULL);
     let before = rig.sim.flash();
     let error = rig.write(FLAT, 0x929F, "1200").expect_err("a wrong key");
     assert!(matches!(error.cause(), Cause::NotPermitted), "{error}");

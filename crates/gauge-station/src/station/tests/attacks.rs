@@ -163,7 +163,7 @@ fn regression_two_packs_passed_with_a_number_that_was_scanned_at_two_slots() {
     let plan = folder.plan(&PLAIN.replace("'counter'\nfirst-serial = 1000", "'input'"));
     let clock = Arc::new(SimClock::new());
     let benches = ["LEFT", "RIGHT"].map(|name| {
-        let bench = plan.bench(0, name.into(), false, Some(name.into())).expect("a bench");
+        let bench = plan.bench(0, name.into(), Reach::FULL, Some(name.into())).expect("a bench");
         Bench { name: name.into(), ..bench }
     });
     let sims = [1, 2].map(|seed| new_pack(&clock, seed, None));
@@ -259,7 +259,7 @@ fn regression_a_pack_that_was_put_there_while_its_label_was_printed_passed() {
             now: Arc::new(Mutex::new(packs[0].clone())),
             next: Arc::new(Mutex::new(Some(next.clone()))),
         };
-        let bench = plan.bench(0, "a bus".into(), false, Some(KEY.into())).expect("a bench");
+        let bench = plan.bench(0, "a bus".into(), Reach::FULL, Some(KEY.into())).expect("a bench");
         let stops = Arc::new(AtomicBool::new(false));
         let station =
             Station::start(plan, Arc::new(Host), Box::new(label.clone()), Lines::of(&[]), None, stops)
@@ -321,7 +321,7 @@ fn shown(name: &str, lines: &str, typed: &[&str], after: &[bool]) -> Vec<(Sign, 
     let sim = new_pack(&clock, 1, None);
     clock.sleep(Duration::from_secs(3));
     let signs = Signs::default();
-    let bench = plan.bench(0, "a bus".into(), false, Some(KEY.into())).expect("a bench");
+    let bench = plan.bench(0, "a bus".into(), Reach::FULL, Some(KEY.into())).expect("a bench");
     let stops = Arc::new(AtomicBool::new(false));
     let screen = Box::new(signs.clone());
     let station =

@@ -170,7 +170,8 @@ fn run(slots: usize) -> Run {
     let folder = Folder::new(&format!("mux{slots}"));
     let plan = folder.plan(PLAIN);
     let bench = |at: usize| {
-        let bench = plan.bench(0, format!("i2c-{at} address 0x55"), false, Some(format!("i2c-{at}-55")));
+        let bench =
+            plan.bench(0, format!("i2c-{at} address 0x55"), Reach::FULL, Some(format!("i2c-{at}-55")));
         Bench { name: format!("SLOT{at}"), ..bench.expect("a bench") }
     };
     let benches: Vec<_> = (0..slots).map(bench).collect();

@@ -90,7 +90,7 @@ fn programmed(image: Option<&str>) -> (Entry, BTreeMap<&'static str, Duration>) 
     let clock = Arc::new(Timed::default());
     let sim = Sim::new(CHIP, &gauge_sim::Options::default(), clock.clone()).expect("it is simulated");
     clock.clock.sleep(Duration::from_secs(3));
-    let bench = plan.bench(0, "a bus".into(), false, Some(KEY.into())).expect("a bench");
+    let bench = plan.bench(0, "a bus".into(), Reach::FULL, Some(KEY.into())).expect("a bench");
     let stops = Arc::new(AtomicBool::new(false));
     let station =
         Station::start(plan, Arc::new(Host), Box::new(Said::default()), Lines::of(&[]), None, stops)

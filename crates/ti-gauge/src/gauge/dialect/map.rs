@@ -63,7 +63,7 @@ impl Dialect for Map {
         gauge.tell(message, |gauge| {
             // Where the manual has the rule it is for Control() as well (SLUSBH1C 9.5.4.3); elsewhere Control()
             // is only ever written as a word.
-            if gauge.writes_bytes() && (code != CONTROL || gauge.chip.byte_writes_above_hz.is_some()) {
+            if gauge.takes_bytes() && (code != CONTROL || gauge.chip.byte_writes_above_hz.is_some()) {
                 return (code..).zip(data).try_for_each(|(at, &byte)| gauge.transfer(&[at, byte], &mut []));
             }
             gauge.transfer(message, &mut [])

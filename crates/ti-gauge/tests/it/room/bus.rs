@@ -64,7 +64,7 @@ impl Rig {
         act: impl FnMut(&mut SimBus, u64, &[u8], &mut [u8]) -> Transferred + Send + 'static,
     ) {
         let bus = Through { bus: self.sim.bus(), number: 0, act, claimed };
-        self.gauge = Gauge::new(self.gauge.chip, Box::new(bus), self.clock.clone(), keys, false);
+        self.gauge = Gauge::new(self.gauge.chip, Box::new(bus), self.clock.clone(), keys);
     }
 
     /// Runs `act` right after the first transfer that `at` picks, `count` times.

@@ -305,7 +305,7 @@ pub(crate) fn on_disk<T>(
     let power = Power::new(cut);
     let disk = Memory { state: Arc::new(Mutex::new(disk)), power: power.clone() };
     let bus = Powered { bus: rig.sim.bus(), power: power.clone() };
-    let mut gauge = Gauge::new(rig.gauge.chip, Box::new(bus), rig.clock.clone(), Keys::default(), false);
+    let mut gauge = Gauge::new(rig.gauge.chip, Box::new(bus), rig.clock.clone(), Keys::default());
     let journal = Journal::new(FOLDER.into(), "i2c-1-55".into(), "i2c-1 address 0x55".into());
     let mut dataflash = DataFlash::new(Limits::default(), Some(journal.on(Arc::new(disk.clone()))));
     let said = until_cut(|| work(&mut dataflash, &mut gauge));

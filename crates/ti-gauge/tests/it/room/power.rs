@@ -157,7 +157,7 @@ pub(crate) fn host<T>(
 ) -> (Option<Result<T>>, u64) {
     let done = Arc::new(AtomicU64::new(0));
     let bus = Host { bus: rig.sim.bus(), done: done.clone(), cut };
-    let mut gauge = Gauge::new(rig.gauge.chip, Box::new(bus), rig.clock.clone(), Keys::default(), false);
+    let mut gauge = Gauge::new(rig.gauge.chip, Box::new(bus), rig.clock.clone(), Keys::default());
     let mut dataflash = DataFlash::new(Limits::default(), Some(folder.journal()));
     let said = until_cut(|| work(&mut dataflash, &mut gauge));
     (said, done.load(Ordering::Relaxed))
