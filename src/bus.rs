@@ -83,7 +83,7 @@ impl<B: Bus> Target for Wired<B> {
             BusError::Timeout | BusError::Hung(_) | BusError::TooSlow { .. } => Errno::TIMEDOUT,
             BusError::Gone => Errno::NODEV,
             BusError::Busy | BusError::HasMux => Errno::BUSY,
-            BusError::Short => Errno::IO,
+            BusError::Short | BusError::Unsteady => Errno::IO,
             BusError::TooLong { .. } => Errno::OPNOTSUPP,
             BusError::Other(number) | BusError::MaybeNoAck(number) => Errno::from_raw_os_error(number),
         })

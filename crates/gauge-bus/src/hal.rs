@@ -83,6 +83,7 @@ impl embedded_hal::i2c::Error for BusError {
             | BusError::Hung(_)
             | BusError::TooSlow { .. }
             | BusError::TooLong { .. }
+            | BusError::Unsteady
             | BusError::Other(_) => ErrorKind::Other,
         }
     }

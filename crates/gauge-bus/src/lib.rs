@@ -103,6 +103,8 @@ pub enum BusError {
         /// The most that the bus carries.
         most: u16,
     },
+    /// What belongs together was read in several messages, and differs each time.
+    Unsteady,
     /// Any other error number from the adapter.
     Other(i32),
 }
@@ -181,6 +183,9 @@ impl BusError {
                 };
                 return (text.into(), Errno::TIMEDOUT.raw_os_error(), true);
             }
+            BusError::Unsteady => {
+                ("what it reads in several messages differs each time; check the bus", Errno::IO, true)
+            }
             BusError::TooLong { bytes, most } => {
                 let text = format!(
                     "a message of {bytes} bytes, and the adapter carries {most} at most; connect the gauge to another one"
@@ -230,6 +235,7 @@ impl BusError {
             BusError::HasMux,
             BusError::ReadOnly,
             BusError::NotRecorded,
+            BusError::Unsteady,
         ];
         let found = known.into_iter().find(|error| error.row().0 == text);
         found.unwrap_or(BusError::Other(Errno::IO.raw_os_error()))
@@ -259,7 +265,7 @@ pub trait Bus: Send {
         None
     }
 
-    /// What it can carry. Whoever sends more is refused.
+    /// What it can carry; longer messages are refused.
     fn reach(&mut self) -> Reach {
         self.inner().map_or(Reach::FULL, |bus| bus.reach())
     }
@@ -328,7 +334,8 @@ mod tests {
         {
             assert!(other(errno).is_transient(), "{errno}");
         }
-        for error in [BusError::NoAck, BusError::ArbitrationLost, BusError::Timeout, BusError::Short] {
+        let passing = [BusError::NoAck, BusError::ArbitrationLost, BusError::Timeout, BusError::Short];
+        for error in passing.into_iter().chain([BusError::Unsteady]) {
             assert!(error.is_transient(), "{error}");
         }
         // The adapter cannot do it, now or later.

@@ -34,9 +34,14 @@ impl Reach {
     /// One byte a write, and the register before it.
     pub const ONE_BYTE_A_WRITE: Self = Self { write: 2, ..Self::FULL };
 
+    /// So many bytes of data in a message at most, beside the register.
+    pub const fn of_data(most: u16) -> Self {
+        Self { write: 1 + most, read: most, ..Self::FULL }
+    }
+
     /// SMBus commands with that much data at most: 1 with bytes alone, 2 with words, 32 with I2C blocks.
-    pub const fn smbus(data: u16, pec: bool) -> Self {
-        Self { write: 1 + data, read: data, first: 1, smbus: true, pec }
+    pub const fn smbus(most: u16, pec: bool) -> Self {
+        Self { first: 1, smbus: true, pec, ..Self::of_data(most) }
     }
 
     /// What passes through both.

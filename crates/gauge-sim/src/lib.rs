@@ -48,7 +48,7 @@ use std::time::Duration;
 
 use gauge_bus::clock::Clock;
 use gauge_bus::error::{Error, ErrorKind, Result};
-use gauge_bus::{Bus, BusError, GAUGE_ADDRESS, wire_bits, wire_bytes};
+use gauge_bus::{Bus, BusError, GAUGE_ADDRESS, Reach, wire_bits, wire_bytes};
 
 mod analog;
 mod battery;
@@ -91,6 +91,8 @@ pub use seal::Level;
 
 /// At 100 kHz.
 const BIT: Duration = Duration::from_micros(10);
+/// What adapters of the kernel answer to what they cannot carry.
+const EOPNOTSUPP: i32 = 95;
 /// How many transfers the log keeps.
 const LOG: usize = 4096;
 
@@ -156,6 +158,8 @@ struct State {
     log: Option<VecDeque<Record>>,
     /// Nothing on the bus is acknowledged until then.
     silent_until: Duration,
+    /// What the adapter carries.
+    reach: Reach,
 }
 
 #[derive(Default)]
@@ -174,7 +178,8 @@ impl State {
         let options = Options { state: None, ..options.clone() };
         let (counters, silent_until) = (Counters::default(), Duration::ZERO);
         let (pack, others, commits, player) = (1, BTreeMap::new(), 0, None);
-        Ok(Self { part, options, gauge, pack, others, commits, player, counters, log: None, silent_until })
+        let (log, reach) = (None, Reach::FULL);
+        Ok(Self { part, options, gauge, pack, others, commits, player, counters, log, silent_until, reach })
     }
 
     fn find(&self, name: &str) -> Option<&'static Knob> {
@@ -313,6 +318,11 @@ impl Sim {
     /// A bus to another address on the same wires, where usually nothing answers.
     pub fn bus_at(&self, address: u8) -> SimBus {
         SimBus { sim: self.clone(), address, secret: false }
+    }
+
+    /// From now on the adapter carries no more than that: it refuses what is longer, and sends nothing of it.
+    pub fn set_reach(&self, reach: Reach) {
+        self.lock().reach = reach;
     }
 
     /// The part's knobs, which are the files of `sim/`.
@@ -552,6 +562,9 @@ impl SimBus {
 
 impl Bus for SimBus {
     fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
+        if !self.reach().carries(write.len(), read.len()) {
+            return Err(BusError::Other(EOPNOTSUPP));
+        }
         let result = self.attempt(write, read);
         let mut state = self.sim.lock();
         if let Some(log) = &mut state.log {
@@ -568,6 +581,10 @@ impl Bus for SimBus {
             });
         }
         result
+    }
+
+    fn reach(&mut self) -> Reach {
+        self.sim.lock().reach
     }
 
     fn set_secret(&mut self, secret: bool) {

@@ -143,7 +143,8 @@ pub(crate) fn run(input: &[u8]) {
         Box::new(Hostile { sim: sim.bus(), clock: clock.clone(), wires: wires.clone(), alone })
     };
     let timed: Arc<dyn Clock> = clock.clone();
-    let gauge = || Gauge::new(chip, bus(), timed.clone(), Keys::default(), access & 0x80 != 0);
+    let takes = if access & 0x80 != 0 { Reach::ONE_BYTE_A_WRITE } else { Reach::FULL };
+    let gauge = || Gauge::new(chip, bus(), timed.clone(), Keys::default()).within(takes);
     let disk = Memory::default();
     let dataflash = || DataFlash::new(Limits::default(), Some(disk.journal()));
     let mut engine = Engine { gauge: gauge(), dataflash: dataflash(), clock: &clock, wires: &wires };

@@ -11,9 +11,9 @@ use std::sync::Arc;
 
 use gauge_bus::clock::SimClock;
 use gauge_bus::trace::Trace;
-use gauge_bus::{Bus, GAUGE_ADDRESS};
+use gauge_bus::{Bus, GAUGE_ADDRESS, Reach};
 use gauge_sim::SimBus;
-use ti_gauge::chip::{Chip, Kind};
+use ti_gauge::chip::{Chip, Kind, Register, Tier};
 use ti_gauge::dataflash::{Change, Row};
 use ti_gauge::notation;
 use ti_gauge::value::Value;
@@ -57,8 +57,8 @@ struct Wire {
 }
 
 impl Wire {
-    /// The gauge is sealed.
-    fn new(chip: &'static Chip) -> Self {
+    /// The gauge is sealed, and its adapter carries no more than that.
+    fn new(chip: &'static Chip, reach: Reach) -> Self {
         let trace = std::env::temp_dir().join(format!("gaugefs-wire-{}-{}", chip.name, std::process::id()));
         let recorded = |mut bus: SimBus| -> Box<dyn Bus> {
             let [low, high] = chip.security.seal.to_le_bytes();
@@ -74,6 +74,7 @@ impl Wire {
         for (knob, setting) in KNOBS {
             rig.sim.set(knob, setting).unwrap_or_else(|error| panic!("{}: {error}", chip.name));
         }
+        rig.sim.set_reach(reach);
         Self { rig, trace, seen: 0, text: String::new() }
     }
 
@@ -148,8 +149,8 @@ impl Wire {
 }
 
 /// What is sent to a part, and what it has shown.
-fn run((chip, write, transaction): &Case) -> (String, String) {
-    let mut wire = Wire::new(Chip::by_name(chip).expect("it has a table"));
+fn run((chip, write, transaction): &Case, reach: Reach) -> (String, String) {
+    let mut wire = Wire::new(Chip::by_name(chip).expect("it has a table"), reach);
     wire.rig.start().expect("it answers");
     wire.step("open");
     for _ in 0..3 {
@@ -206,8 +207,80 @@ fn the_wire_is_as_recorded() {
     parts.retain(|part| !CASES.iter().any(|(chip, ..)| chip == part));
     assert!(parts.is_empty(), "without a golden: {parts:?}");
     for case in &CASES {
-        let (sent, values) = run(case);
+        let (sent, values) = run(case, Reach::FULL);
         check(case.0, &sent);
         check(&format!("{}.values", case.0), &values);
+    }
+}
+
+/// Messages with so many bytes of data at most, and SMBus commands alone.
+const REACHES: [Reach; 6] = [
+    Reach::of_data(2),
+    Reach::of_data(16),
+    Reach::of_data(32),
+    Reach::of_data(60),
+    Reach::smbus(2, false),
+    Reach::smbus(32, false),
+];
+
+/// Values without those that count measurements, and so move with time.
+fn still(values: &str) -> Vec<&str> {
+    let moves = |line: &&str| line.starts_with("AnalogCount") || line.starts_with("Cal_Count");
+    values.lines().filter(|line| !moves(line)).collect()
+}
+
+/// The lines of the polls and of reading all of data flash, which do not depend on how long the gauge takes; without those
+/// that may be of any length.
+fn reads(sent: &str) -> Vec<&str> {
+    let mut is_one = false;
+    let mut lines = sent.lines().collect::<Vec<_>>();
+    lines.retain(|line| {
+        if line.starts_with("; ") && line.contains(": ") {
+            is_one = line.starts_with("; poll") || line.starts_with("; df/index");
+            return false;
+        }
+        is_one && !line.is_empty() && *line != "; hidden"
+    });
+    lines
+}
+
+/// How many messages a reach makes of a read.
+fn messages(chip: &Chip, line: &str, reach: Reach) -> usize {
+    let Some(read) = line.strip_prefix("R: AA ") else { return 1 };
+    let (code, length) = read.split_once(' ').expect("a register and a length");
+    let code = usize::from_str_radix(code, 16).expect("a register");
+    let length: usize = length.parse().expect("a length");
+    if reach.carries(1, length) {
+        return 1;
+    }
+    let count = |length: usize| length.div_ceil(usize::from(reach.read & !1));
+    let longer = chip.registers.iter().filter(|row| {
+        let is_read = row.source.command().is_some_and(|at| (code..code + length).contains(&at.into()));
+        is_read && u16::from(row.size) > reach.read
+    });
+    let is_window =
+        |row: &&Register| row.tier == Tier::Window && row.source.command() == u8::try_from(code).ok();
+    // The window is read twice, and so is a register that is cut.
+    let twice = match chip.registers.iter().find(is_window) {
+        Some(row) if row.name != "Control" => count(length),
+        _ => longer.map(|row| count(row.size.into())).sum(),
+    };
+    count(length) + twice
+}
+
+#[test]
+fn the_values_are_the_same_within_any_reach() {
+    for case in &CASES {
+        let chip = Chip::by_name(case.0).expect("it has a table");
+        let (whole, values) = run(case, Reach::FULL);
+        let bytes = chip.byte_writes_above_hz.map(|_| Reach::ONE_BYTE_A_WRITE);
+        for reach in REACHES.into_iter().chain(bytes) {
+            let (cut, now) = run(case, reach);
+            assert_eq!(still(&now), still(&values), "{} {reach:?}", case.0);
+            if reach.write > 2 {
+                let needed: usize = reads(&whole).iter().map(|line| messages(chip, line, reach)).sum();
+                assert_eq!(reads(&cut).len(), needed, "{} {reach:?}", case.0);
+            }
+        }
     }
 }

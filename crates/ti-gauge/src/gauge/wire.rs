@@ -265,6 +265,16 @@ impl Gauge {
         Ok(())
     }
 
+    /// What the bus carries, whatever the gauge takes.
+    pub(super) fn carried(&mut self) -> Reach {
+        self.wire.bus.reach()
+    }
+
+    /// What the bus carries and the gauge takes.
+    pub(super) fn reach(&mut self) -> Reach {
+        self.carried().narrowed(self.wire.takes)
+    }
+
     /// Whether the gauge takes one byte a write.
     pub(super) fn takes_bytes(&self) -> bool {
         self.wire.takes.write <= Reach::ONE_BYTE_A_WRITE.write

@@ -24,6 +24,7 @@ mod places;
 mod power;
 mod preflight;
 mod probe;
+mod reach;
 mod recovery;
 mod rescue;
 mod restore;

@@ -7,7 +7,7 @@ use std::ops::Range;
 use std::time::Duration;
 
 use super::{Challenge, Dialect, Touches};
-use crate::chip::Source;
+use crate::chip::{Chip, Register, Source};
 use crate::codec::WINDOW;
 use crate::error::{Result, Step};
 use crate::gauge::state::{Rows, Shown};
@@ -52,21 +52,38 @@ pub(super) static MAC: Map = Map { is_flat: true };
 
 impl Dialect for Map {
     fn fetch(&self, gauge: &mut Gauge, code: u8, into: &mut [u8]) -> Result<(), BusError> {
-        gauge.again(|gauge| gauge.transfer(&[code], into))
+        let reach = gauge.reach();
+        if reach.carries(1, into.len()) {
+            return gauge.again(|gauge| gauge.transfer(&[code], into));
+        }
+        // A word is never cut.
+        if !reach.carries(1, 2) {
+            return Err(BusError::TooLong { bytes: into.len() as u16, most: reach.read });
+        }
+        let (most, mut code, mut rest) = (usize::from(reach.read), code, into);
+        while !rest.is_empty() {
+            let (part, after) = rest.split_at_mut(self.part(gauge.chip, code, rest.len(), most));
+            let length = part.len() as u8;
+            match part.len() <= most {
+                true => gauge.again(|gauge| gauge.transfer(&[code], part))?,
+                false => in_pieces(gauge, code, part, most)?,
+            }
+            (code, rest) = (code + length, after);
+        }
+        Ok(())
     }
 
     fn put(&self, gauge: &mut Gauge, code: u8, data: &[u8]) -> Result<(), BusError> {
         let mut message = [0; 1 + WINDOW];
         message[0] = code;
         message[1..=data.len()].copy_from_slice(data);
-        let message = &message[..=data.len()];
-        gauge.tell(message, |gauge| {
-            // Where the manual has the rule it is for Control() as well (SLUSBH1C 9.5.4.3); elsewhere Control()
-            // is only ever written as a word.
-            if gauge.takes_bytes() && (code != CONTROL || gauge.chip.byte_writes_above_hz.is_some()) {
-                return (code..).zip(data).try_for_each(|(at, &byte)| gauge.transfer(&[at, byte], &mut []));
-            }
-            gauge.transfer(message, &mut [])
+        let (whole, piece) = (message, piece(gauge, code, data.len())?);
+        gauge.tell(&whole[..=data.len()], |gauge| {
+            (0..data.len()).step_by(piece).try_for_each(|start| {
+                // In the place of the byte before it, which was sent.
+                message[start] = code + start as u8;
+                gauge.transfer(&message[start..=data.len().min(start + piece)], &mut [])
+            })
         })
     }
 
@@ -157,6 +174,25 @@ impl Dialect for Map {
 }
 
 impl Map {
+    /// How many of these bytes are read as one: as far as a register ends within what one message carries; all of a longer
+    /// register, and all that is read of the window.
+    fn part(&self, chip: &Chip, code: u8, length: usize, most: usize) -> usize {
+        if length <= most || self.is_of_window(code, length) {
+            return length;
+        }
+        // What no table has may be a word of another part.
+        let is_between = |length: &usize| {
+            let end = usize::from(code) + length;
+            let is_cut = |row: &Register| {
+                let start = row.source.command().map(usize::from);
+                start.is_some_and(|start| start < end && end < start + usize::from(row.size))
+            };
+            end.is_multiple_of(2) && !chip.registers.iter().any(is_cut)
+        };
+        let within = (1..=most).rev().find(is_between);
+        within.or_else(|| (most..length).find(is_between)).unwrap_or(length)
+    }
+
     /// What a byte touches that is written to a register.
     fn touch(&self, register: u8) -> Option<Touch> {
         let index = |start: u8| usize::from(register - start);
@@ -169,6 +205,39 @@ impl Map {
             SUM | LENGTH => Some(Touch::Commits),
             _ => None,
         }
+    }
+}
+
+/// Reads what belongs together in several messages, until two readings in a row agree: a bit error in the register of one
+/// message moves its bytes, and a block's checksum, the sum of all bytes, may still fit.
+fn in_pieces(gauge: &mut Gauge, code: u8, into: &mut [u8], most: usize) -> Result<(), BusError> {
+    let most = most & !1;
+    let mut before = None;
+    for _ in 0..=TRIES {
+        for (at, piece) in (code..).step_by(most).zip(into.chunks_mut(most)) {
+            gauge.again(|gauge| gauge.transfer(&[at], piece))?;
+        }
+        if before.as_deref() == Some(&*into) {
+            return Ok(());
+        }
+        before = Some(into.to_vec());
+    }
+    Err(BusError::Unsteady)
+}
+
+/// How many bytes of a write one message has. Only what fills the window is cut: all else must not arrive in part, except
+/// at a gauge that is known to take single bytes.
+fn piece(gauge: &mut Gauge, code: u8, length: usize) -> Result<usize, BusError> {
+    // Where the manual has the rule it is for Control() as well (SLUSBH1C 9.5.4.3); elsewhere Control()
+    // is only ever written as a word.
+    let by_manual = gauge.chip.byte_writes_above_hz.is_some();
+    let is_word = code == CONTROL && !by_manual;
+    let reach = if is_word { gauge.carried() } else { gauge.reach() };
+    match usize::from(reach.write).saturating_sub(1) {
+        most if length <= most => Ok(length.max(1)),
+        most @ 1.. if DATA.contains(&code) && usize::from(code) + length <= DATA.end.into() => Ok(most),
+        1.. if by_manual || !is_word && gauge.takes_bytes() => Ok(1),
+        _ => Err(BusError::TooLong { bytes: 1 + length as u16, most: reach.write }),
     }
 }
 
