@@ -313,7 +313,7 @@ fn is_as(flash: &[u8], wanted: &[u8]) -> bool {
 /// Success is never reported falsely, nothing but the calibration has changed, and no gauge is left in calibration mode
 /// without a word.
 #[test]
-fn a_fault_at_any_transfer_of_a_calibration_causes_no_false_success() {
+pub(crate) fn a_fault_at_any_transfer_of_a_calibration_causes_no_false_success() {
     let folder = Folder::new("calibration");
     let every = if std::env::var_os("GAUGEFS_ALL_FAULTS").is_some() { 1 } else { 3 };
     let mut counts = std::collections::BTreeMap::new();

@@ -23,7 +23,7 @@ use ti_gauge::error::{Cause, Error, Result};
 use ti_gauge::gauge::{Gauge, Seal};
 use ti_gauge::keys::{KeyChange, Keys};
 
-use crate::rig::{Random, Rig, another, cause, first_address};
+use crate::rig::{self, Random, Rig, another, cause, drawn_reach, first_address};
 use crate::room::{Folder, PowerCut, drawn, until_cut};
 
 /// Runs in the everyday test of each kind.
@@ -239,6 +239,7 @@ impl Run {
         for version in ["firmware", "hardware"] {
             let _ = sim.set(version, "printed");
         }
+        sim.set_reach(rig::reach());
         clock.sleep(Duration::from_secs(5));
         let rig = Rig::on(chip, sim.clone(), clock.clone());
         rig.calibrate(3);
@@ -491,6 +492,39 @@ fn any_fault_of_an_import_into_a_drawn_gauge_leaves_old_or_new() {
 fn any_fault_of_a_calibration_of_a_drawn_gauge_changes_nothing_else() {
     let known = Known::new();
     drawn("calibrations of drawn gauges", CALIBRATIONS, |seed| run(seed, &known, calibrations));
+}
+
+/// The adapter is drawn as well.
+fn behind_any_adapter(
+    seed: u64,
+    known: &Known,
+    accesses: fn(&str) -> &'static [Access],
+) -> std::result::Result<Vec<String>, String> {
+    let reach = drawn_reach(seed);
+    rig::set_reach(reach);
+    let mut told = run(seed, known, accesses).map_err(|why| format!("{why}, adapter {reach:?}"))?;
+    told.push(format!("adapter {} {}", reach.read, if reach.smbus { "SMBus" } else { "I2C" }));
+    Ok(told)
+}
+
+#[test]
+fn any_fault_on_any_gauge_behind_any_adapter_leaves_old_or_new() {
+    let known = Known::new();
+    drawn("runs on drawn gauges and adapters", RUNS / 4, |seed| behind_any_adapter(seed, &known, accesses));
+}
+
+#[test]
+fn any_fault_of_an_import_behind_any_adapter_leaves_old_or_new() {
+    let known = Known::new();
+    drawn("imports through drawn adapters", IMPORTS / 4, |seed| behind_any_adapter(seed, &known, imports));
+}
+
+#[test]
+fn any_fault_of_a_calibration_behind_any_adapter_changes_nothing_else() {
+    let known = Known::new();
+    drawn("calibrations through drawn adapters", CALIBRATIONS / 4, |seed| {
+        behind_any_adapter(seed, &known, calibrations)
+    });
 }
 
 #[test]

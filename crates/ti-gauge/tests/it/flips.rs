@@ -18,7 +18,7 @@ use ti_gauge::gauge::Seal;
 use ti_gauge::keys::{KeyChange, Keys, Name};
 
 use crate::rig::{Rig, cause};
-use crate::room::Folder;
+use crate::room::{Folder, one_in};
 use crate::room::{cut, half_way, programs};
 
 /// Something that is done with a gauge.
@@ -74,7 +74,7 @@ impl Operation {
             reads.map(|(at, record)| (at + 1, record.write.len(), record.read.len())).collect();
         let mut runs = 0;
         for (number, written, length) in reads {
-            for (byte, bit) in bits(number, length) {
+            for (byte, bit) in one_in(1, bits(number, length)) {
                 let fault = format!("flip {number} {} {bit}", written + byte);
                 let at = format!("{}, `{fault}`", self.name);
                 let mut rig = self.start(&folder);
@@ -125,7 +125,7 @@ fn settle(rig: &mut Rig) -> Result<()> {
 }
 
 #[test]
-fn a_wrong_bit_in_a_write_changes_nothing_unsaid() {
+pub(crate) fn a_wrong_bit_in_a_write_changes_nothing_unsaid() {
     Operation {
         name: "write found sealed",
         rig: |folder| journalled(Rig::calibrated("bq34z100-g1", Seal::Sealed), folder),
@@ -135,7 +135,7 @@ fn a_wrong_bit_in_a_write_changes_nothing_unsaid() {
 }
 
 #[test]
-fn a_wrong_bit_in_a_write_to_an_open_gauge_changes_nothing_unsaid() {
+pub(crate) fn a_wrong_bit_in_a_write_to_an_open_gauge_changes_nothing_unsaid() {
     Operation {
         name: "write found unsealed",
         rig: |folder| journalled(Rig::calibrated("bq34z100-g1", Seal::Unsealed), folder),
@@ -145,7 +145,7 @@ fn a_wrong_bit_in_a_write_to_an_open_gauge_changes_nothing_unsaid() {
 }
 
 #[test]
-fn a_wrong_bit_in_a_write_without_a_reset_changes_nothing_unsaid() {
+pub(crate) fn a_wrong_bit_in_a_write_without_a_reset_changes_nothing_unsaid() {
     Operation {
         name: "write without a reset",
         rig: |folder| journalled(Rig::calibrated("bq34z100-g1", Seal::Sealed), folder),
@@ -155,7 +155,7 @@ fn a_wrong_bit_in_a_write_without_a_reset_changes_nothing_unsaid() {
 }
 
 #[test]
-fn a_wrong_bit_in_a_write_to_ram_changes_nothing_unsaid() {
+pub(crate) fn a_wrong_bit_in_a_write_to_ram_changes_nothing_unsaid() {
     Operation {
         name: "write to RAM",
         rig: |folder| journalled(Rig::calibrated("bq27441-g1", Seal::Sealed), folder),
@@ -165,7 +165,7 @@ fn a_wrong_bit_in_a_write_to_ram_changes_nothing_unsaid() {
 }
 
 #[test]
-fn a_wrong_bit_in_a_write_to_a_flat_part_changes_nothing_unsaid() {
+pub(crate) fn a_wrong_bit_in_a_write_to_a_flat_part_changes_nothing_unsaid() {
     Operation {
         name: "write to a flat part",
         rig: |folder| journalled(Rig::calibrated("bq34110", Seal::Sealed), folder),
@@ -175,7 +175,7 @@ fn a_wrong_bit_in_a_write_to_a_flat_part_changes_nothing_unsaid() {
 }
 
 #[test]
-fn a_wrong_bit_in_a_read_changes_nothing() {
+pub(crate) fn a_wrong_bit_in_a_read_changes_nothing() {
     for found in [Seal::Sealed, Seal::Unsealed] {
         Operation {
             name: if found == Seal::Sealed { "read found sealed" } else { "read found unsealed" },
@@ -194,7 +194,7 @@ fn a_wrong_bit_in_a_read_changes_nothing() {
 }
 
 #[test]
-fn regression_a_wrong_bit_while_a_write_is_settled_discarded_its_journal() {
+pub(crate) fn regression_a_wrong_bit_while_a_write_is_settled_discarded_its_journal() {
     Operation {
         name: "settling",
         rig: |folder| {
@@ -219,7 +219,7 @@ fn regression_a_wrong_bit_while_a_write_is_settled_discarded_its_journal() {
 }
 
 #[test]
-fn a_wrong_bit_in_a_decision_leaves_no_pack_open() {
+pub(crate) fn a_wrong_bit_in_a_decision_leaves_no_pack_open() {
     Operation {
         name: "discarding",
         rig: |folder| {
@@ -261,7 +261,7 @@ fn regression_a_wrong_bit_after_seal_left_a_pack_open() {
 }
 
 #[test]
-fn a_wrong_bit_in_a_calibration_leaves_no_mode_on() {
+pub(crate) fn a_wrong_bit_in_a_calibration_leaves_no_mode_on() {
     fn board(folder: &Folder) -> Rig {
         let rig = journalled(Rig::calibrated("bq34z100-g1", Seal::Sealed), folder);
         rig.sim.set("temperature_error", "35").expect("a knob");
@@ -287,7 +287,7 @@ fn a_wrong_bit_in_a_calibration_leaves_no_mode_on() {
 }
 
 #[test]
-fn a_wrong_bit_in_a_change_of_keys_is_no_false_success() {
+pub(crate) fn a_wrong_bit_in_a_change_of_keys_is_no_false_success() {
     Operation {
         name: "keys",
         rig: |folder| journalled(Rig::found("bq34z100-g1", Seal::Sealed), folder),

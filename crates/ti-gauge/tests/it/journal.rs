@@ -31,7 +31,7 @@ fn check(case: &Case, rig: &mut Rig, folder: &Folder, (old, new): &(Vec<u8>, Vec
 }
 
 #[test]
-fn host_power_loss_at_any_transfer_leaves_old_or_new_values() {
+pub(crate) fn host_power_loss_at_any_transfer_leaves_old_or_new_values() {
     let (mut runs, mut nothing, mut undone, mut finished, mut again) = (0, 0, 0, 0, 0);
     for case in CASES {
         let model = case.model();

@@ -347,7 +347,7 @@ fn faults(found: Seal, (n, length): (u64, usize)) -> Vec<String> {
 }
 
 #[test]
-fn a_fault_at_any_transfer_of_a_key_change_causes_no_false_success() {
+pub(crate) fn a_fault_at_any_transfer_of_a_key_change_causes_no_false_success() {
     let (mut runs, mut succeeded, mut refused, mut rolled_back, mut unknown, mut lost) = (0, 0, 0, 0, 0, 0);
     for case in cases() {
         let change = parse(case.text);

@@ -84,7 +84,7 @@ impl Story<'_> {
 }
 
 #[test]
-fn a_host_power_cut_that_loses_what_was_not_synced_leaves_old_or_new_values() {
+pub(crate) fn a_host_power_cut_that_loses_what_was_not_synced_leaves_old_or_new_values() {
     let (mut runs, mut lossy, mut again) = (0, 0, 0);
     for case in CASES {
         let story = Story { case, model: case.model() };

@@ -13,7 +13,8 @@ use ti_gauge::gauge::{Gauge, Seal};
 use ti_gauge::keys::Keys;
 use ti_gauge::registers::Registers;
 
-use crate::rig::Rig;
+use crate::rig::{self, Rig, drawn_reach};
+use crate::room::drawn;
 
 const WINDOW: usize = 32;
 
@@ -182,4 +183,58 @@ fn a_window_that_never_reads_the_same_is_an_error() {
     // What is measured changes, and is not compared.
     gauge.read(0x08, &mut [0; 36]).expect("registers");
     gauge.read(0x3e, &mut [0; 16]).expect("one message");
+}
+
+/// Runs a test that draws faults on an adapter that is drawn too. `GAUGEFS_SEED` repeats one.
+fn on_drawn_adapters(name: &str, test: fn()) {
+    drawn(&format!("adapters: {name}"), 6, |seed| {
+        let reach =
+            drawn_reach(name.bytes().fold(seed, |seed, byte| seed.wrapping_mul(31) + u64::from(byte)));
+        println!("seed {seed}: {reach:?}");
+        rig::set_reach(reach);
+        test();
+        Ok(vec![format!("{reach:?}")])
+    });
+}
+
+macro_rules! on_drawn_adapters {
+    ($($module:ident: $($test:ident),*;)*) => {
+        $(mod $module {
+            $(#[test]
+            fn $test() {
+                super::on_drawn_adapters(stringify!($test), crate::$module::$test);
+            })*
+        })*
+    };
+}
+
+on_drawn_adapters! {
+    faults:
+        a_fault_at_any_transfer_of_a_write_causes_no_false_success,
+        a_challenge_is_answered_by_slow_and_by_fast_gauges,
+        a_fault_at_any_transfer_of_a_challenge_causes_no_false_answer;
+    flips:
+        a_wrong_bit_in_a_write_changes_nothing_unsaid,
+        a_wrong_bit_in_a_write_to_an_open_gauge_changes_nothing_unsaid,
+        a_wrong_bit_in_a_write_without_a_reset_changes_nothing_unsaid,
+        a_wrong_bit_in_a_write_to_ram_changes_nothing_unsaid,
+        a_wrong_bit_in_a_write_to_a_flat_part_changes_nothing_unsaid,
+        a_wrong_bit_in_a_read_changes_nothing,
+        regression_a_wrong_bit_while_a_write_is_settled_discarded_its_journal,
+        a_wrong_bit_in_a_decision_leaves_no_pack_open,
+        a_wrong_bit_in_a_calibration_leaves_no_mode_on,
+        a_wrong_bit_in_a_change_of_keys_is_no_false_success;
+    keychange:
+        a_fault_at_any_transfer_of_a_key_change_causes_no_false_success;
+    journal:
+        host_power_loss_at_any_transfer_leaves_old_or_new_values;
+    power:
+        a_host_power_cut_that_loses_what_was_not_synced_leaves_old_or_new_values;
+    restore:
+        a_fault_at_any_transfer_of_a_restore_causes_no_false_success;
+    recovery:
+        a_host_that_pauses_at_any_transfer_leaves_nothing_half_way,
+        a_second_power_cut_while_settling_leaves_old_or_new_values;
+    calibration:
+        a_fault_at_any_transfer_of_a_calibration_causes_no_false_success;
 }

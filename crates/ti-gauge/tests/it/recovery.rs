@@ -886,7 +886,7 @@ fn a_write_on_a_slow_bus_answers_within_30_s() {
 
 /// A host that is suspended for five minutes at each transfer in turn.
 #[test]
-fn a_host_that_pauses_at_any_transfer_leaves_nothing_half_way() {
+pub(crate) fn a_host_that_pauses_at_any_transfer_leaves_nothing_half_way() {
     let folder = Folder::new("paused");
     let (mut done, mut refused, mut back, mut unknown) = (0, 0, 0, 0);
     for case in CASES {
@@ -932,7 +932,7 @@ fn a_host_that_pauses_at_any_transfer_leaves_nothing_half_way() {
 /// Power fails while a block is programmed, and again at each transfer of settling that, for the host and the gauge.
 /// Only where the damage cannot be told from somebody else's values does a person have to decide.
 #[test]
-fn a_second_power_cut_while_settling_leaves_old_or_new_values() {
+pub(crate) fn a_second_power_cut_while_settling_leaves_old_or_new_values() {
     let folder = Folder::new("second-cut");
     let (mut settled, mut undecided) = (0, 0);
     for case in CASES.iter().filter(|case| case.found == Seal::Sealed) {

@@ -236,7 +236,7 @@ fn a_profile_does_not_wait_for_the_first_measurement() {
 
 /// One fault at each transfer. Success is said only of what is there, and the next attempt succeeds.
 #[test]
-fn a_fault_at_any_transfer_of_a_restore_causes_no_false_success() {
+pub(crate) fn a_fault_at_any_transfer_of_a_restore_causes_no_false_success() {
     let mut runs = 0;
     for (found, (chip, values)) in
         FOUND.into_iter().flat_map(|found| PARTS.iter().map(move |part| (found, part)))

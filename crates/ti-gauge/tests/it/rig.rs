@@ -2,6 +2,7 @@
 
 //! A simulated gauge on a simulated clock, and the engine on its bus.
 
+use std::cell::Cell;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -14,6 +15,27 @@ use ti_gauge::dataflash::{Change, DataFlash, Outcome, Row};
 use ti_gauge::error::{Error, Result};
 use ti_gauge::gauge::{Gauge, Seal};
 use ti_gauge::keys::Keys;
+
+thread_local! {
+    static REACH: Cell<Reach> = const { Cell::new(Reach::FULL) };
+}
+
+/// What the adapters of this thread's simulated gauges carry.
+pub(crate) fn reach() -> Reach {
+    REACH.get()
+}
+
+/// What they carry from now on.
+pub(crate) fn set_reach(reach: Reach) {
+    REACH.set(reach);
+}
+
+/// An adapter, by seed: words, lengths around those of a block, and of adapters that are sold.
+pub(crate) fn drawn_reach(seed: u64) -> Reach {
+    let random = &mut Random(seed ^ 0x0ada_97e2);
+    let data = *random.pick(&[2, 2, 3, 8, 16, 31, 32, 33, 60]);
+    if random.below(3) == 0 { Reach::smbus(data.min(32), false) } else { Reach::of_data(data) }
+}
 
 pub(crate) struct Rig {
     pub(crate) clock: Arc<SimClock>,
@@ -36,6 +58,7 @@ impl Rig {
         let clock = Arc::new(SimClock::new());
         let sim = Sim::new(chip, &Options::default(), clock.clone()).expect("a chip that is simulated");
         sim.be_strict();
+        sim.set_reach(REACH.get());
         sim.keep_log(true);
         let table = Chip::by_name(chip).expect("a chip in the tables");
         let mut gauge = Gauge::new(table, Box::new(sim.bus()), clock.clone(), keys).within(reach);

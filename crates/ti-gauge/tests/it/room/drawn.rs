@@ -10,15 +10,25 @@ use std::ops::Range;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
+use gauge_bus::Reach;
+
+use crate::rig;
+
 /// Whether no run is left out.
 pub(crate) fn is_all() -> bool {
     std::env::var_os("GAUGEFS_ALL").is_some()
 }
 
-/// One run of each so many. A test that makes several such lists begins each of them one further.
+/// One run of each so many, and of more where an adapter makes many transfers of one. A test that makes several such lists
+/// begins each of them one further.
 pub(crate) fn one_in<T>(many: usize, all: impl IntoIterator<Item = T>) -> impl Iterator<Item = T> {
     static LISTS: AtomicUsize = AtomicUsize::new(0);
-    let (first, step) = if is_all() { (0, 1) } else { (LISTS.fetch_add(1, Ordering::Relaxed) % many, many) };
+    let usual = if is_all() { 1 } else { many };
+    let step = match rig::reach() {
+        Reach::FULL => usual,
+        reach => usual * (4 + 100 / usize::from(reach.read)),
+    };
+    let first = if step == 1 { 0 } else { LISTS.fetch_add(1, Ordering::Relaxed) % step };
     all.into_iter().skip(first).step_by(step)
 }
 
