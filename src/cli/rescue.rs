@@ -134,6 +134,7 @@ fn bring_back(
     confirm: &dyn Fn() -> Result<bool>,
 ) -> Result<()> {
     let within = |error: Error| error.within(subject);
+    rom::check_reach(boot).map_err(within)?;
     check_state(&mut *gauge, boot, &**clock).map_err(within)?;
     let found = rom::look(boot, &**clock).map_err(within)?;
     firmware.check(&found).map_err(within)?;

@@ -47,6 +47,8 @@ const SUM: u8 = 0x64;
 const RESULT: u8 = 0x66;
 /// Start of a command's data.
 const DATA: usize = 0x04;
+/// The longest message: the register and a row in its command.
+const LONGEST: usize = 1 + DATA + ROW;
 /// Wait after an erase, beyond the file's 200 ms: files for later parts have 400 ms.
 const ERASING: Duration = Duration::from_millis(200);
 /// Time before a requested row can be fetched.
@@ -215,9 +217,20 @@ pub struct Found {
     pub version: Option<u16>,
 }
 
+/// Whether a bus carries the messages of ROM mode. Nothing is sent.
+pub fn check_reach(bus: &mut dyn Bus) -> Result<()> {
+    let reach = bus.reach();
+    if reach.carries(LONGEST, 0) && reach.carries(1, ROW) {
+        return Ok(());
+    }
+    let error = BusError::TooLong { bytes: LONGEST as u16, most: reach.write.min(reach.read) };
+    Err(Error::from(error).about("ROM mode"))
+}
+
 /// Reads row 0 of instruction flash, which proves a gauge's boot loader: a smart battery has the same address. Nothing
 /// is erased or programmed.
 pub fn look(bus: &mut dyn Bus, clock: &dyn Clock) -> Result<Found> {
+    check_reach(bus)?;
     let failed = |error: BusError| Error::from(error).about(format!("address 0x{ROM_ADDRESS:02x}"));
     let mut row = [0; ROW];
     for _ in 0..TRIES {

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use gauge_bus::clock::{Clock, SimClock};
-use gauge_bus::{Bus, BusError, GAUGE_ADDRESS};
+use gauge_bus::{Bus, BusError, GAUGE_ADDRESS, Reach};
 use gauge_sim::firmware::{self, Writer};
 use gauge_sim::{Options, Sim};
 use ti_gauge::chip::{CHIPS, Chip};
@@ -365,4 +365,28 @@ fn commands_that_no_file_has_are_refused() {
     assert!(refused(&(good[..at].to_string() + row + &good[at..]), chip).contains("interrupted"));
     assert!(refused(&good.replace("X: 4000", "W: 16 00 05"), chip).contains("left"));
     assert!(refused(&good.replace("X: 4000", "W: 20 00 05"), chip).contains("0x20"));
+}
+
+/// A row is written by one message, so an adapter that carries less is refused before anything is sent.
+#[test]
+fn an_adapter_that_does_not_carry_a_row_is_refused() {
+    let chip = chips().next().expect("a chip");
+    let firmware = Firmware::parse(&file(chip, Style::Row), chip).expect("a whole file");
+    for (reach, most) in [
+        (Reach::smbus(32, true), 32),
+        (Reach::of_data(60), 60),
+        (Reach { write: 100, ..Reach::FULL }, 100),
+        (Reach { read: 95, ..Reach::FULL }, 95),
+    ] {
+        let bench = Bench::in_rom_mode(chip);
+        let before = bench.sim.firmware();
+        bench.sim.set_reach(reach);
+        bench.sim.keep_log(true);
+        let error = bench.rescue(&firmware).expect_err("it is too short");
+        let why = format!("ROM mode: a message of 101 bytes, and the adapter carries {most} at most");
+        assert!(error.to_string().starts_with(&why), "{error}");
+        assert!(bench.sim.log().is_empty() && bench.sim.firmware() == before);
+        bench.sim.set_reach(Reach::of_data(100));
+        bench.rescue(&firmware).expect("it carries a row");
+    }
 }
