@@ -3,7 +3,7 @@
 #
 # Believed: minutes_to_empty() of the PyPI package battery is the minutes that are left, and None while they are not known.
 # Happens:  it is None below one hour. upower prints a time in seconds, minutes, hours or days, whichever is the largest that
-#   gives 1 or more; only a line with "hours" passes. So the time goes when it starts to matter, and minutes_to_full() likewise:
+#   gives 1 or more; only a line with "hours" passes. So the time goes when it starts to matter:
 #   1.5 hours are 90, 45.0 minutes are None.
 # Version:  battery 1.0.4 from PyPI, battery/battery.json. The text is what upower 0.99.20 of Debian 12 printed.
 set -euo pipefail

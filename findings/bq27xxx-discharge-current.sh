@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: MIT
 #
-# Believed: average_current() of the crate bq27xxx gives AverageCurrent(), an i16 of which a discharge is negative.
+# Believed: average_current() of the crate bq27xxx gives AverageCurrent(), an i16, which is negative for a discharge.
 # Happens:  the word is read as a u16 and then converted with a check, so every negative current is an error of the kind
 #   "Value": the driver knows the current only while the pack is charged.
 # Version:  bq27xxx 0.0.2 from crates.io, src/lib.rs, Bq27xx::read(). The bus is an object of its user, so no gauge is needed.

@@ -4,7 +4,7 @@
 # Believed: write_flash_stream_i2c() of the crate bq34z100 waits as long as a line `X:` of a FlashStream file says, which is
 #   a decimal number of milliseconds (SLUA801, section 5).
 # Happens:  the number is read as hexadecimal: `X: 170` waits 368 ms, `X: 4000` 16.384 s. No digit of a decimal number is an
-#   error there, so nothing tells; the waits of an image are two to four times as long.
+#   error there, so nothing tells; a wait of two digits is 1.6 times as long, one of four digits 4.1 times.
 # Version:  bq34z100 0.4.0 from crates.io, src/lib.rs, with its feature flashstream. Bus and delay are objects of its user.
 set -euo pipefail
 folder=$(mktemp -d)
