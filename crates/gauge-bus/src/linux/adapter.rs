@@ -11,7 +11,7 @@ use std::time::Duration;
 use nix::errno::Errno;
 
 use super::mux;
-use crate::{BusError, regular};
+use crate::{BusError, Reach, regular};
 
 /// When an errno of a NACK is a NACK, and nothing else.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -51,8 +51,8 @@ pub(super) struct Row {
     /// Of the address, and of a byte after it.
     nacks: [Nack; 2],
     clock: Source,
-    /// It has SMBus commands only.
-    is_smbus: bool,
+    /// What it carries, if less than I2C_FUNCS says.
+    pub(super) reach: Reach,
 }
 
 const STRETCHED: Sure = Sure::Sooner(Duration::from_millis(25));
@@ -60,13 +60,14 @@ const STRETCHED: Sure = Sure::Sooner(Duration::from_millis(25));
 /// "Run": with the drivers of Debian's kernels 6.1.176, 6.12.117 and 7.3.4. "Source": read in the driver only.
 static ADAPTERS: [Row; 11] = [
     // Run. Source of the doubt: STATUS1_TIMEOUT_NACK, STATUS1_TIMEOUT_BUS and a transfer that is cancelled after ten
-    // status reports are all ETIMEDOUT, any other status is EIO. Clock: 7.3.4 sets it, 6.1 and 6.12 leave the chip's.
+    // status reports are all ETIMEDOUT, any other status is EIO. A longer write is EINVAL, or sent in part without an error:
+    // its length becomes 8 bits. Clock: 7.3.4 sets it, 6.1 and 6.12 leave the chip's.
     Row {
         driver: "cp2112",
         label: "CP2112",
         nacks: [Nack(Errno::ETIMEDOUT, Sure::Never), Nack(Errno::EIO, Sure::Never)],
         clock: Source::Since([7, 3], 100_000),
-        is_smbus: false,
+        reach: Reach { write: 61, read: 512, first: 16, ..Reach::FULL },
     },
     // Run. Source of the doubt: each error bit of the status report is EIO. Its attribute `clock` is in kHz.
     Row {
@@ -74,7 +75,7 @@ static ADAPTERS: [Row; 11] = [
         label: "FT260",
         nacks: [Nack(Errno::EIO, Sure::Never); 2],
         clock: Source::File("clock"),
-        is_smbus: false,
+        reach: Reach::FULL,
     },
     // Run. Source of the doubt: the state 0x21, "address being sent" one millisecond after a write, is ENXIO as well.
     // Clock: `i2c_clk_freq`, which is no parameter of the module.
@@ -83,7 +84,7 @@ static ADAPTERS: [Row; 11] = [
         label: "MCP2221",
         nacks: [Nack(Errno::ENXIO, Sure::InReads); 2],
         clock: Source::Driver(400_000),
-        is_smbus: false,
+        reach: Reach::FULL,
     },
     // Run. DEV_ERR of both hosts is also a target that holds the clock low for 25 ms (Intel 82801, HST_STS; PIIX4, SMBHSTSTS).
     Row {
@@ -91,14 +92,14 @@ static ADAPTERS: [Row; 11] = [
         label: "i801",
         nacks: [Nack(Errno::ENXIO, STRETCHED); 2],
         clock: Source::Tree,
-        is_smbus: true,
+        reach: Reach::smbus(32, true),
     },
     Row {
         driver: "piix4_smbus",
         label: "piix4",
         nacks: [Nack(Errno::ENXIO, STRETCHED); 2],
         clock: Source::Tree,
-        is_smbus: true,
+        reach: Reach::smbus(2, false),
     },
     // i2c-algo-bit. Run. Source of the doubt: `bit_doAddress` makes ENXIO of the ETIMEDOUT of a clock that is held low, for
     // 100 ms or longer; a read that ends early is EIO as well.
@@ -107,7 +108,7 @@ static ADAPTERS: [Row; 11] = [
         label: "i2c-gpio",
         nacks: [Nack(Errno::ENXIO, Sure::Sooner(Duration::from_millis(100))), Nack(Errno::EIO, Sure::Never)],
         clock: Source::Tree,
-        is_smbus: false,
+        reach: Reach::FULL,
     },
     // Run. Only the device's own answer STATUS_ADDRESS_NAK is ENXIO.
     Row {
@@ -115,7 +116,7 @@ static ADAPTERS: [Row; 11] = [
         label: "i2c-tiny-usb",
         nacks: [Nack(Errno::ENXIO, Sure::Always); 2],
         clock: Source::Tree,
-        is_smbus: false,
+        reach: Reach::FULL,
     },
     // i2c-stub, which has no device. Run.
     Row {
@@ -123,7 +124,7 @@ static ADAPTERS: [Row; 11] = [
         label: "i2c-stub",
         nacks: [Nack(Errno::ENODEV, Sure::Always); 2],
         clock: Source::Tree,
-        is_smbus: true,
+        reach: Reach::smbus(32, false),
     },
     // Source, not run: the bit ERR, "no acknowledge".
     Row {
@@ -131,7 +132,7 @@ static ADAPTERS: [Row; 11] = [
         label: "bcm2835",
         nacks: [Nack(Errno::EREMOTEIO, Sure::Always); 2],
         clock: Source::Tree,
-        is_smbus: false,
+        reach: Reach::FULL,
     },
     // Source, not run: DW_IC_TX_ABRT_NOACK.
     Row {
@@ -139,20 +140,20 @@ static ADAPTERS: [Row; 11] = [
         label: "DesignWare",
         nacks: [Nack(Errno::EREMOTEIO, Sure::Always); 2],
         clock: Source::Tree,
-        is_smbus: false,
+        reach: Reach::FULL,
     },
     Row {
         driver: "i2c-designware-pci",
         label: "DesignWare",
         nacks: [Nack(Errno::EREMOTEIO, Sure::Always); 2],
         clock: Source::Tree,
-        is_smbus: false,
+        reach: Reach::FULL,
     },
 ];
 
 /// The adapters that people can buy or have, and that say for certain whether an address is acknowledged in a read.
 pub fn certain() -> String {
-    let is_certain = |row: &&Row| row.nacks.iter().any(|nack| nack.1 != Sure::Never) && !row.is_smbus;
+    let is_certain = |row: &&Row| row.nacks.iter().any(|nack| nack.1 != Sure::Never) && !row.reach.smbus;
     let mut labels: Vec<_> = ADAPTERS.iter().filter(is_certain).map(|row| row.label).collect();
     labels.dedup();
     labels.join(", ")
@@ -292,6 +293,18 @@ mod tests {
         system.adapter(92, Some("i2c-new"), "a new one");
         assert!(Row::of(system.root(), 92).is_none());
         assert!(Row::of(system.root(), 93).is_none(), "no such adapter");
+    }
+
+    #[test]
+    fn a_driver_carries_less_than_its_functions_say() {
+        let system = System::new("reach");
+        for (number, driver, write, read, first) in
+            [(1, "cp2112", 61, 512, 16), (2, "piix4_smbus", 3, 2, 1), (3, "i801_smbus", 33, 32, 1)]
+        {
+            system.adapter(number, Some(driver), "an adapter");
+            let reach = Row::of(system.root(), number).expect("a row").reach;
+            assert_eq!((reach.write, reach.read, reach.first), (write, read, first), "{driver}");
+        }
     }
 
     #[test]

@@ -92,7 +92,7 @@ impl LinuxBus {
         let name = format!("{adapter} 0x{address:02x}");
         let last = clock.now().saturating_sub(BUS_FREE);
         let row = open.as_ref().and_then(|_| adapter.row());
-        let reach = open.as_ref().map_or(Reach::FULL, |(device, _)| reach(device));
+        let reach = open.as_ref().map_or(Reach::FULL, |(device, _)| reach(device, row));
         let (device, above) = open.map_or((None, Vec::new()), |(device, above)| (Some(device), above));
         let target = Target { adapter, address, row, reach, clock: clock.clone(), device, above, last };
         let named = (number, target.adapter.to_string());
@@ -123,7 +123,7 @@ impl Target {
                 let device = device.map_err(|error| claim_error(errno(&error)))?;
                 self.adapter.refuse_mux().map_err(|_| BusError::HasMux)?;
                 self.above = hold_all(&device, &self.adapter, self.address).map_err(|_| BusError::Busy)?;
-                self.reach = reach(&device);
+                self.reach = reach(&device, self.row);
                 Ok(gone.insert(device))
             }
         }
@@ -187,9 +187,9 @@ impl Bus for Target {
 }
 
 /// What an adapter carries. I2C_FUNCS says what kinds of messages; their longest lengths are known to its driver alone.
-fn reach(device: &LinuxI2CDevice) -> Reach {
+fn reach(device: &LinuxI2CDevice, row: Option<&Row>) -> Reach {
     let pec = functions(device).unwrap_or(0) & I2C_FUNC_SMBUS_PEC != 0;
-    Reach { pec, ..Reach::FULL }
+    Reach { pec, ..row.map_or(Reach::FULL, |row| row.reach) }
 }
 
 /// Locks the gauge on its own adapter, and on each adapter in front of a mux that leads to it; the latter together with
