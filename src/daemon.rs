@@ -3,7 +3,8 @@
 //! The life of a mount: open the gauges, poll each once, mount, report, wait for the end, unmount.
 
 use std::collections::HashMap;
-use std::path::PathBuf;
+use std::os::fd::OwnedFd;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use nix::unistd::{getegid, geteuid};
@@ -49,18 +50,8 @@ pub(crate) enum Mode {
 pub(crate) fn run(setup: Setup, mode: Mode) -> Result<()> {
     let inherited = background::inherited();
     let shutdown = Shutdown::watch()?;
-    self::log::start(match &setup.mount.log {
-        Some(path) => self::log::Destination::File(path),
-        None if mode == Mode::Background => self::log::Destination::Syslog,
-        None => self::log::Destination::Stderr,
-    })?;
-
-    let warn = |line: &str| {
-        ::log::warn!("{line}");
-        if mode == Mode::Background {
-            say(format_args!("warning: {line}"));
-        }
-    };
+    self::log::start(mode.destination(&setup.mount))?;
+    let warn = |line: &str| mode.warn(line);
     let (mountpoint, device) = match mode {
         Mode::Service => (setup.mountpoint().to_path_buf(), Some(service::device()?)),
         Mode::Background | Mode::Foreground => {
@@ -79,59 +70,24 @@ pub(crate) fn run(setup: Setup, mode: Mode) -> Result<()> {
     let Setup { mount, gauges, configured, .. } = setup;
     let mains = mains_name(&mount, &names, &taken)?;
 
-    let clock: Arc<dyn Clock> =
-        if mount.fast { Arc::new(HurriedClock::default()) } else { Arc::new(RealClock::new()) };
     let signal = Arc::new(Signal::default());
-    let opening = Opening {
-        signal: signal.clone(),
-        read_only: mount.read_only,
-        no_backup: mount.no_backup,
-        state_dir: mount.state_dir.clone(),
-        ..Opening::new(mountpoint.clone(), clock.clone())
-    };
+    let opening = opening(&mount, mountpoint.clone(), signal.clone());
+    let clock = opening.clock.clone();
     let open = || Gauges::open(&opening, names.clone(), &gauges, configured, &warn);
     let opened = if mode == Mode::Service { service::open(&*clock, open)? } else { open()? };
     let Gauges { entries, handles, nodes, batteries, locks, places } = opened;
     entries.iter().flat_map(Supply::warnings).for_each(|line| warn(&line));
     adapters::watch(nodes.into_iter());
-    // Root's mount belongs to root, also if a service's account serves it.
-    let (uid, gid) = match mode {
-        Mode::Service => (0, 0),
-        Mode::Background | Mode::Foreground => (geteuid().as_raw(), getegid().as_raw()),
-    };
-    let access = Access { uid, gid: mount.group.unwrap_or(gid), group: mount.group.is_some() };
-    let tree = Arc::new(Fs::new(entries, access).with_mains(mains).overlay(covered));
+    let tree = Arc::new(Fs::new(entries, mode.access(&mount)).with_mains(mains).overlay(covered));
     let offer = (!batteries.is_empty()).then(node::Offer::new).transpose()?;
     let batteries = offer.as_ref().map(|offer| offer.serve(&tree, &signal, batteries)).transpose()?;
     if let Some(offer) = offer.as_ref().filter(|_| mode != Mode::Service) {
         offer.plug()?;
     }
-    let how = fuse::Options {
-        private: mount.private,
-        shared: mount.group.is_some(),
-        read_only: mount.read_only,
-        ..Default::default()
-    };
+    let served = Served { tree, how: how(&mount), signal, handles: &handles };
     let mounted = match device {
-        Some(device) => {
-            // Its mount confirms it.
-            background::notify("READY=1");
-            service::wait(&device, &*clock)?;
-            shutdown.mount(|| {
-                let mounted = fuse::serve(tree, device, how, signal)?;
-                let phase = Phase::Serving(handles.clone(), mounted.announcer());
-                Ok((mounted, phase))
-            })?
-        }
-        None => {
-            fuse::needs::device()?;
-            let mount = || fuse::mount(tree.clone(), &mountpoint, how, signal.clone());
-            shutdown.mount(|| {
-                let mounted = mountpoint::make_and_mount(&mountpoint, mount)?;
-                let phase = Phase::Mounted(mountpoint.clone(), handles.clone(), mounted.announcer());
-                Ok((mounted, phase))
-            })?
-        }
+        Some(device) => served.through(device, &*clock, &shutdown)?,
+        None => served.mount(&mountpoint, &shutdown)?,
     };
     for (what, name) in &places {
         ::log::info!("{what} mounted at {}/{name}", mountpoint.display());
@@ -154,6 +110,90 @@ pub(crate) fn run(setup: Setup, mode: Mode) -> Result<()> {
     ::log::logger().flush();
     drop(locks);
     ended
+}
+
+impl Mode {
+    /// Where the log goes.
+    fn destination(self, mount: &MountOptions) -> self::log::Destination<'_> {
+        match &mount.log {
+            Some(path) => self::log::Destination::File(path),
+            None if self == Self::Background => self::log::Destination::Syslog,
+            None => self::log::Destination::Stderr,
+        }
+    }
+
+    /// Puts a warning into the log, and onto the terminal that waits for the mount.
+    fn warn(self, line: &str) {
+        ::log::warn!("{line}");
+        if self == Self::Background {
+            say(format_args!("warning: {line}"));
+        }
+    }
+
+    /// Who owns the files. Root's mount belongs to root, also if a service's account serves it.
+    fn access(self, mount: &MountOptions) -> Access {
+        let (uid, gid) = match self {
+            Self::Service => (0, 0),
+            Self::Background | Self::Foreground => (geteuid().as_raw(), getegid().as_raw()),
+        };
+        Access { uid, gid: mount.group.unwrap_or(gid), group: mount.group.is_some() }
+    }
+}
+
+/// How the gauges of a mount are opened.
+fn opening(mount: &MountOptions, mountpoint: PathBuf, signal: Arc<Signal>) -> Opening {
+    let clock: Arc<dyn Clock> =
+        if mount.fast { Arc::new(HurriedClock::default()) } else { Arc::new(RealClock::new()) };
+    Opening {
+        signal,
+        read_only: mount.read_only,
+        no_backup: mount.no_backup,
+        state_dir: mount.state_dir.clone(),
+        ..Opening::new(mountpoint, clock)
+    }
+}
+
+/// How the kernel mounts it.
+fn how(mount: &MountOptions) -> fuse::Options {
+    fuse::Options {
+        private: mount.private,
+        shared: mount.group.is_some(),
+        read_only: mount.read_only,
+        ..Default::default()
+    }
+}
+
+/// A tree that is ready to be served, and its gauges.
+struct Served<'a> {
+    tree: Arc<Fs>,
+    how: fuse::Options,
+    signal: Arc<Signal>,
+    handles: &'a [Handle],
+}
+
+impl Served<'_> {
+    /// Serves the mount that `service::attach` makes of the device.
+    fn through(self, device: OwnedFd, clock: &dyn Clock, shutdown: &Shutdown) -> Result<fuse::Mounted> {
+        // Its mount confirms it.
+        background::notify("READY=1");
+        service::wait(&device, clock)?;
+        shutdown.mount(|| {
+            let mounted = fuse::serve(self.tree, device, self.how, self.signal)?;
+            let phase = Phase::Serving(self.handles.to_vec(), mounted.announcer());
+            Ok((mounted, phase))
+        })
+    }
+
+    /// Mounts it.
+    fn mount(self, mountpoint: &Path, shutdown: &Shutdown) -> Result<fuse::Mounted> {
+        fuse::needs::device()?;
+        let mount = || fuse::mount(self.tree.clone(), mountpoint, self.how, self.signal.clone());
+        shutdown.mount(|| {
+            let mounted = mountpoint::make_and_mount(mountpoint, mount)?;
+            let phase = Phase::Mounted(mountpoint.into(), self.handles.to_vec(), mounted.announcer());
+            Ok((mounted, phase))
+        })
+    }
 }
 
 /// The gauges of a mount, opened and polled once. All lists have their order.

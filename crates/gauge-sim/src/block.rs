@@ -409,12 +409,7 @@ impl Block {
             Action::AnswerChemistry(word) => self.ram.answer = self.ram.chemistry.unwrap_or(word),
             Action::ResetData => self.ram.answer = device.resets,
             Action::Previous => self.ram.answer = self.ram.previous,
-            Action::BoardOffset => {
-                // A current that flows meanwhile counts as offset.
-                let current = self.gauging.battery().current_ma() as i64;
-                self.board_offset = (current * 4 + i64::from(self.board_offset)).clamp(-128, 127) as i8;
-                self.ram.board_until = Some(now + device.timing.calibrating);
-            }
+            Action::BoardOffset => self.measure_board_offset(device),
             Action::CcOffset => self.ram.offset_until = Some(now + device.timing.calibrating),
             Action::WriteCcOffset => {
                 self.store(device, own.cc_offset, &self.cc_offset.to_be_bytes());
@@ -479,6 +474,13 @@ impl Block {
             | Action::Chemistry(_)
             | Action::Shutdown => {}
         }
+    }
+
+    /// A current that flows meanwhile counts as offset.
+    fn measure_board_offset(&mut self, device: &Device) {
+        let current = self.gauging.battery().current_ma() as i64;
+        self.board_offset = (current * 4 + i64::from(self.board_offset)).clamp(-128, 127) as i8;
+        self.ram.board_until = Some(device.now + device.timing.calibrating);
     }
 
     fn write_rom(&mut self, device: &mut Device, register: u8, byte: u8) {
@@ -767,88 +769,68 @@ impl Wire for Block {
             "protocol" => {
                 let before = device.flash.hdq;
                 device.flash.hdq = knob::PROTOCOL.read(name, text)?;
-                device.store.save(&device.flash).inspect_err(|_| device.flash.hdq = before)
+                return device.store.save(&device.flash).inspect_err(|_| device.flash.hdq = before);
             }
             "cc_gain_inverted" => {
                 let inverted = knob::CC_GAIN_INVERTED.read(name, text)?;
                 if inverted && self.part.gain_sign().is_none() {
-                    return Err(Error::new(
-                        name,
-                        ErrorKind::NotPermitted,
-                        "no such specimen of this part is known",
-                    ));
+                    return Err(not_permitted(name, "no such specimen of this part is known"));
                 }
                 device.flash.inverted = inverted;
                 self.part.set_gain_sign(&mut device.flash);
                 self.gauging.apply(&device.flash);
-                device.store.save(&device.flash)
+                return device.store.save(&device.flash);
             }
-            "sealed_writes" => {
-                self.ignores_sealed = knob::SEALED_WRITES.read(name, text)?;
-                Ok(())
-            }
+            "sealed_writes" => self.ignores_sealed = knob::SEALED_WRITES.read(name, text)?,
+            "auth_order" => self.as_sent = knob::AUTH_ORDER.read(name, text)?,
             "bat_det" => {
                 let is_away = knob::BATTERY.read(name, text)?;
                 if is_away && !self.part.has_pin(&device.flash) {
-                    return Err(Error::new(
-                        name,
-                        ErrorKind::NotPermitted,
-                        "no pin of this gauge detects a battery",
-                    ));
+                    return Err(not_permitted(name, "no pin of this gauge detects a battery"));
                 }
                 self.is_away = is_away;
-                Ok(())
             }
-            "cells" => {
-                self.gauging.set_series(knob::or_auto(name, text, 1.0, 32.0)?);
-                Ok(())
-            }
-            "real_mah" => {
-                self.gauging.set_capacity(knob::or_auto(name, text, 1.0, 32_767.0)?);
-                Ok(())
-            }
+            "cells" => self.gauging.set_series(knob::or_auto(name, text, 1.0, 32.0)?),
+            "real_mah" => self.gauging.set_capacity(knob::or_auto(name, text, 1.0, 32_767.0)?),
+            _ => self.set_board(device, name, text)?,
+        }
+        Ok(())
+    }
+}
+
+fn not_permitted(name: &str, why: &str) -> Error {
+    Error::new(name, ErrorKind::NotPermitted, why)
+}
+
+impl Block {
+    /// Sets what the board around the gauge has: a divider, offsets, and errors of what is measured.
+    fn set_board(&mut self, device: &Device, name: &str, text: &str) -> Result<()> {
+        let analog = &mut self.gauging.analog;
+        match name {
             "board_divider" => {
-                let fits = self.part.scale(&device.flash);
-                if fits.is_none() {
-                    return Err(Error::new(
-                        name,
-                        ErrorKind::NotPermitted,
-                        "the part has no external divider",
-                    ));
-                }
+                let Some(fits) = self.part.scale(&device.flash) else {
+                    return Err(not_permitted(name, "the part has no external divider"));
+                };
                 let divider = knob::or_auto(name, text, 1.0, 65_535.0)?;
                 let board = divider.map(|divider| Scale { divider: divider as u16, external: true });
-                self.board = board.or(fits);
-                Ok(())
+                self.board = Some(board.unwrap_or(fits));
             }
             "board_offset_ma" => {
                 let offset = knob::or_auto(name, text, -31.0, 31.0)?;
-                self.gauging.analog.board_offset_ma = offset;
+                analog.board_offset_ma = offset;
                 self.board_offset = offset.map_or(self.board_offset, |ma| (ma * BOARD_COUNTS).round() as i8);
-                Ok(())
             }
             "cc_offset_ma" => {
                 let offset = knob::or_auto(name, text, -15.0, 15.0)?;
-                self.gauging.analog.cc_offset_ma = offset;
+                analog.cc_offset_ma = offset;
                 self.cc_offset = offset.map_or(self.cc_offset, |ma| (ma * CC_COUNTS).round() as i16);
-                Ok(())
             }
-            "shunt_error" | "temperature_error" | "noise_mv" | "noise_ma" => {
-                let (least, most) = if name.starts_with("noise") { (0.0, 1000.0) } else { (-500.0, 500.0) };
-                let number = knob::number(name, text, least, most)?;
-                let analog = &mut self.gauging.analog;
-                *match name {
-                    "shunt_error" => &mut analog.shunt_error,
-                    "temperature_error" => &mut analog.temperature,
-                    "noise_mv" => &mut analog.noise_mv,
-                    _ => &mut analog.noise_ma,
-                } = number;
-                Ok(())
-            }
-            _ => {
-                self.as_sent = knob::AUTH_ORDER.read(name, text)?;
-                Ok(())
-            }
+            "shunt_error" => analog.shunt_error = knob::number(name, text, -500.0, 500.0)?,
+            "temperature_error" => analog.temperature = knob::number(name, text, -500.0, 500.0)?,
+            "noise_mv" => analog.noise_mv = knob::number(name, text, 0.0, 1000.0)?,
+            "noise_ma" => analog.noise_ma = knob::number(name, text, 0.0, 1000.0)?,
+            _ => unreachable!("`has_knob` knows all knobs"),
         }
+        Ok(())
     }
 }

@@ -128,6 +128,38 @@ pub(super) enum Effect {
     Leave,
 }
 
+/// What a loss of power leaves of work that has begun. Rows of firmware are left so at once.
+fn torn(work: &Work, firmware: &mut Firmware, data: &[u8]) -> Option<Effect> {
+    match work {
+        Work::Answer(_) => None,
+        Work::Rows(new) => {
+            tear(firmware.rows_mut(), new);
+            None
+        }
+        // Erasing all of data flash.
+        Work::Data(new) if new[0].1.len() == DATA => {
+            Some(Effect::Data(vec![(0, data.iter().map(|byte| byte | 0x5A).collect())]))
+        }
+        Work::Data(new) => {
+            let (at, new) = (new[0].0, &new[0].1);
+            Some(Effect::Data(vec![(at, [&new[..7], &data[at + 7..at + DATA_ROW]].concat())]))
+        }
+    }
+}
+
+/// Half of the words of a row, and half of the rows; the mark is the first to go and the last to come.
+fn tear(rows: &mut [Row], new: &[(usize, Row)]) {
+    for (at, (row, new)) in new.iter().enumerate() {
+        let half = if at % 2 == 0 { ROW / 2 } else { ROW };
+        for (byte, new) in rows[*row].iter_mut().zip(new).skip(half) {
+            *byte = *new;
+        }
+        if *row == 0 && rows[0][MARK_AT..MARK_AT + 3] == MARK && new[MARK_AT..MARK_AT + 3] != MARK {
+            rows[0][MARK_AT] = 0xD5;
+        }
+    }
+}
+
 #[derive(Clone, Debug)]
 pub(super) struct Boot {
     buffer: [u8; 0x64],
@@ -188,77 +220,63 @@ impl Boot {
             self.result = WRONG_SUM;
             return None;
         }
+        // A gauge that was sent this never answered again (E2E 171568).
+        if self.buffer[0] == 0x06 {
+            let rows = firmware.rows_mut();
+            rows[0] = erased();
+            rows[0][MARK_AT..MARK_AT + 3].copy_from_slice(&MARK);
+            self.ruined = true;
+            return None;
+        }
+        if self.buffer[0] == 0x0F {
+            return Some(Effect::Leave);
+        }
+        let Some((time, work)) = self.command(firmware, data) else {
+            self.result = REFUSED;
+            return None;
+        };
+        let torn = torn(&work, firmware, data);
+        self.result = WORKING;
+        self.working = Some((now + time, work));
+        torn
+    }
+
+    /// What the command in the buffer does, and how long it takes; `None` for one that is refused.
+    fn command(&self, firmware: &mut Firmware, data: &[u8]) -> Option<(Duration, Work)> {
         let row = usize::from(u16::from_le_bytes([self.buffer[1], self.buffer[2]]));
         let magic = self.buffer[4..6] == [0x83, 0xDE];
-        let ms = Duration::from_millis;
-        let mut torn = None;
         let (time, work) = match self.buffer[0] {
-            0x00 if row < ROWS => (ms(2), Work::Answer(firmware.known().now[row].to_vec())),
+            0x00 if row < ROWS => (2, Work::Answer(firmware.known().now[row].to_vec())),
             0x01 if row < ROWS && self.buffer[3] < 32 => {
                 let mut new = firmware.known().now[row];
                 let at = usize::from(self.buffer[3]) * 3;
                 for (old, byte) in new[at..at + 3].iter_mut().zip(&self.buffer[4..7]) {
                     *old &= byte;
                 }
-                (ms(2), Work::Rows(vec![(row, new)]))
+                (2, Work::Rows(vec![(row, new)]))
             }
             0x02 if row < ROWS => {
                 // Programming clears bits; only erasing sets them.
                 let old = firmware.known().now[row];
                 let new = std::array::from_fn(|at| old[at] & self.buffer[4 + at]);
-                (ms(2), Work::Rows(vec![(row, new)]))
+                (2, Work::Rows(vec![(row, new)]))
             }
-            0x03 if row < ROWS / 2 => {
-                (ms(20), Work::Rows(vec![(row * 2, erased()), (row * 2 + 1, erased())]))
-            }
-            0x04 if magic => (ms(200), Work::Rows((0..ROWS).map(|row| (row, erased())).collect())),
-            0x05 => (ms(170), Work::Answer(firmware.sum().to_le_bytes().to_vec())),
+            0x03 if row < ROWS / 2 => (20, Work::Rows(vec![(row * 2, erased()), (row * 2 + 1, erased())])),
+            0x04 if magic => (200, Work::Rows((0..ROWS).map(|row| (row, erased())).collect())),
+            0x05 => (170, Work::Answer(firmware.sum().to_le_bytes().to_vec())),
             0x08 => {
                 let sum = data.iter().fold(0_u16, |sum, byte| sum.wrapping_add((*byte).into()));
-                (ms(2), Work::Answer(sum.to_le_bytes().to_vec()))
+                (2, Work::Answer(sum.to_le_bytes().to_vec()))
             }
             0x0A if row < DATA_ROWS => {
                 let at = row * DATA_ROW;
-                let new: Vec<u8> =
-                    (0..DATA_ROW).map(|byte| data[at + byte] & self.buffer[4 + byte]).collect();
-                torn = Some(Effect::Data(vec![(at, [&new[..7], &data[at + 7..at + DATA_ROW]].concat())]));
-                (ms(2), Work::Data(vec![(at, new)]))
+                let new = (0..DATA_ROW).map(|byte| data[at + byte] & self.buffer[4 + byte]).collect();
+                (2, Work::Data(vec![(at, new)]))
             }
-            0x0C if magic => {
-                torn = Some(Effect::Data(vec![(0, data.iter().map(|byte| byte | 0x5A).collect())]));
-                (ms(200), Work::Data(vec![(0, vec![0xFF; DATA])]))
-            }
-            0x0F => return Some(Effect::Leave),
-            // A gauge that was sent this never answered again (E2E 171568).
-            0x06 => {
-                let rows = firmware.rows_mut();
-                rows[0] = erased();
-                rows[0][MARK_AT..MARK_AT + 3].copy_from_slice(&MARK);
-                self.ruined = true;
-                return None;
-            }
-            _ => {
-                self.result = REFUSED;
-                return None;
-            }
+            0x0C if magic => (200, Work::Data(vec![(0, vec![0xFF; DATA])])),
+            _ => return None,
         };
-        if let Work::Rows(new) = &work {
-            let rows = firmware.rows_mut();
-            for (at, (row, new)) in new.iter().enumerate() {
-                // Half of the words of a row, and half of the rows; the mark is the first to go and the last to come.
-                for (byte, new) in
-                    rows[*row].iter_mut().zip(new).skip(if at % 2 == 0 { ROW / 2 } else { ROW })
-                {
-                    *byte = *new;
-                }
-                if *row == 0 && rows[0][MARK_AT..MARK_AT + 3] == MARK && new[MARK_AT..MARK_AT + 3] != MARK {
-                    rows[0][MARK_AT] = 0xD5;
-                }
-            }
-        }
-        self.result = WORKING;
-        self.working = Some((now + time, work));
-        torn
+        Some((Duration::from_millis(time), work))
     }
 
     /// Lets time pass. Returns the effect of a command that is done now.

@@ -170,126 +170,7 @@ impl Scenario {
             let line = error.span().map_or(1, |span| text[..span.start].matches('\n').count() + 1);
             bad(format!("line {line}: {}", error.message()))
         })?;
-        let seed = seed.or(script.seed).unwrap_or(1);
-        let mut random = Random::new(seed);
-        random.roll(1);
-        let mut new = Self { seed, ..Self::default() };
-        let start = acts(&script.start, 0).map_err(|error| bad(format!("[start]: {error}")))?;
-        // The last value of each knob, as the start of ramps.
-        let mut last: BTreeMap<String, f64> = BTreeMap::new();
-        let note = |act: &Act, last: &mut BTreeMap<String, f64>| {
-            if let Ok(value) = act.text.parse() {
-                last.insert(act.knob.clone(), value);
-            }
-        };
-        start.iter().for_each(|act| note(act, &mut last));
-        new.timed.extend(start.into_iter().map(|act| (Duration::ZERO, act)));
-
-        let (period, times) = match (script.repeat, script.times) {
-            (None, None) => (Duration::ZERO, 1),
-            (Some(period), Some(times)) if !period.0.is_zero() && times > 0 => (period.0, times),
-            _ => return Err(bad("repeat: it needs a time, and `times`, how often the steps happen".into())),
-        };
-        if period.checked_mul(times).is_none_or(|sum| sum > LONGEST_TIME) {
-            return Err(bad("repeat: this takes more than ten years".into()));
-        }
-        let mut timed = Vec::new();
-        for (at, step) in (1..).zip(&script.step) {
-            let bad = |text: &str| bad(format!("step {at}: {text}"));
-            let acts = acts(&step.knobs, at).map_err(|error| bad(&error))?;
-            let count = match (step.at, step.transfer, step.commit) {
-                (Some(time), None, None) => {
-                    if step.after.is_some() {
-                        return Err(bad("after: it is for a step with transfer or commit"));
-                    }
-                    timed.push((time.0, at, step, acts));
-                    continue;
-                }
-                (None, Some(count @ 1..), None) => Count::Transfers(count),
-                (None, None, Some(count @ 1..)) => Count::Commits(count),
-                _ => {
-                    return Err(bad(
-                        "it has to say when, by one of `at` with a time, `transfer` or `commit` with a number from 1",
-                    ));
-                }
-            };
-            if step.over.is_some() || step.jitter.is_some() || step.every.is_some() {
-                return Err(bad("over, jitter and every: they are for a step with `at`"));
-            }
-            let after = step.after.map_or(Duration::ZERO, |time| time.0);
-            new.counted.push(Counted { count, after, acts });
-        }
-        timed.sort_by_key(|(time, at, ..)| (*time, *at));
-        if period > Duration::ZERO && timed.last().is_some_and(|(time, ..)| *time >= period) {
-            return Err(bad("repeat: a step is later than that".into()));
-        }
-        for turn in 0..times {
-            for (index, (time, at, step, acts)) in timed.iter().enumerate() {
-                let begun = period * turn + *time;
-                let bad = |text: &str| bad(format!("step {at}: {text}"));
-                let every = step.every.map_or(EVERY, |time| time.0);
-                if every.is_zero() {
-                    return Err(bad("every: it must be longer than 0"));
-                }
-                for act in acts {
-                    // Until another step sets the knob, or the scenario ends.
-                    let sets = |(.., acts): &&(Duration, usize, &Step, Vec<Act>)| {
-                        acts.iter().any(|other| other.knob == act.knob)
-                    };
-                    let next = timed[index + 1..].iter().find(sets).map(|(time, ..)| *time);
-                    let repeated = (turn + 1 < times)
-                        .then(|| timed.iter().find(sets).map(|(time, ..)| period + *time))
-                        .flatten();
-                    let end = next.or(repeated).unwrap_or(period.max(*time)).saturating_sub(*time);
-                    let goal: Option<f64> = act.text.parse().ok();
-                    let (Some(goal), true) = (goal, step.over.is_some() || step.jitter.is_some()) else {
-                        if (step.over.is_some() || step.jitter.is_some()) && acts.len() == 1 {
-                            return Err(bad("over and jitter: they are for a number"));
-                        }
-                        new.timed.push((begun, act.clone()));
-                        note(act, &mut last);
-                        continue;
-                    };
-                    let over = step.over.map_or(Duration::ZERO, |time| time.0);
-                    let from = match (last.get(&act.knob), over.is_zero()) {
-                        (_, true) => goal,
-                        (Some(from), false) => *from,
-                        (None, false) => {
-                            return Err(bad(
-                                "`over` needs a start value: set this knob in [start] or in an earlier step",
-                            ));
-                        }
-                    };
-                    let jitter = step.jitter.unwrap_or(0.0);
-                    if !jitter.is_finite() || jitter < 0.0 {
-                        return Err(bad("jitter: not a number from 0"));
-                    }
-                    let length = if jitter > 0.0 { end.max(over) } else { over };
-                    let mut passed = Duration::ZERO;
-                    loop {
-                        let part =
-                            if over.is_zero() { 1.0 } else { passed.as_secs_f64() / over.as_secs_f64() };
-                        let noise = jitter * (random.roll(2001) as f64 / 1000.0 - 1.0);
-                        let value = from + (goal - from) * part.min(1.0) + noise;
-                        let text = value.round().to_string();
-                        new.timed.push((begun + passed, Act { text, ..act.clone() }));
-                        if new.timed.len() > MOST {
-                            return Err(bad("this comes to more than 200000 single steps; raise `every`"));
-                        }
-                        if passed >= length {
-                            break;
-                        }
-                        passed = (passed + every).min(length);
-                    }
-                    last.insert(act.knob.clone(), goal);
-                }
-                if new.timed.len() > MOST {
-                    return Err(bad("this comes to more than 200000 single steps"));
-                }
-            }
-        }
-        new.timed.sort_by_key(|(time, _)| *time);
-        Ok(new)
+        Reading::new(seed.or(script.seed).unwrap_or(1)).whole(&script).map_err(bad)
     }
 
     /// Every act once: what a gauge has to accept.
@@ -300,6 +181,203 @@ impl Scenario {
     /// Duration in battery time.
     pub fn length(&self) -> Duration {
         self.timed.last().map_or(Duration::ZERO, |(time, _)| *time)
+    }
+}
+
+/// A step with `at`: its time and its number, and what it sets.
+struct Timed<'a> {
+    time: Duration,
+    at: usize,
+    step: &'a Step,
+    acts: Vec<Act>,
+}
+
+/// How often the steps happen.
+#[derive(Clone, Copy)]
+struct Repeat {
+    period: Duration,
+    times: u32,
+}
+
+/// A scenario whose text is being read.
+struct Reading {
+    new: Scenario,
+    random: Random,
+    /// The last value of each knob, as the start of ramps.
+    last: BTreeMap<String, f64>,
+}
+
+impl Reading {
+    fn new(seed: u64) -> Self {
+        let mut random = Random::new(seed);
+        random.roll(1);
+        Self { new: Scenario { seed, ..Scenario::default() }, random, last: BTreeMap::new() }
+    }
+
+    fn whole(mut self, script: &Script) -> Result<Scenario, String> {
+        for act in acts(&script.start, 0).map_err(|error| format!("[start]: {error}"))? {
+            self.set(Duration::ZERO, &act);
+        }
+        let repeat = Repeat::of(script)?;
+        let timed = self.steps(&script.step)?;
+        if repeat.period > Duration::ZERO && timed.last().is_some_and(|last| last.time >= repeat.period) {
+            return Err("repeat: a step is later than that".into());
+        }
+        for turn in 0..repeat.times {
+            for (index, Timed { at, .. }) in timed.iter().enumerate() {
+                let unrolled = self.unroll(&timed, index, turn, repeat);
+                unrolled.map_err(|error| format!("step {at}: {error}"))?;
+            }
+        }
+        self.new.timed.sort_by_key(|(time, _)| *time);
+        Ok(self.new)
+    }
+
+    /// Sets a knob at a time.
+    fn set(&mut self, time: Duration, act: &Act) {
+        if let Ok(value) = act.text.parse() {
+            self.last.insert(act.knob.clone(), value);
+        }
+        self.new.timed.push((time, act.clone()));
+    }
+
+    /// Takes the steps that wait for traffic. Returns the others in the order of their times.
+    fn steps<'a>(&mut self, steps: &'a [Step]) -> Result<Vec<Timed<'a>>, String> {
+        let mut timed = Vec::new();
+        for (at, step) in (1..).zip(steps) {
+            let bad = |error: String| format!("step {at}: {error}");
+            let acts = acts(&step.knobs, at).map_err(bad)?;
+            match step.begins().map_err(|error| bad(error.into()))? {
+                Begins::At(time) => timed.push(Timed { time, at, step, acts }),
+                Begins::After(count) => {
+                    let after = step.after.map_or(Duration::ZERO, |time| time.0);
+                    self.new.counted.push(Counted { count, after, acts });
+                }
+            }
+        }
+        timed.sort_by_key(|step| (step.time, step.at));
+        Ok(timed)
+    }
+
+    /// Unrolls a step in one of the turns.
+    fn unroll(&mut self, timed: &[Timed<'_>], index: usize, turn: u32, repeat: Repeat) -> Result<(), String> {
+        let Timed { time, step, acts, .. } = &timed[index];
+        let begun = repeat.period * turn + *time;
+        if step.every.is_some_and(|every| every.0.is_zero()) {
+            return Err("every: it must be longer than 0".into());
+        }
+        let is_ramp = step.over.is_some() || step.jitter.is_some();
+        for act in acts {
+            match act.text.parse() {
+                Ok(goal) if is_ramp => {
+                    let end = repeat.next(timed, index, turn, &act.knob).saturating_sub(*time);
+                    self.ramp(step, act, goal, begun, end)?;
+                }
+                Err(_) if is_ramp && acts.len() == 1 => {
+                    return Err("over and jitter: they are for a number".into());
+                }
+                _ => self.set(begun, act),
+            }
+        }
+        match self.new.timed.len() > MOST {
+            true => Err("this comes to more than 200000 single steps".into()),
+            false => Ok(()),
+        }
+    }
+
+    /// A ramp to `goal`, and noise until `end`, which is the time until another step sets the knob.
+    fn ramp(
+        &mut self,
+        step: &Step,
+        act: &Act,
+        goal: f64,
+        begun: Duration,
+        end: Duration,
+    ) -> Result<(), String> {
+        let every = step.every.map_or(EVERY, |time| time.0);
+        let over = step.over.map_or(Duration::ZERO, |time| time.0);
+        let from = match (self.last.get(&act.knob), over.is_zero()) {
+            (_, true) => goal,
+            (Some(from), false) => *from,
+            (None, false) => {
+                return Err(
+                    "`over` needs a start value: set this knob in [start] or in an earlier step".into()
+                );
+            }
+        };
+        let jitter = step.jitter.unwrap_or(0.0);
+        if !jitter.is_finite() || jitter < 0.0 {
+            return Err("jitter: not a number from 0".into());
+        }
+        let length = if jitter > 0.0 { end.max(over) } else { over };
+        let mut passed = Duration::ZERO;
+        loop {
+            let part = if over.is_zero() { 1.0 } else { passed.as_secs_f64() / over.as_secs_f64() };
+            let noise = jitter * (self.random.roll(2001) as f64 / 1000.0 - 1.0);
+            let value = from + (goal - from) * part.min(1.0) + noise;
+            let text = value.round().to_string();
+            self.new.timed.push((begun + passed, Act { text, ..act.clone() }));
+            if self.new.timed.len() > MOST {
+                return Err("this comes to more than 200000 single steps; raise `every`".into());
+            }
+            if passed >= length {
+                break;
+            }
+            passed = (passed + every).min(length);
+        }
+        self.last.insert(act.knob.clone(), goal);
+        Ok(())
+    }
+}
+
+/// When a step begins.
+enum Begins {
+    At(Duration),
+    After(Count),
+}
+
+impl Step {
+    fn begins(&self) -> Result<Begins, &'static str> {
+        let count = match (self.at, self.transfer, self.commit) {
+            (Some(_), None, None) if self.after.is_some() => {
+                return Err("after: it is for a step with transfer or commit");
+            }
+            (Some(time), None, None) => return Ok(Begins::At(time.0)),
+            (None, Some(count @ 1..), None) => Count::Transfers(count),
+            (None, None, Some(count @ 1..)) => Count::Commits(count),
+            _ => {
+                return Err(
+                    "it has to say when, by one of `at` with a time, `transfer` or `commit` with a number from 1",
+                );
+            }
+        };
+        if self.over.is_some() || self.jitter.is_some() || self.every.is_some() {
+            return Err("over, jitter and every: they are for a step with `at`");
+        }
+        Ok(Begins::After(count))
+    }
+}
+
+impl Repeat {
+    fn of(script: &Script) -> Result<Self, String> {
+        let (period, times) = match (script.repeat, script.times) {
+            (None, None) => (Duration::ZERO, 1),
+            (Some(period), Some(times)) if !period.0.is_zero() && times > 0 => (period.0, times),
+            _ => return Err("repeat: it needs a time, and `times`, how often the steps happen".into()),
+        };
+        if period.checked_mul(times).is_none_or(|sum| sum > LONGEST_TIME) {
+            return Err("repeat: this takes more than ten years".into());
+        }
+        Ok(Self { period, times })
+    }
+
+    /// The time of this turn at which another step sets the knob, or at which the scenario ends.
+    fn next(self, timed: &[Timed<'_>], index: usize, turn: u32, knob: &str) -> Duration {
+        let sets = |step: &&Timed<'_>| step.acts.iter().any(|other| other.knob == knob);
+        let next = timed[index + 1..].iter().find(sets).map(|step| step.time);
+        let is_repeated = turn + 1 < self.times;
+        let repeated = || timed.iter().find(sets).filter(|_| is_repeated).map(|step| self.period + step.time);
+        next.or_else(repeated).unwrap_or(self.period.max(timed[index].time))
     }
 }
 

@@ -170,68 +170,18 @@ impl Task<'_> {
     }
 
     fn run(&mut self, slot: &mut dyn Slot) -> Result<()> {
-        self.at(Step::Identify);
-        self.open(slot)?;
-        self.at(Step::Settle);
-        let is_new = self.settle_before(slot)?;
-        self.at(Step::Read);
-        let before = self.first_look(slot, is_new)?;
+        let before = self.identify(slot)?;
         let readings = self.readings();
         // Only an open gauge shows that a journal waits for it.
         self.at(Step::Settle);
         self.settle_before(slot)?;
         self.at(Step::Scan);
         let given = self.scan(&before)?;
-        self.at(Step::Check);
-        let is_new_board = self.needs_bring_up(&before)?;
-        self.busy = self.busy_steps(is_new_board);
-        // This pack's first record: a full disk must be noticed before anything is touched.
-        self.entry.before = Some(self.save(&before.image(), "before")?);
-        let mut asked = None;
-        let is_unsealed = self.gauge.handle.published().seal == Seal::Unsealed;
-        if is_new_board || is_unsealed {
-            // Writes cannot be checked before the bring-up, or before its key has been tried. Until then it has no
-            // serial number.
-            target::changes(&self.wanted(&before, &given)?, &before, self.gauge.handle.allows_unproven())?;
-            self.record_begun(|_, _| Ok(()))?;
-        } else {
-            asked = Some(self.begin(&before, &given)?);
-        }
-        if is_unsealed {
-            // A write may end with a reset, which seals the pack, so its key has to be tried first.
-            self.seal()?;
-        }
-        let mut now = None;
-        if is_new_board {
-            self.at(Step::BringUp);
-            now = Some(self.bring_up()?);
-        }
-        let now = now.as_ref().unwrap_or(&before);
-        let asked = match asked {
-            Some(asked) => asked,
-            None => {
-                self.at(Step::Check);
-                self.begin(now, &given)?
-            }
-        };
+        let (asked, brought_up) = self.prepare(&before, &given)?;
+        let now = brought_up.as_ref().unwrap_or(&before);
         self.at(Step::Image);
         self.write(&asked, now)?;
-        // A complete reading takes longer than the write. It is made before other changes, and at the end.
-        let mut expected = None;
-        if !self.station.jobs().is_empty() || self.bench.new_keys.is_some() {
-            let programmed = self.look()?;
-            target::check_programmed(&asked, &programmed, now)?;
-            expected = Some(programmed);
-        }
-        if !self.station.jobs().is_empty() {
-            self.at(Step::Calibrate);
-        }
-        let calibrated = self.calibrate(slot)?;
-        if let Some(programmed) = expected.as_ref().filter(|_| !calibrated.is_empty()) {
-            let flash = self.look()?;
-            flash.check_same(programmed, &calibrated)?;
-            expected = Some(flash);
-        }
+        let (expected, calibrated) = self.calibrate_written(slot, &asked, now)?;
         if self.bench.new_keys.is_some() {
             self.at(Step::Keys);
         }
@@ -245,8 +195,93 @@ impl Task<'_> {
             }
             None => target::check_programmed(&asked, last, now),
         })?;
+        self.note_flash(&before, &last)?;
+        self.note_readings(readings);
+        self.last = Some(last);
+        if !self.station.plan.setup.options.exec.is_empty() {
+            self.at(Step::Exec);
+        }
+        Ok(())
+    }
+
+    /// Opens the gauge, settles what an earlier pack may have left, and reads data flash.
+    fn identify(&mut self, slot: &mut dyn Slot) -> Result<Flash> {
+        self.at(Step::Identify);
+        self.open(slot)?;
+        self.at(Step::Settle);
+        let is_new = self.settle_before(slot)?;
+        self.at(Step::Read);
+        self.first_look(slot, is_new)
+    }
+
+    /// Checks everything, records that the pack is begun, and sets up a new board. Returns the wanted values, and the data
+    /// flash of a new board.
+    fn prepare(&mut self, before: &Flash, given: &Given) -> Result<(Image, Option<Flash>)> {
+        self.at(Step::Check);
+        let is_new_board = self.needs_bring_up(before)?;
+        self.busy = self.busy_steps(is_new_board);
+        // This pack's first record: a full disk must be noticed before anything is touched.
+        self.entry.before = Some(self.save(&before.image(), "before")?);
+        let mut asked = None;
+        let is_unsealed = self.gauge.handle.published().seal == Seal::Unsealed;
+        if is_new_board || is_unsealed {
+            // Writes cannot be checked before the bring-up, or before its key has been tried. Until then it has no
+            // serial number.
+            target::changes(&self.wanted(before, given)?, before, self.gauge.handle.allows_unproven())?;
+            self.record_begun(|_, _| Ok(()))?;
+        } else {
+            asked = Some(self.begin(before, given)?);
+        }
+        if is_unsealed {
+            // A write may end with a reset, which seals the pack, so its key has to be tried first.
+            self.seal()?;
+        }
+        let mut brought_up = None;
+        if is_new_board {
+            self.at(Step::BringUp);
+            brought_up = Some(self.bring_up()?);
+        }
+        let asked = match asked {
+            Some(asked) => asked,
+            None => {
+                self.at(Step::Check);
+                self.begin(brought_up.as_ref().unwrap_or(before), given)?
+            }
+        };
+        Ok((asked, brought_up))
+    }
+
+    /// Calibrates a pack with the image. Returns its data flash, if it is known before the end, and the places of the
+    /// results.
+    fn calibrate_written(
+        &mut self,
+        slot: &mut dyn Slot,
+        asked: &Image,
+        now: &Flash,
+    ) -> Result<(Option<Flash>, Vec<Place>)> {
+        // A complete reading takes longer than the write. It is made before other changes, and at the end.
+        let mut expected = None;
+        if !self.station.jobs().is_empty() || self.bench.new_keys.is_some() {
+            let programmed = self.look()?;
+            target::check_programmed(asked, &programmed, now)?;
+            expected = Some(programmed);
+        }
+        if !self.station.jobs().is_empty() {
+            self.at(Step::Calibrate);
+        }
+        let calibrated = self.calibrate(slot)?;
+        if let Some(programmed) = expected.as_ref().filter(|_| !calibrated.is_empty()) {
+            let flash = self.look()?;
+            flash.check_same(programmed, &calibrated)?;
+            expected = Some(flash);
+        }
+        Ok((expected, calibrated))
+    }
+
+    /// Records the data flash of a finished pack, and saves it under its serial number.
+    fn note_flash(&mut self, before: &Flash, last: &Flash) -> Result<()> {
         self.entry.fingerprint = Some(last.fingerprint());
-        self.entry.changes = last.changed_since(&before);
+        self.entry.changes = last.changed_since(before);
         let name = self
             .entry
             .serial
@@ -254,11 +289,6 @@ impl Task<'_> {
             .unwrap_or("after")
             .replace(|letter: char| !letter.is_ascii_alphanumeric(), "_");
         self.entry.after = Some(self.save(&last.image(), &name)?);
-        self.note_readings(readings);
-        self.last = Some(last);
-        if !self.station.plan.setup.options.exec.is_empty() {
-            self.at(Step::Exec);
-        }
         Ok(())
     }
 
