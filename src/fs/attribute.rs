@@ -6,8 +6,8 @@
 
 use gauge_owner::{Handle, Snapshot};
 use ti_gauge::chip::{Chip, Condition, Primary, Register, Role, Scale, Signature};
-use ti_gauge::date;
 use ti_gauge::value::Value;
+use ti_gauge::{date, text};
 
 use super::Scales;
 
@@ -69,15 +69,26 @@ struct Row {
 }
 
 enum Show {
-    Text(fn(&Reading<'_>) -> Option<&'static str>),
+    Text(Text),
     /// A number in the unit of the attribute.
     Number(fn(&Reading<'_>) -> Option<i64>),
     /// A word in four hexadecimal digits, as the kernel's drivers show serial numbers.
     Hex(fn(&Reading<'_>) -> Option<i64>),
 }
 
+enum Text {
+    /// A word of the kernel, or a name.
+    Fixed(fn(&Reading<'_>) -> Option<&'static str>),
+    /// The pack's own text, which the table's row with this role reads; the other one where the table has no such row.
+    Row(Role, &'static str),
+}
+
 const fn text(name: &'static str, show: fn(&Reading<'_>) -> Option<&'static str>) -> Row {
-    Row { name, show: Show::Text(show) }
+    Row { name, show: Show::Text(Text::Fixed(show)) }
+}
+
+const fn own_text(name: &'static str, role: Role, otherwise: &'static str) -> Row {
+    Row { name, show: Show::Text(Text::Row(role, otherwise)) }
 }
 
 const fn number(name: &'static str, show: fn(&Reading<'_>) -> Option<i64>) -> Row {
@@ -122,7 +133,7 @@ static ATTRIBUTES: &[Row] = &[
     number("state_of_health", |reading| {
         reading.value(Role::StateOfHealth).filter(|_| reading.computes_health() == Some(true))
     }),
-    text("manufacturer", |_| Some("Texas Instruments")),
+    own_text("manufacturer", Role::Manufacturer, "Texas Instruments"),
     text("model_name", |reading| Some(reading.model)),
     hex("serial_number", |reading| reading.value(Role::SerialNumber)),
     number("manufacture_year", |reading| Some(reading.manufactured()?[0])),
@@ -166,10 +177,19 @@ impl Attribute {
         self.row().name
     }
 
+    /// Whether its text is the pack's own.
+    fn is_of_pack(self, chip: &Chip) -> bool {
+        matches!(self.row().show, Show::Text(Text::Row(role, _)) if chip.register(role).is_some())
+    }
+
     /// Text without a newline; `None` if the gauge lacks it, or lacks it now.
     pub(super) fn text(self, reading: &Reading<'_>) -> Option<String> {
         match self.row().show {
-            Show::Text(show) => show(reading).map(str::to_string),
+            Show::Text(Text::Fixed(show)) => show(reading).map(str::to_string),
+            Show::Text(Text::Row(role, otherwise)) => match reading.chip.register(role) {
+                Some(register) => reading.own_text(register),
+                None => Some(otherwise.into()),
+            },
             Show::Number(show) => show(reading).map(|number| number.to_string()),
             Show::Hex(show) => show(reading).map(|word| format!("{word:04x}")),
         }
@@ -199,6 +219,12 @@ impl Reading<'_> {
         };
         register.validity.is_none_or(is_ready).then_some(())?;
         valid(register, value, self.flags().unwrap_or_default())
+    }
+
+    /// A text that the maker of the pack has chosen; `None` for an empty one.
+    fn own_text(&self, register: &Register) -> Option<String> {
+        let text = self.snapshot.filter(|_| self.is_present())?.text(register)?;
+        (!text.is_empty()).then(|| text::printable(text))
     }
 
     fn flags(&self) -> Option<i64> {
@@ -487,6 +513,7 @@ pub(super) fn uevent(name: &str, reading: &Reading<'_>) -> String {
             continue;
         }
         if let Some(text) = attribute.text(reading) {
+            let text = if attribute.is_of_pack(reading.chip) { plain(&text) } else { text };
             lines += &format!("POWER_SUPPLY_{}={}\n", attribute.name().to_uppercase(), text);
         }
     }

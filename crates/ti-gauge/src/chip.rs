@@ -287,6 +287,8 @@ pub enum Role {
     ManufactureDate,
     /// `serial_number`.
     SerialNumber,
+    /// `manufacturer`: a text.
+    Manufacturer,
 }
 
 /// A standard command.

@@ -6,15 +6,16 @@ use std::collections::BTreeSet;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use gauge_bus::clock::Clock;
+use gauge_bus::clock::{Clock, SimClock};
 use gauge_bus::{Bus, BusError};
 
 use super::by_part::read_places;
 use super::*;
 use gauge_owner::rig::{INTERVAL, Rig};
-use gauge_owner::{GaugeOptions, Run, operations as op};
-use gauge_sim::SimBus;
+use gauge_owner::{Direct, GaugeOptions, Run, operations as op};
+use gauge_sim::{Options, Sim, SimBus};
 use ti_gauge::chip::{Source, Tier};
+use ti_gauge::value::Type;
 
 /// What a battery may report by the kernel's ABI (`Documentation/ABI/testing/sysfs-class-power` and
 /// `Documentation/power/power_supply_class.rst`).
@@ -244,6 +245,35 @@ fn assert_shows(rig: &Rig, expected: &[(&str, Option<&str>)]) {
     for &(name, text) in expected {
         assert_eq!(show(rig, name).as_deref(), text, "{name}");
     }
+}
+
+#[test]
+fn an_attribute_may_be_a_text_of_the_pack() {
+    let table = Chip::by_name("bq34z100-g1").expect("it has a table");
+    let row = Register::new(0x78, Type::S(8), "ManufacturerName", "", Tier::Static).role(Role::Manufacturer);
+    let registers = Vec::leak([table.registers, &[row]].concat());
+    let chip: &Chip = Box::leak(Box::new(Chip { registers, ..table.clone() }));
+    let shown = |chip, bytes: &[u8]| {
+        let clock = Arc::new(SimClock::new());
+        let sim = Sim::new("bq34z100-g1", &Options::default(), clock.clone()).expect("it is simulated");
+        clock.sleep(Duration::from_secs(1));
+        let run = Run { interval: INTERVAL, ..Run::default() };
+        let other = Other::new(Mutex::new(Some((0x78, bytes.to_vec()))));
+        let bus = Box::new(Reads { bus: sim.bus(), other });
+        let mut gauge = Direct::new(chip, bus, clock, run);
+        gauge.open().expect("it answers");
+        let (published, scales) = (gauge.handle.published(), Scales::default());
+        let reading = Reading::new(&gauge.handle, published.snapshot.as_deref(), &scales);
+        let lines = uevent("BAT0", &reading);
+        let line = lines.lines().find_map(|line| line.strip_prefix("POWER_SUPPLY_MANUFACTURER="));
+        let text = Attribute::by_name("manufacturer").expect("an attribute").text(&reading);
+        (text, line.map(str::to_string))
+    };
+    let pair = |text: &str, line: &str| (Some(text.to_string()), Some(line.to_string()));
+    assert_eq!(shown(table, b"\x04ACME"), pair("Texas Instruments", "Texas Instruments"));
+    assert_eq!(shown(chip, b"\x04ACME"), pair("ACME", "ACME"));
+    assert_eq!(shown(chip, b"\x07A`b \n\x1b$"), pair("A`b ??$", "A_b____"));
+    assert_eq!(shown(chip, b"\x00ACME"), (None, None));
 }
 
 /// Everything that is measured, or follows from it.

@@ -2,7 +2,6 @@
 
 //! Which part a gauge is, and whether it can be mounted with its table.
 
-use std::ptr;
 use std::time::Duration;
 
 use super::Answers;
@@ -91,14 +90,15 @@ impl Identity {
 /// Checks that the part that gave these answers can be mounted with the chip's table. Returns why only its
 /// standard commands are used, if it is so.
 pub(super) fn check_identity(chip: &'static Chip, answers: &Answers) -> Result<Option<Limited>> {
+    let is_it = |found: &Chip| found.name == chip.name;
     let found = match recognise(answers) {
-        Recognised::Chip(found) if ptr::eq(found, chip) => return Ok(None),
+        Recognised::Chip(found) if is_it(found) => return Ok(None),
         // The answers fit several chips, and the user has named this one.
-        Recognised::Ambiguous(found) if found.iter().any(|&found| ptr::eq(found, chip)) => return Ok(None),
-        Recognised::Sibling(sibling) if sibling.like.is_some_and(|like| ptr::eq(like, chip)) => {
+        Recognised::Ambiguous(found) if found.iter().any(|found| is_it(found)) => return Ok(None),
+        Recognised::Sibling(sibling) if sibling.like.is_some_and(is_it) => {
             return Ok(Some(Limited::Sibling(sibling)));
         }
-        Recognised::Unproven(found) if found.iter().any(|&found| ptr::eq(found, chip)) => {
+        Recognised::Unproven(found) if found.iter().any(|found| is_it(found)) => {
             return Ok(Some(Limited::Unproven));
         }
         Recognised::Chip(found) => format!("this is a {}", found.model),

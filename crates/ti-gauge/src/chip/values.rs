@@ -88,7 +88,8 @@ impl Role {
             | Role::Flags
             | Role::Technology
             | Role::ManufactureDate
-            | Role::SerialNumber => Values::ALL,
+            | Role::SerialNumber
+            | Role::Manufacturer => Values::ALL,
         }
     }
 }
