@@ -70,12 +70,14 @@ static ADAPTERS: [Row; 11] = [
         reach: Reach { write: 61, read: 512, first: 16, ..Reach::FULL },
     },
     // Run. Source of the doubt: each error bit of the status report is EIO. Its attribute `clock` is in kHz.
+    // Linux 6.1 cuts a longer message without an error: each part has a START of its own, and a read goes on at the register
+    // plus what was read. Newer kernels do not, and nothing but the rows of ROM mode is longer.
     Row {
         driver: "ft260",
         label: "FT260",
         nacks: [Nack(Errno::EIO, Sure::Never); 2],
         clock: Source::File("clock"),
-        reach: Reach::FULL,
+        reach: Reach { write: 60, read: 60, first: 2, ..Reach::FULL },
     },
     // Run. Source of the doubt: the state 0x21, "address being sent" one millisecond after a write, is ENXIO as well.
     // Clock: `i2c_clk_freq`, which is no parameter of the module.
@@ -84,7 +86,7 @@ static ADAPTERS: [Row; 11] = [
         label: "MCP2221",
         nacks: [Nack(Errno::ENXIO, Sure::InReads); 2],
         clock: Source::Driver(400_000),
-        reach: Reach::FULL,
+        reach: Reach { write: 512, read: 512, first: 512, ..Reach::FULL },
     },
     // Run. DEV_ERR of both hosts is also a target that holds the clock low for 25 ms (Intel 82801, HST_STS; PIIX4, SMBHSTSTS).
     Row {
@@ -298,9 +300,12 @@ mod tests {
     #[test]
     fn a_driver_carries_less_than_its_functions_say() {
         let system = System::new("reach");
-        for (number, driver, write, read, first) in
-            [(1, "cp2112", 61, 512, 16), (2, "piix4_smbus", 3, 2, 1), (3, "i801_smbus", 33, 32, 1)]
-        {
+        for (number, driver, write, read, first) in [
+            (1, "cp2112", 61, 512, 16),
+            (2, "piix4_smbus", 3, 2, 1),
+            (3, "i801_smbus", 33, 32, 1),
+            (4, "ft260", 60, 60, 2),
+        ] {
             system.adapter(number, Some(driver), "an adapter");
             let reach = Row::of(system.root(), number).expect("a row").reach;
             assert_eq!((reach.write, reach.read, reach.first), (write, read, first), "{driver}");
