@@ -68,7 +68,9 @@ fn tests() -> BTreeSet<String> {
             if line != "#[test]" {
                 continue;
             }
-            let function = lines.find_map(|line| line.strip_prefix("fn ")).unwrap_or_default();
+            let function = lines
+                .find_map(|line| line.trim_start_matches("pub(crate) ").strip_prefix("fn "))
+                .unwrap_or_default();
             names.extend(function.split('(').next().map(str::to_string));
         }
     }
