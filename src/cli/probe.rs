@@ -21,7 +21,7 @@ use gauge_bus::{Bus, BusError, GAUGE_ADDRESS, Reach};
 use gauge_owner::GaugeOptions;
 use ti_gauge::chip::Role;
 use ti_gauge::probe::{self, ROM_ADDRESS, Reading, Target};
-use ti_gauge::rom;
+use ti_gauge::rom::{self, Device};
 
 const PROBE: &str = "\
 Without --address it only reads registers: at 0x55, and at 0x0b where a gauge in ROM mode answers.
@@ -312,17 +312,32 @@ fn examine_rom(adapter: &Adapter) -> Result<Found> {
     if let Some(details) = driver(adapter, address) {
         return found(State::Driver, details);
     }
-    let mut bus = LinuxBus::open(adapter.clone(), address, Arc::new(RealClock::new()))?;
-    match probe::answers_in_rom(&mut bus) {
-        Ok(true) => {
-            let details = "either a gauge whose firmware update was interrupted, or a smart battery";
-            found(State::Rom, details.into())
+    let clock = Arc::new(RealClock::new());
+    let mut bus = LinuxBus::open(adapter.clone(), address, clock.clone())?;
+    let device = match probe::answers_in_rom(&mut bus) {
+        Ok(true) => rom::device(&mut bus, &*clock).map(Some),
+        Ok(false) => Ok(None),
+        Err(error) => Err(error),
+    };
+    match device {
+        Ok(Some(device)) => {
+            let (state, details) = at_rom(device);
+            found(state, details.into())
         }
-        Ok(false) => found(State::Nothing, String::new()),
+        Ok(None) => found(State::Nothing, String::new()),
         Err(error) => {
             let error = error.about(format!("{adapter} address 0x{address:02x}"));
             unanswered(&error).map_or(Err(error), |(state, details)| found(state, details))
         }
+    }
+}
+
+/// What a device at that address is, in words.
+fn at_rom(device: Device) -> (State, &'static str) {
+    match device {
+        Device::BootLoader => (State::Rom, "it reads like one; its firmware update was interrupted"),
+        Device::SmartBattery => (State::Other, "a Smart Battery"),
+        Device::Unclear => (State::Rom, "or a Smart Battery, which is not told apart by reading"),
     }
 }
 
@@ -371,6 +386,8 @@ mod tests {
         assert_eq!(advice(State::Driver, State::Rom), "");
         assert_eq!(advice(State::Nothing, State::Nothing), "");
         assert_eq!(advice(State::Silent, State::Rom), "", "a gauge may be there");
+        assert_eq!(advice(State::Nothing, at_rom(Device::SmartBattery).0), "");
+        assert!(!advice(State::Nothing, at_rom(Device::Unclear).0).is_empty());
     }
 
     /// A CP2112 reports a missing acknowledge as it does a bus that is held low.

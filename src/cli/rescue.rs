@@ -350,7 +350,7 @@ mod tests {
         // The first one has whole firmware, and the second one has lost its power while it was written.
         let half = Bench::new();
         let whole = Bench::at(half.clock.clone());
-        half.rescue_until(40);
+        half.rescue_until(80);
         let before = half.left.firmware();
         let error = bring([&whole.left, &half.left], &whole.clock).expect_err("it is another one");
         assert!(error.to_string().contains("not the one that was there"), "{error}");

@@ -28,6 +28,10 @@ use crate::text::printable;
 use gauge_bus::clock::Clock;
 use gauge_bus::{Bus, BusError};
 
+mod apart;
+
+pub use apart::{Device, device};
+
 const ROWS: usize = 512;
 const ROW: usize = 96;
 const DATA_ROWS: usize = 32;
@@ -48,7 +52,7 @@ const RESULT: u8 = 0x66;
 /// Start of a command's data.
 const DATA: usize = 0x04;
 /// The longest message: the register and a row in its command.
-const LONGEST: usize = 1 + DATA + ROW;
+pub const LONGEST: usize = 1 + DATA + ROW;
 /// Wait after an erase, beyond the file's 200 ms: files for later parts have 400 ms.
 const ERASING: Duration = Duration::from_millis(200);
 /// Time before a requested row can be fetched.
@@ -227,11 +231,28 @@ pub fn check_reach(bus: &mut dyn Bus) -> Result<()> {
     Err(Error::from(error).about("ROM mode"))
 }
 
-/// Reads row 0 of instruction flash, which proves a gauge's boot loader: a smart battery has the same address. Nothing
-/// is erased or programmed.
+/// Refuses what may be a Smart Battery, by reads alone.
+fn refuse_battery(bus: &mut dyn Bus, clock: &dyn Clock) -> Result<()> {
+    let why = match device(bus, clock)? {
+        Device::BootLoader => return Ok(()),
+        Device::SmartBattery => {
+            "a Smart Battery answers there, to which nothing was written; take it off the bus"
+        }
+        Device::Unclear => {
+            "the device there does not read like the boot loader of a gauge, and may be a Smart Battery; nothing was \
+             written to it. Switch the gauge's power off and on, with no other device on the bus"
+        }
+    };
+    Err(Error::new("", Cause::Gone, why))
+}
+
+/// Reads row 0 of instruction flash, which proves a gauge's boot loader. That needs a command, so a Smart Battery is
+/// told apart before it. Nothing is erased or programmed.
 pub fn look(bus: &mut dyn Bus, clock: &dyn Clock) -> Result<Found> {
     check_reach(bus)?;
-    let failed = |error: BusError| Error::from(error).about(format!("address 0x{ROM_ADDRESS:02x}"));
+    let subject = || format!("address 0x{ROM_ADDRESS:02x}");
+    refuse_battery(bus, clock).map_err(|error| error.about(subject()))?;
+    let failed = |error: BusError| Error::from(error).about(subject());
     let mut row = [0; ROW];
     for _ in 0..TRIES {
         send(bus, clock, 0x00, &[code::READ_ROW, 0, 0, 0]).map_err(failed)?;
@@ -249,7 +270,7 @@ pub fn look(bus: &mut dyn Bus, clock: &dyn Clock) -> Result<Found> {
     let is_words = row.chunks(3).all(|word| word[2] & !ERASED[2] == 0);
     if !is_words || row.iter().all(|byte| *byte == row[0]) {
         let why = "the device there does not answer like the boot loader of a gauge; nothing was erased";
-        return Err(Error::new(format!("address 0x{ROM_ADDRESS:02x}"), Cause::Gone, why));
+        return Err(Error::new(subject(), Cause::Gone, why));
     }
     let marked = row[MARK_AT..MARK_AT + 3] == MARK;
     Ok(Found { version: marked.then(|| version_of(&row)) })

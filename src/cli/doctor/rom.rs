@@ -11,41 +11,55 @@ use gauge_bus::GAUGE_ADDRESS;
 use gauge_bus::clock::RealClock;
 use gauge_bus::linux::{Adapter, LinuxBus, certain};
 use ti_gauge::probe::{ROM_ADDRESS, answers_in_rom};
-use ti_gauge::rom;
+use ti_gauge::rom::{self, Device};
 
 const CHECK: &str = "Check the gauge's power and its wires.";
 
 pub(super) fn check(bus: &Path) -> Result<Finding> {
     let adapter = Adapter::find(bus)?;
-    let answers = |address| -> Result<Answer> {
-        let mut bus = LinuxBus::open(adapter.clone(), address, Arc::new(RealClock::new()))?;
-        Ok(match answers_in_rom(&mut bus) {
-            Ok(true) => Answer::Yes,
-            Ok(false) => Answer::No,
-            Err(error) => Answer::Unknown(error.reason().to_string()),
-        })
-    };
+    let clock = Arc::new(RealClock::new());
+    let open = |address| LinuxBus::open(adapter.clone(), address, clock.clone());
     if adapter.driver(GAUGE_ADDRESS).is_some() {
         return Ok(ok(format!("gauge on {adapter}"), "a kernel driver uses 0x55; nothing was read"));
     }
-    Ok(finding(&adapter.to_string(), answers(GAUGE_ADDRESS)?, answers(ROM_ADDRESS)?))
+    let gauge = Answer::of(answers_in_rom(&mut open(GAUGE_ADDRESS)?), || Ok(()));
+    let mut bus = open(ROM_ADDRESS)?;
+    let rom = Answer::of(answers_in_rom(&mut bus), || rom::device(&mut bus, &*clock));
+    Ok(finding(&adapter.to_string(), gauge, rom))
 }
 
 /// Whether an address is acknowledged, or what happened instead of an answer.
-enum Answer {
-    Yes,
+enum Answer<T> {
+    Yes(T),
     No,
     Unknown(String),
 }
 
+impl<T> Answer<T> {
+    fn of(answers: Result<bool>, who: impl FnOnce() -> Result<T>) -> Self {
+        match answers.and_then(|answers| if answers { who().map(Some) } else { Ok(None) }) {
+            Ok(Some(who)) => Self::Yes(who),
+            Ok(None) => Self::No,
+            Err(error) => Self::Unknown(error.reason().to_string()),
+        }
+    }
+}
+
 /// The finding by which of the two addresses is acknowledged.
-fn finding(bus: &str, gauge: Answer, rom: Answer) -> Finding {
+fn finding(bus: &str, gauge: Answer<()>, rom: Answer<Device>) -> Finding {
     let what = format!("gauge on {bus}");
+    let which = |device| match device {
+        Device::BootLoader => "a gauge in ROM mode, whose firmware is not whole",
+        Device::SmartBattery => "a Smart Battery",
+        Device::Unclear => "a gauge in ROM mode, whose firmware is not whole, or a Smart Battery",
+    };
     match (gauge, rom) {
-        (Answer::Yes, _) => ok(what, "a device answers at 0x55"),
-        (Answer::Unknown(why), Answer::Yes) => {
-            let says =
-                format!("a device answers at 0x0b: a gauge in ROM mode or a smart battery; at 0x55: {why}");
+        (Answer::Yes(()), _) => ok(what, "a device answers at 0x55"),
+        (Answer::No, Answer::Yes(Device::SmartBattery)) => {
+            warning(what, "no device answers at 0x55, and a Smart Battery at 0x0b", CHECK)
+        }
+        (Answer::Unknown(why), Answer::Yes(device)) => {
+            let says = format!("a device answers at 0x0b: {}; at 0x55: {why}", which(device));
             let remedy =
                 format!("Ask an adapter that tells a missing acknowledge for certain: {}", certain());
             warning(what, says, remedy)
@@ -56,9 +70,8 @@ fn finding(bus: &str, gauge: Answer, rom: Answer) -> Finding {
         (Answer::Unknown(why), _) | (Answer::No, Answer::Unknown(why)) => {
             warning(what, format!("no device answers at 0x55 or 0x0b: {why}"), CHECK)
         }
-        (Answer::No, Answer::Yes) => {
-            let says = "no device answers at 0x55, and one at 0x0b: a gauge in ROM mode, whose firmware is not whole, or \
-                        a smart battery";
+        (Answer::No, Answer::Yes(device)) => {
+            let says = format!("no device answers at 0x55, and one at 0x0b: {}", which(device));
             let remedy = format!(
                 "If it is a gauge: switch its power off and on; if that does not help: gaugefs rescue FILE.bq.fs \
                  --bus {bus} --chip CHIP, which is {}; no other part can be brought back",
@@ -78,23 +91,28 @@ mod tests {
     #[test]
     fn a_gauge_that_answers_at_0x0b_only_is_in_rom_mode() {
         use Answer::{No, Unknown, Yes};
-        let found = finding("/dev/i2c-1", No, Yes);
+        let found = finding("/dev/i2c-1", No, Yes(Device::BootLoader));
         assert!(found.state == State::Problem && found.says.contains("ROM mode"));
         assert!(found.remedy.expect("the way").contains("gaugefs rescue FILE.bq.fs --bus /dev/i2c-1"));
-        // A gauge beside a smart battery.
-        assert!(finding("/dev/i2c-1", Yes, Yes).state == State::Ok);
+        let found = finding("/dev/i2c-1", No, Yes(Device::Unclear));
+        assert!(found.state == State::Problem && found.says.contains("or a Smart Battery"));
+        let found = finding("/dev/i2c-1", No, Yes(Device::SmartBattery));
+        assert!(found.state == State::Warning && !found.says.contains("ROM mode"));
+        // A gauge beside a Smart Battery.
+        assert!(finding("/dev/i2c-1", Yes(()), Yes(Device::SmartBattery)).state == State::Ok);
         assert!(finding("/dev/i2c-1", No, No).state == State::Warning);
         // The adapter does not tell whether a gauge is at 0x55, so none is called in ROM mode.
-        let maybe = || Unknown(gauge_bus::BusError::MaybeNoAck(110).to_string());
-        let found = finding("/dev/i2c-1", maybe(), Yes);
+        let says = || gauge_bus::BusError::MaybeNoAck(110).to_string();
+        let (maybe, maybe_rom) = (|| Unknown(says()), || Unknown(says()));
+        let found = finding("/dev/i2c-1", maybe(), Yes(Device::BootLoader));
         assert!(
             found.state == State::Warning && found.says.contains("or the bus timed out"),
             "{}",
             found.says
         );
         assert!(found.remedy.expect("the way").contains("MCP2221"));
-        assert!(finding("/dev/i2c-1", Yes, maybe()).state == State::Ok);
-        for (gauge, rom) in [(maybe(), maybe()), (maybe(), No), (No, maybe())] {
+        assert!(finding("/dev/i2c-1", Yes(()), maybe_rom()).state == State::Ok);
+        for (gauge, rom) in [(maybe(), maybe_rom()), (maybe(), No), (No, maybe_rom())] {
             let found = finding("/dev/i2c-1", gauge, rom);
             assert!(found.state == State::Warning && found.says.contains("or the bus timed out"));
         }

@@ -157,6 +157,7 @@ pub(crate) fn run(input: &[u8]) {
             let target = Target { open: &open, clock: &timed, reach: Reach::FULL, clock_hz: None };
             let _ = probe::find("bus", &target);
             let _ = probe::answers_in_rom(&mut *bus());
+            let _ = ti_gauge::rom::device(&mut *bus(), &*timed);
         }
         1 => {
             let _ = engine.gauge.identify();

@@ -22,7 +22,7 @@ const LINES: [(&str, usize); 10] = [
     ("gaugefs-host", 620),
     ("gaugefs-screen", 6_120),
     ("i2c-server", 1_200),
-    ("ti-gauge", 27_900),
+    ("ti-gauge", 28_000),
 ];
 
 /// A function is long above that many lines, and so many are.

@@ -13,7 +13,7 @@ use gauge_sim::{Options, Sim};
 use ti_gauge::chip::{CHIPS, Chip};
 use ti_gauge::error::Cause;
 use ti_gauge::probe::ROM_ADDRESS;
-use ti_gauge::rom::{self, Firmware, Found};
+use ti_gauge::rom::{self, Device, Firmware, Found};
 
 use crate::firmware::{Style, content, file};
 
@@ -182,7 +182,7 @@ fn transfers(firmware: &Firmware, chip: &Chip) -> usize {
 fn struck(all: usize, style: Style) -> Vec<usize> {
     let every = std::env::var_os("GAUGEFS_RESCUE").is_some();
     let at_ends = |at: &usize| match style {
-        Style::Word => *at <= 12 || at + 28 > all || at.is_multiple_of(331),
+        Style::Word => *at <= 27 || at + 28 > all || at.is_multiple_of(331),
         Style::Row => at + 24 > all,
     };
     (1..=all).filter(|at| every || at_ends(at)).collect()
@@ -239,31 +239,104 @@ fn a_gauge_with_whole_firmware_is_written_only_with_the_same_version() {
     assert!(bench.answers(GAUGE_ADDRESS));
 }
 
-/// A smart battery, which has the same address.
-struct SmartBattery(Vec<Vec<u8>>);
+/// A device at the address, which must not be written: a word at each code, and the same bytes for the others.
+#[derive(Clone)]
+struct Unwritten {
+    words: Vec<(u8, u16)>,
+    chemistry: &'static [u8],
+    other: u8,
+}
 
-impl Bus for SmartBattery {
+/// What real packs read: 0x0021 and 0x0031 are SpecificationInfo() of most.
+const PACK: [(u8, u16); 10] = [
+    (0x08, 2981),
+    (0x09, 0x2f0b),
+    (0x0a, 0xfe2f),
+    (0x16, 0x00c0),
+    (0x17, 0x0123),
+    (0x18, 4400),
+    (0x19, 10_800),
+    (0x1a, 0x0031),
+    (0x1b, 0x4a61),
+    (0x1c, 0x1234),
+];
+
+impl Unwritten {
+    fn pack() -> Self {
+        Self { words: PACK.to_vec(), chemistry: b"\x04LION", other: 0xff }
+    }
+
+    /// The same pack, but for one word.
+    fn with(self, code: u8, word: u16) -> Self {
+        let words = self.words.iter().map(|old| if old.0 == code { (code, word) } else { *old }).collect();
+        Self { words, ..self }
+    }
+}
+
+impl Bus for Unwritten {
     fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
-        if !write.is_empty() && read.is_empty() {
-            self.0.push(write.to_vec());
-        }
-        read.fill(0xFF);
+        assert!(write.len() <= 1 && !read.is_empty(), "{write:02x?} was written");
+        read.fill(self.other);
+        let word = write.first().and_then(|code| self.words.iter().find(|word| word.0 == *code));
+        let text = match (write, word) {
+            ([0x22], _) => self.chemistry.to_vec(),
+            (_, Some((_, word))) => word.to_le_bytes().to_vec(),
+            _ => Vec::new(),
+        };
+        read.iter_mut().zip(text).for_each(|(byte, text)| *byte = text);
         Ok(())
     }
 }
 
 #[test]
-fn nothing_is_erased_on_a_device_that_is_no_boot_loader() {
+fn nothing_is_written_to_what_may_be_a_smart_battery() {
     let clock = SimClock::new();
-    let mut bus = SmartBattery(Vec::new());
-    let error = rom::look(&mut bus, &clock).expect_err("no boot loader");
-    assert!(matches!(error.cause(), Cause::Gone), "{error}");
-    // The question for row 0 is all that it gets.
-    assert!(
-        bus.0.iter().all(|write| write[..] == [0, 0, 0, 0, 0] || write[..] == [0x64, 0, 0]),
-        "{:02x?}",
-        bus.0
-    );
+    let unclear = |words: Vec<(u8, u16)>, other| Unwritten { words, chemistry: b"", other };
+    for (mut bus, device) in [
+        (Unwritten::pack(), Device::SmartBattery),
+        (Unwritten::pack().with(0x1a, 0x0021), Device::SmartBattery),
+        (Unwritten::pack().with(0x1a, 0x3311), Device::SmartBattery),
+        // One of its words is misread, or is not as the specification has it.
+        (Unwritten::pack().with(0x1a, 0x0035), Device::Unclear),
+        (Unwritten::pack().with(0x08, 0), Device::Unclear),
+        (Unwritten::pack().with(0x16, 0x2000), Device::Unclear),
+        (Unwritten { chemistry: b"\xff", ..Unwritten::pack() }, Device::Unclear),
+        (Unwritten { chemistry: b"\x04L\x00ON", ..Unwritten::pack() }, Device::Unclear),
+        // A stuck line, and packs that answer everything alike.
+        (unclear(Vec::new(), 0xff), Device::Unclear),
+        (unclear(Vec::new(), 0x00), Device::Unclear),
+        (unclear(Vec::new(), 0x17), Device::Unclear),
+        (unclear(vec![(0x1a, 0x0021)], 0xff), Device::Unclear),
+    ] {
+        let words = bus.words.clone();
+        assert_eq!(rom::device(&mut bus, &clock), Ok(device), "{words:04x?}");
+        let error = rom::look(&mut bus, &clock).expect_err("no boot loader");
+        assert!(matches!(error.cause(), Cause::Gone), "{error}");
+        let error = error.to_string();
+        assert!(error.starts_with("address 0x0b: ") && error.contains("Smart Battery"), "{error}");
+    }
+}
+
+#[test]
+fn a_boot_loader_is_told_from_a_smart_battery_whatever_its_buffer_holds() {
+    let chip = CHIPS[0];
+    let bench = Bench::in_rom_mode(chip);
+    let mut bus = bench.sim.bus_at(ROM_ADDRESS);
+    let told = |bus: &mut dyn Bus| rom::device(bus, &*bench.clock);
+    assert_eq!(told(&mut bus), Ok(Device::BootLoader));
+    rom::look(&mut bus, &*bench.clock).expect("a boot loader");
+    assert_eq!(told(&mut bus), Ok(Device::BootLoader), "with row 0 in its buffer");
+    // A row that has the pack's words where no two of them overlap: it is both.
+    let mut message = [0; 101];
+    for (code, word) in PACK.iter().filter(|(code, _)| ![0x09, 0x17, 0x19, 0x1b].contains(code)) {
+        message[1 + usize::from(*code)..][..2].copy_from_slice(&word.to_le_bytes());
+    }
+    message[1 + 0x22..][..5].copy_from_slice(b"\x04LION");
+    bus.transfer(&message, &mut []).expect("it takes the bytes");
+    assert_eq!(told(&mut bus), Ok(Device::Unclear));
+    // Nobody is there.
+    let error = told(&mut bench.sim.bus_at(0x0c)).expect_err("nobody");
+    assert_eq!(error.cause(), Cause::Bus(BusError::NoAck));
 }
 
 fn refused(text: &str, chip: &'static Chip) -> String {
