@@ -98,6 +98,7 @@ impl Rescue {
         };
         let adapter = Adapter::find(bus)?;
         adapter.refuse_mux()?;
+        check_driver(&adapter.to_string(), adapter.is_known())?;
         // A daemon that waits for the gauge holds the lock of its usual address.
         let lock = |address| Lock::gauge(&adapter, address, Path::new(""), &*clock, |_| false);
         let _locks = [lock(GAUGE_ADDRESS)?, lock(ROM_ADDRESS)?];
@@ -107,6 +108,29 @@ impl Rescue {
         bring_back(&firmware, chip, Box::new(gauge), &mut boot, &clock, [&name, &subject], &confirm)?;
         Ok(ExitCode::SUCCESS)
     }
+}
+
+/// A driver may send a long message in parts, each with a START of its own, and report success: flash would be erased,
+/// and never written.
+fn check_driver(bus: &str, is_known: bool) -> Result<()> {
+    if is_known {
+        return Ok(());
+    }
+    let why = format!(
+        "it is not known whether its driver sends the {} bytes of a row in one message, so nothing was sent; use an \
+         adapter that does: {}",
+        rom::LONGEST,
+        certain()
+    );
+    Err(Error::new(bus, Cause::NotPermitted, why))
+}
+
+/// Refuses a bus that does not carry a row, with others that do.
+fn check_reach(boot: &mut dyn Bus) -> Result<()> {
+    rom::check_reach(boot).map_err(|error| {
+        let why = format!("{error}; nothing was sent; use an adapter that carries it: {}", certain());
+        Error::new("", error.cause(), why)
+    })
 }
 
 /// A simulated gauge in ROM mode.
@@ -134,7 +158,7 @@ fn bring_back(
     confirm: &dyn Fn() -> Result<bool>,
 ) -> Result<()> {
     let within = |error: Error| error.within(subject);
-    rom::check_reach(boot).map_err(within)?;
+    check_reach(boot).map_err(within)?;
     check_state(&mut *gauge, boot, &**clock).map_err(within)?;
     let found = rom::look(boot, &**clock).map_err(within)?;
     firmware.check(&found).map_err(within)?;
@@ -380,6 +404,23 @@ mod tests {
             assert!(text.contains(word), "{word}: {text}");
         }
         assert!(before == (bench.left.firmware(), bench.left.get("programmed")));
+    }
+
+    #[test]
+    fn an_adapter_that_may_cut_a_row_in_pieces_gets_nothing() {
+        let error = check_driver("/dev/i2c-7", false).expect_err("no row").to_string();
+        assert!(
+            error.starts_with("/dev/i2c-7: ") && error.contains("101 bytes") && error.contains("MCP2221")
+        );
+        check_driver("/dev/i2c-7", true).expect("it has a row");
+        let bench = Bench::new();
+        bench.left.set_reach(gauge_bus::Reach { write: 60, ..gauge_bus::Reach::FULL });
+        let before = (bench.left.firmware(), bench.left.get("transfers"));
+        let error = bench.rescue(&bench.left).expect_err("it carries less").to_string();
+        for word in ["101 bytes", "carries 60 at most", "nothing was sent", "i2c-tiny-usb"] {
+            assert!(error.contains(word), "{word}: {error}");
+        }
+        assert!(before == (bench.left.firmware(), bench.left.get("transfers")));
     }
 
     /// With a gauge in normal mode on the same bus it is not certain whose boot loader answers.

@@ -151,6 +151,12 @@ impl Adapter {
         Row::of(Path::new("/"), self.number())
     }
 
+    /// Whether it is known how long messages it sends as one: it is in the table of drivers, or a program serves it, which
+    /// gets messages as they are.
+    pub fn is_known(&self) -> bool {
+        self.device & (FILE | CUSE) != 0 || self.row().is_some()
+    }
+
     /// The kernel driver that is bound to an address, and its device: on this bus, or on one in front of it or behind it.
     pub fn driver(&self, address: u8) -> Option<Driver> {
         driver_near(Path::new("/"), self.number(), address)
@@ -387,6 +393,13 @@ mod tests {
         hold(&front, 0x55, libc::F_WRLCK).expect("they are gone");
         hold(&open(), 0x55, libc::F_RDLCK).expect_err("it is in front");
         fs::remove_file(path).expect("it was there");
+    }
+
+    #[test]
+    fn a_bus_of_a_driver_without_a_row_is_not_known() {
+        let adapter = |device| Adapter { path: "/dev/i2c-999999".into(), device };
+        assert!(!adapter(999_999).is_known());
+        assert!(adapter(FILE | 44).is_known() && adapter(CUSE | 44).is_known());
     }
 
     #[test]
