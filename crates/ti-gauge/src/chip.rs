@@ -300,7 +300,7 @@ pub struct Register {
     pub size: u8,
     /// Whether the value is two's complement.
     pub signed: bool,
-    /// Whether it is a text, the first byte of which is its length.
+    /// Whether it is a text. Its first byte is its length.
     pub text: bool,
     /// TI's name without the parentheses.
     pub name: &'static str,
@@ -513,7 +513,7 @@ pub struct KeyBlock {
     pub unseal: usize,
     /// The full-access key.
     pub full_access: usize,
-    /// The authentication key, most significant byte first; `None` where there is none that can be tested.
+    /// The authentication key, most significant byte first; `None` for a part whose key cannot be tested.
     pub authentication: Option<usize>,
     /// How the two words of a key are stored there.
     pub order: KeyOrder,
@@ -796,7 +796,7 @@ impl Chip {
         }
     }
 
-    /// Every chip: those with a table, then those of which only the standard commands are known.
+    /// Every chip: those with a table, then those with standard commands only.
     pub fn all() -> impl Iterator<Item = &'static Chip> {
         CHIPS.iter().copied().chain(kernel::GAUGES.iter().copied())
     }

@@ -415,7 +415,7 @@ impl DataFlash {
         })
     }
 
-    /// Leaves calibration mode, whoever has entered it, and restores the seal state. Returns whether it was on.
+    /// Leaves calibration mode, even if another program has entered it, and restores the seal state. Returns whether it was on.
     pub(crate) fn leave_calibration(&mut self, gauge: &mut Gauge, waited: Duration) -> Result<bool> {
         let Some(calibration) = gauge.chip.calibration else { return Ok(false) };
         let waited = self.settle_first(gauge, waited)?;
@@ -433,7 +433,7 @@ impl DataFlash {
         })
     }
 
-    /// Makes the checks that need no unsealed gauge. The second look at one that was found sealed is that which opens it.
+    /// Makes the checks that need no unsealed gauge. A gauge that was found sealed is opened by its second look.
     fn look_before(&mut self, gauge: &mut Gauge, changes: &[Change]) -> Result<Found> {
         gauge.claim()?;
         let mut found = self.knowledge.first_look(gauge, changes)?;

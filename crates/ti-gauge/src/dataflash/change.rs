@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT
 
-//! What is about to be written. A [`Change`] is made here only, from a value that was checked: whoever has one cannot
-//! have a value out of the manual's range, a row that nobody has confirmed, a key, or bytes of somebody else's parameter.
+//! What is about to be written. A [`Change`] is made here only, from a value that was checked. So none has
+//! a value out of the manual's range, a row that nobody has confirmed, a key, or bytes of somebody else's parameter.
 
 use std::io::ErrorKind;
 

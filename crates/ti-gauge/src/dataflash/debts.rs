@@ -41,7 +41,7 @@ pub(super) struct Debts {
 pub(super) struct Pending {
     /// `None` if the journal cannot be read, or another process works on it.
     pub(super) entry: Option<Entry>,
-    /// Its journal; `None` if there is none.
+    /// Its journal, if it has one.
     pub(super) file: Option<PathBuf>,
     /// Its journal is of another place, or waits for its pack: this gauge is not the first one to think of.
     pub(super) elsewhere: bool,
@@ -65,7 +65,7 @@ pub struct Owed<'a> {
     pub needs_decision: bool,
     /// A write is neither done nor undone; otherwise only the seal is owed.
     pub data: bool,
-    /// The keys of which a change is neither done nor undone: it takes both keys, as in the change.
+    /// The keys whose change is neither done nor undone: settling it takes both keys, as in the change.
     pub keys: &'a [Name],
 }
 
@@ -357,7 +357,8 @@ impl Pending {
         }
     }
 
-    /// Whether a person has to decide about a write of which these changes write all, so that nothing is lost without one.
+    /// Whether a person would have to decide about a write that these changes write anew as a whole: then no decision is
+    /// needed.
     pub(super) fn is_written_again(&self, changes: &[Change]) -> bool {
         self.undecided && self.plan().is_some_and(|plan| plan.is_covered(changes))
     }

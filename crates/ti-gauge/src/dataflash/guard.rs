@@ -158,7 +158,7 @@ impl DataFlash {
         Ok(())
     }
 
-    /// Records what is known of the pack of which only the seal will be owed.
+    /// Records what is known of a pack that will be owed its seal only.
     pub(super) fn note_marks(&mut self, gauge: &Gauge, session: &mut Session) -> Result<()> {
         let marks = self.knowledge.marks(gauge.chip);
         if marks.is_empty() {

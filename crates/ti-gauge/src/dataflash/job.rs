@@ -52,7 +52,7 @@ pub(super) struct Job {
     pub(super) care: Care,
     /// What a register shows of the new content once it is in use.
     pub(super) copied: Option<Copied>,
-    /// Blocks of which a commit may have been sent.
+    /// Blocks whose commit may have been sent.
     pub(super) touched: usize,
     /// The gauge has begun to use the new content: what is otherwise changed since then it has done itself.
     in_use: bool,

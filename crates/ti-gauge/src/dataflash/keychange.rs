@@ -13,7 +13,7 @@
 //!
 //! A loss of power may leave each word of the block old, new or erased, also those of keys that are not changed. The
 //! journal says that a change was about to be written, and how far it came, but has no key. So a change that was cut
-//! short is undone by the process that has begun it and still knows the keys, or made or undone by whoever makes it
+//! short is undone by the process that has begun it and still knows the keys, or made or undone when somebody makes it
 //! once more with the same two keys; until then nothing else is written.
 
 use std::cell::OnceCell;
@@ -197,7 +197,7 @@ fn prepare(
 ) -> Result<(&'static KeyBlock, Option<Plan>, Duration)> {
     let block = block_of(gauge.chip, change.name)?;
     check_new(gauge, change)?;
-    // Whoever makes a change that was cut short once more settles it.
+    // Making a change once more settles it, if it was cut short.
     let left = pending_keys(flash);
     let waited = match left {
         Some(_) => waited,

@@ -2,7 +2,7 @@
 
 //! Values that the gauge itself measures and stores, as the offsets of a calibration. What it is going to store is not
 //! known before, and whether it is right only shows afterwards. Until then the old values are owed, as after an
-//! interrupted write: whoever settles that puts them back.
+//! interrupted write: settling puts them back.
 
 use std::time::Duration;
 

@@ -141,7 +141,7 @@ impl Entry {
 }
 
 /// The blocks of a plan as the gauge has them now. The last commit may be at work still, and the gauge may answer with
-/// what was there before it: whoever has sent it is gone.
+/// what was there before it: the process that sent it is gone.
 pub(super) fn look(gauge: &mut Gauge, plan: &Plan) -> Result<Vec<Seen>> {
     gauge.wait(COMMITTED);
     look_at(gauge, plan)

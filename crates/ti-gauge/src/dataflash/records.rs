@@ -20,7 +20,7 @@ impl Records {
         Self { journal, unrecorded: false }
     }
 
-    /// The same place, of which nothing was reported yet.
+    /// The same place, with nothing reported yet.
     pub(super) fn anew(self) -> Self {
         Self::new(self.journal)
     }

@@ -193,7 +193,7 @@ impl Session {
 
     /// Makes the gauge use the new values and data flash readable again.
     ///
-    /// With [`Care::Quick`] a gauge with RAM uses what was restored, all of which was looked at in CONFIG UPDATE. One that was
+    /// With [`Care::Quick`] a gauge with RAM uses what was restored and looked at in CONFIG UPDATE. One that was
     /// found SEALED, and seals itself now, takes no key for 4 s; on others data memory cannot be read for 2 s. What can be read
     /// all the same, such as the register of `copied`, shows whether RAM was lost since. Returns whether it shows that it was
     /// not: the blocks need not be looked at again then, and data memory may not be readable.
@@ -375,7 +375,7 @@ pub(super) fn reads_wrong(error: &Error) -> bool {
 
 /// Resets the gauge, which is open, until there is a sign that it has happened: a part that had been sealed is
 /// sealed again (SLUSBZ5D 7.3.3.1 step 11). One that was found open may never have been sealed; then the sign is that it
-/// was silent, that [INITCOMP] is clear, or that it has forgotten which block was selected. An acknowledgement is none.
+/// was silent, that [INITCOMP] is clear, or that it has forgotten which block was selected. An acknowledgement is no sign.
 /// Returns the seal state.
 fn reset(gauge: &mut Gauge, found: Seal, moment: Moment) -> Result<Seal> {
     let access = &gauge.chip.access;

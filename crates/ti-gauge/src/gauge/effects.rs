@@ -107,7 +107,7 @@ pub(super) struct Watch {
     sent: Sent,
     commit: Option<Awaited<Committed>>,
     reset: Option<Awaited<()>>,
-    /// The bits of CONTROL_STATUS, one of which is set while the offset is measured.
+    /// The bits of CONTROL_STATUS. One of them is set while the offset is measured.
     offset: Option<Awaited<u32>>,
 }
 

@@ -149,7 +149,7 @@ impl<'a> Row<'a> {
         }
     }
 
-    /// Whether the authentication key is as it was. Where there is none, nothing was lost.
+    /// Whether the authentication key is as it was. A part without one has lost nothing.
     fn authentication(&self, gauge: &Gauge, key: &KeyPlan) -> Has {
         let Some(at) = offset(self.block, Name::Authentication) else { return Has::Mine };
         let at = self.start + at;

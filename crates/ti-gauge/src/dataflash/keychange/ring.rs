@@ -64,7 +64,7 @@ pub(super) fn is_harmless(gauge: &Gauge, key: &Secret) -> bool {
     !key.words().iter().any(is_command)
 }
 
-/// A key of which a gauge keeps these bytes.
+/// The key that a gauge stores as these bytes.
 pub(super) fn unstored(bytes: &[u8], order: KeyOrder) -> Secret {
     Secret::of_bytes(&stored(&Secret::of_bytes(bytes), order))
 }

@@ -181,7 +181,7 @@ impl Knowledge {
         self.next_look(gauge, &first, changes)
     }
 
-    /// Runs the checks with one look. What it permits is permitted when a second one agrees: that which opens the gauge, see
+    /// Runs the checks with one look. What it permits is permitted when a second one agrees:
     /// [`Self::look_while_opening`], or [`Self::next_look`].
     pub(in crate::dataflash) fn first_look(
         &mut self,

@@ -5,7 +5,7 @@
 //! While the presence of the gauge is unbroken it is the same one. After a break its marks are compared: a calibration
 //! or serial number of its own shows the pack. Packs as they left the factory cannot be told apart by that; of these
 //! only a block that holds a part of what this very write was about to store is a sign. Without one flash is left as it
-//! is, for whoever has to decide.
+//! is, and a person has to decide.
 
 use std::time::Duration;
 
@@ -222,7 +222,7 @@ impl Session {
     }
 
     /// Seals the gauge, if it is the one of the session or is known to open again. Otherwise it is left as it is:
-    /// whoever owns it may not be able to open it.
+    /// its owner may not be able to open it.
     pub(in crate::dataflash) fn seal(&mut self, gauge: &mut Gauge) -> Result<()> {
         let mut outcome = Ok(());
         for attempt in 0..SEALS {
@@ -305,7 +305,7 @@ impl Session {
         Err(Error::new(gauge.chip.model, Cause::NotPermitted, why).at(Step::Seal))
     }
 
-    /// Whether another pack answers than that which was left open.
+    /// Whether the pack that answers is not the one that was left open.
     pub(in crate::dataflash) fn is_plainly_another(&mut self, gauge: &mut Gauge, now: Seal) -> Result<bool> {
         // What a gauge with RAM was known by may be lost with its power.
         if gauge.chip.volatile.is_some()

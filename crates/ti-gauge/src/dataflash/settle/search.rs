@@ -133,7 +133,7 @@ pub(super) fn may_be_of(chip: &'static Chip, entry: &Entry, now: &Identity) -> b
     }
 }
 
-/// Those of the journals of which an open gauge shows nothing. Each block is read once.
+/// The journals that an open gauge shows nothing of. Each block is read once.
 fn others_of(gauge: &mut Gauge, now: &Identity, journals: &[(PathBuf, Entry)]) -> Result<Vec<PathBuf>> {
     // A commit may be at work still.
     gauge.wait(COMMITTED);
