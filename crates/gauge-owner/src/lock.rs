@@ -4,7 +4,7 @@
 //!
 //! The lock is a file that only its owner can open, in `/run/gaugefs` or in a folder of the user's own. It is
 //! named after the adapter's number and the address, so that two paths of one adapter are the same gauge; behind a mux
-//! after the path of channels that leads to it ([`related`]), because a gauge in front of a mux is reached through every
+//! after the path of channels that leads to it (`related`), because a gauge in front of a mux is reached through every
 //! channel. The kernel releases the lock when its holder ends, for whatever reason; the holder removes the file, and one that
 //! is left behind has no effect.
 //!

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! What gaugefs's commands share: the facts of an [error](error) as JSON, the checked way to
+//! What gaugefs's commands share: the facts of an [error] as JSON, the checked way to
 //! [standard output and standard error](output), [files](input) and [programs](program) that a person names, gaugefs's
 //! own [folders], and the [signs](sign) of a production line.
 //!
