@@ -132,10 +132,16 @@ impl Dialect for Map {
 
     fn look(&self, gauge: &mut Gauge, also: &[Source]) -> Result<(u16, Rows)> {
         gauge.command(CONTROL_STATUS)?;
-        // One transfer reads all from Control() to the last of the rows.
+        // One transfer reads all from Control() to the last of the rows, if the bus carries that; a transfer for each piece
+        // of it would read much that is not asked for.
         let last = also.iter().filter_map(|row| row.command()).max().unwrap_or(CONTROL);
         let mut behind = vec![0; usize::from(last)];
-        let word = status(gauge, &mut behind)?;
+        let is_carried = gauge.reach().carries(1, usize::from(CONTROL_END) + behind.len());
+        let word = status(gauge, if is_carried { &mut behind } else { &mut [] })?;
+        for code in also.iter().filter_map(|row| row.command()).filter(|_| !is_carried) {
+            let at = usize::from(code - CONTROL_END);
+            gauge.read(code, &mut behind[at..at + 2])?;
+        }
         let value = |row: &Source| {
             let at = usize::from(row.command()? - CONTROL_END);
             Some(u16::from_le_bytes([behind[at], behind[at + 1]]))
