@@ -33,6 +33,7 @@ enum Power {
 struct Pending {
     old: Kept,
     started: Duration,
+    ends: Duration,
 }
 
 pub(super) struct Device {
@@ -187,9 +188,7 @@ impl Device {
             self.restart(wire, at);
         }
         self.now = now;
-        if now >= self.busy_until {
-            self.pending.clear();
-        }
+        self.pending.retain(|pending| now < pending.ends);
         wire.run(self, settle);
     }
 
@@ -200,6 +199,10 @@ impl Device {
         let counted = rewrite_every > 0 && self.transfers.is_multiple_of(rewrite_every.into());
         let timed = !rewrite.is_zero() && self.now >= self.rewritten_at + rewrite;
         let rows = self.part.rewrites;
+        // One row after the other: what is stored of its own waits until the one before it is over.
+        if counted && !timed && self.now < self.busy_until {
+            return;
+        }
         if !(counted || timed) || rows.is_empty() || self.now < self.ready_at || !wire.gauges() {
             return;
         }
@@ -218,9 +221,7 @@ impl Device {
         }
         self.keep(wire, vec![Kept::new(area, offset, &bytes)]);
         self.now = now;
-        if now >= self.busy_until {
-            self.pending.clear();
-        }
+        self.pending.retain(|pending| now < pending.ends);
     }
 
     /// Lets battery time pass. The gauge measures once a second of its time; `settle` makes it measure at once.
@@ -299,7 +300,7 @@ impl Device {
         let words = bytes.len().div_ceil(2) as u32;
         self.busy_until = self.busy_until.max(self.now) + self.timing.commit + self.timing.word * words;
         let old = Kept::new(area, offset, before.bytes_at(area, offset, bytes.len()));
-        self.pending.push(Pending { old, started: self.now });
+        self.pending.push(Pending { old, started: self.now, ends: self.busy_until });
         wire.model().configure(&self.flash);
     }
 

@@ -168,6 +168,21 @@ mod commits {
         bench.replay("X 300 ; W 3E B1 41 ; R 40 1 -> 82");
     }
 
+    /// It programs one row after the other, and does not begin one of its own while another is at work.
+    #[test]
+    fn it_is_shown_when_it_is_over_whatever_is_stored_next() {
+        for chip in [FLASH, MAC] {
+            let bench = open(chip, &[("commit_ms", "200"), ("commit_busy", "old"), ("rewrite_every", "1")]);
+            let show = if chip == MAC { "W 3E B1 41 ; R 40 1" } else { "W 3E 30 ; W 3F 00 ; R 44 1" };
+            match chip {
+                MAC => bench.replay("W 3E B1 41 82 ; W 60 8B 05"),
+                _ => bench.write(48, 4, &[0x82; 2]),
+            }
+            (0..50).for_each(|_| bench.replay(&format!("X 10 ; {show} -> ..")));
+            bench.replay(&format!("{show} -> 82"));
+        }
+    }
+
     /// The rows 48/0 and 48/1 after power was lost in a commit of 48/0.
     fn torn(tear: &str) -> ([u8; 32], [u8; 32]) {
         let bench = open(FLASH, &[("tear", tear), ("fault", "torn-commit 4")]);

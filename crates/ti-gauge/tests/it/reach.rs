@@ -185,6 +185,33 @@ fn a_window_that_never_reads_the_same_is_an_error() {
     gauge.read(0x3e, &mut [0; 16]).expect("one message");
 }
 
+/// A gauge that stores a row of its own whenever it may, and answers meanwhile as before it: a commit may wait for such a
+/// row, and is shown as long after it was acknowledged as both take.
+#[test]
+fn a_commit_that_waits_for_rows_of_the_gauges_own_is_not_taken_for_none() {
+    for (chip, at, length) in [("bq34z100-r2", (80, 53), 2), ("bq34110", (FLAT, 0x41F5), 2)] {
+        for reach in [Reach::FULL, Reach::of_data(3), Reach::of_data(2)] {
+            for every in ["1", "7", "20", "50"] {
+                let mut rig = rig_within(chip, reach);
+                for (knob, text) in [("commit_ms", "218"), ("commit_busy", "old"), ("rewrite_every", every)] {
+                    rig.set(knob, text);
+                }
+                let outcome = rig.write(at.0, at.1, "3100");
+                rig.set("rewrite_every", "0");
+                rig.pause(5);
+                let about = format!("{chip}, {reach:?}, a row at each transfer of {every}");
+                let stored = rig.read(at.0, at.1).expect("it answers");
+                assert_eq!(
+                    (stored.len(), stored == [0x0c, 0x1c]),
+                    (length, outcome.is_ok()),
+                    "{about}: {outcome:?}"
+                );
+                assert!(outcome.is_ok(), "{about}: {outcome:?}");
+            }
+        }
+    }
+}
+
 /// Runs a test that draws faults on an adapter that is drawn too. `GAUGEFS_SEED` repeats one.
 fn on_drawn_adapters(name: &str, test: fn()) {
     drawn(&format!("adapters: {name}"), 6, |seed| {
