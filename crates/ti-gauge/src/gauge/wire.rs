@@ -15,6 +15,7 @@ use crate::error::{Cause, Error, Result, Step};
 use gauge_bus::trace::Event;
 use gauge_bus::{Bus, BusError, Reach, wire_bytes};
 
+mod pace;
 mod recognise;
 
 /// Pauses before each further attempt at an idempotent transfer. A gauge that programs a row of its flash stretches
@@ -48,6 +49,8 @@ pub(super) struct Wire {
     silence: Duration,
     /// When the last wait was to end.
     rested: Cell<Duration>,
+    /// How often standard commands were read.
+    pace: pace::Pace,
     /// No transfer starts after it, so that write(2) returns in time.
     limit: Option<Limit>,
 }
@@ -73,6 +76,7 @@ impl Wire {
             answered: Duration::ZERO,
             silence: Duration::ZERO,
             rested: Cell::default(),
+            pace: pace::Pace::default(),
             limit: None,
         }
     }
@@ -143,6 +147,13 @@ impl Gauge {
         // A register pointer is all that is ever sent to a part without a table.
         if write.len() > 1 && !self.chip.has_table() {
             return Err(BusError::ReadOnly);
+        }
+        // Where the bus carries it, a look begins at Control(), which is not limited.
+        let begins_at_control = self.reach().carries(1, pace::COMMANDS.end.into());
+        let is_limited = !(read.is_empty() || begins_at_control || self.chip.access.scheme.is_flat());
+        if let (&[code], true) = (write, is_limited) {
+            let pause = self.wire.pace.before(code, self.clock.now());
+            self.wait(pause);
         }
         self.make_ready()?;
         self.pass(write, read)

@@ -539,6 +539,16 @@ fn regression_drawn_imports_that_were_left_in_between() {
     }
 }
 
+/// Rows of the gauge's own that were queued without end, so that a commit came to light after it was taken for none; and a
+/// watchdog that was provoked by words of a look, which other adapters read in one transfer.
+#[test]
+fn regression_drawn_imports_behind_adapters() {
+    let known = Known::new();
+    for seed in [902, 2336, 1055, 1540, 2849, 2876] {
+        behind_any_adapter(seed, &known, imports).unwrap_or_else(|why| panic!("seed {seed}: {why}"));
+    }
+}
+
 /// Calibrations in which the gauge lost its power before it had stored what it had measured: they were told as done.
 #[test]
 fn regression_drawn_calibrations_that_had_stored_nothing() {

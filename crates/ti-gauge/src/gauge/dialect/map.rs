@@ -3,6 +3,7 @@
 //! A map of registers, least significant byte first: Control() at 0x00, the selection and the window of data flash from
 //! 0x3E to 0x61 (SLUSBZ5D 7.3.1, SLUUBH1C 12.1).
 
+use std::collections::BTreeSet;
 use std::ops::Range;
 use std::time::Duration;
 
@@ -138,7 +139,9 @@ impl Dialect for Map {
         let mut behind = vec![0; usize::from(last)];
         let is_carried = gauge.reach().carries(1, usize::from(CONTROL_END) + behind.len());
         let word = status(gauge, if is_carried { &mut behind } else { &mut [] })?;
-        for code in also.iter().filter_map(|row| row.command()).filter(|_| !is_carried) {
+        let codes: BTreeSet<_> =
+            also.iter().filter_map(|row| row.command()).filter(|_| !is_carried).collect();
+        for code in codes {
             let at = usize::from(code - CONTROL_END);
             gauge.read(code, &mut behind[at..at + 2])?;
         }
