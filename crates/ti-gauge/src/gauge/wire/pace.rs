@@ -3,6 +3,7 @@
 //! How often a standard command is read. A host must not issue one more than twice a second, or the gauge's watchdog may
 //! reset it (SLUSBH1C 9.5.4.3, SLUS914A 7.3). Control() and block access are not limited.
 
+use std::collections::BTreeMap;
 use std::ops::Range;
 use std::time::Duration;
 
@@ -17,17 +18,12 @@ const BURST: Duration = Duration::from_millis(2500);
 /// is within it.
 const CALM: Duration = Duration::from_secs(2);
 
+#[derive(Default)]
 pub(super) struct Pace {
     /// When each command was read last, and before that.
-    read: [[Option<Duration>; 2]; COMMANDS.end as usize],
+    read: BTreeMap<u8, [Option<Duration>; 2]>,
     /// The first and the last read of a burst.
     burst: Option<(Duration, Duration)>,
-}
-
-impl Default for Pace {
-    fn default() -> Self {
-        Self { read: [[None; 2]; COMMANDS.end as usize], burst: None }
-    }
 }
 
 impl Pace {
@@ -36,7 +32,7 @@ impl Pace {
         if !COMMANDS.contains(&code) {
             return Duration::ZERO;
         }
-        let [last, before] = &mut self.read[usize::from(code)];
+        let [last, before] = self.read.entry(code).or_default();
         let mut pause = Duration::ZERO;
         if before.is_some_and(|before| now < before + PERIOD) {
             match &mut self.burst {
