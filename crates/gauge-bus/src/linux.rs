@@ -30,7 +30,7 @@ mod target;
 
 use adapter::Row;
 pub use adapter::{BusClock, certain, clock};
-pub use mux::{Mux, described, muxes};
+pub use mux::{Mux, connected, described, muxes};
 pub use target::LinuxBus;
 
 /// Major number of the i2c-dev character devices; the minor number is the adapter's.
@@ -211,7 +211,7 @@ impl fmt::Display for Adapter {
 
 /// Why no gauge is used on a bus in front of its muxes, if one of them keeps a channel connected.
 fn refusal_of_mux(subject: &str, number: u64, muxes: &[Mux]) -> Option<Error> {
-    let stays = muxes.iter().find(|mux| !mux.disconnects)?;
+    let stays = connected(muxes)?;
     let says = described(number, muxes)?;
     let why = format!(
         "{says}; on the bus in front of it the gauge changes whenever somebody uses another channel, unless the mux connects \

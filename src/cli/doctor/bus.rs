@@ -8,7 +8,7 @@ use std::os::unix::fs::{FileTypeExt, MetadataExt};
 use super::host::Host;
 use super::{Finding, ok, problem, warning};
 use gauge_bus::GAUGE_ADDRESS;
-use gauge_bus::linux::{Adapter, adapters, clock, described, driver, muxes};
+use gauge_bus::linux::{Adapter, adapters, clock, connected, described, driver, muxes};
 
 /// Fastest clock at which this controller tolerates clock stretching.
 const SLOW_HZ: u32 = 50_000;
@@ -153,7 +153,7 @@ fn forbidden(host: &Host, status: &fs::Metadata) -> String {
 fn mux(host: &Host, number: u64, wanted: bool) -> Option<Finding> {
     let muxes = muxes(host.root(), number);
     let (what, says) = (format!("muxes of i2c-{number}"), described(number, &muxes)?);
-    Some(match muxes.iter().find(|mux| !mux.disconnects) {
+    Some(match connected(&muxes) {
         Some(stays) if wanted => {
             let remedy = format!(
                 "Configure the gauges on these buses. One in front of the mux can be used only if the mux connects no channel \

@@ -192,8 +192,7 @@ impl Row {
 
 /// The folder of the adapter before all muxes.
 fn device(root: &Path, number: u64) -> PathBuf {
-    let top = mux::above(root, number).pop().unwrap_or(number);
-    root.join(format!("sys/bus/i2c/devices/i2c-{top}"))
+    mux::device(root, mux::above(root, number).pop().unwrap_or(number))
 }
 
 /// The clock of a bus, and from where it is known.

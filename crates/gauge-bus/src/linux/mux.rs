@@ -28,7 +28,8 @@ pub struct Mux {
     pub disconnects: bool,
 }
 
-fn device(root: &Path, number: u64) -> PathBuf {
+/// The folder of an adapter.
+pub(super) fn device(root: &Path, number: u64) -> PathBuf {
     root.join(format!("sys/bus/i2c/devices/i2c-{number}"))
 }
 
@@ -118,6 +119,11 @@ pub fn described(number: u64, muxes: &[Mux]) -> Option<String> {
         _ => "muxes",
     };
     Some(format!("i2c-{number} has {what}, {names}: use {}", channels.join(" or ")))
+}
+
+/// The mux that keeps a channel connected, if one does: in front of it the gauge changes whenever somebody uses another one.
+pub fn connected(muxes: &[Mux]) -> Option<&Mux> {
+    muxes.iter().find(|mux| !mux.disconnects)
 }
 
 fn channels(numbers: &[u64]) -> String {
