@@ -314,12 +314,7 @@ fn examine_rom(adapter: &Adapter) -> Result<Found> {
     }
     let clock = Arc::new(RealClock::new());
     let mut bus = LinuxBus::open(adapter.clone(), address, clock.clone())?;
-    let device = match probe::answers_in_rom(&mut bus) {
-        Ok(true) => rom::device(&mut bus, &*clock).map(Some),
-        Ok(false) => Ok(None),
-        Err(error) => Err(error),
-    };
-    match device {
+    match rom::find(&mut bus, &*clock) {
         Ok(Some(device)) => {
             let (state, details) = at_rom(device);
             found(state, details.into())

@@ -30,7 +30,7 @@ use gauge_bus::{Bus, BusError};
 
 mod apart;
 
-pub use apart::{Device, device};
+pub use apart::{Device, device, find};
 
 const ROWS: usize = 512;
 const ROW: usize = 96;

@@ -22,10 +22,9 @@ pub(super) fn check(bus: &Path) -> Result<Finding> {
     if adapter.driver(GAUGE_ADDRESS).is_some() {
         return Ok(ok(format!("gauge on {adapter}"), "a kernel driver uses 0x55; nothing was read"));
     }
-    let gauge = Answer::of(answers_in_rom(&mut open(GAUGE_ADDRESS)?), || Ok(()));
-    let mut bus = open(ROM_ADDRESS)?;
-    let rom = Answer::of(answers_in_rom(&mut bus), || rom::device(&mut bus, &*clock));
-    Ok(finding(&adapter.to_string(), gauge, rom))
+    let gauge = answers_in_rom(&mut open(GAUGE_ADDRESS)?).map(|answers| answers.then_some(()));
+    let rom = rom::find(&mut open(ROM_ADDRESS)?, &*clock);
+    Ok(finding(&adapter.to_string(), Answer::of(gauge), Answer::of(rom)))
 }
 
 /// Whether an address is acknowledged, or what happened instead of an answer.
@@ -36,8 +35,8 @@ enum Answer<T> {
 }
 
 impl<T> Answer<T> {
-    fn of(answers: Result<bool>, who: impl FnOnce() -> Result<T>) -> Self {
-        match answers.and_then(|answers| if answers { who().map(Some) } else { Ok(None) }) {
+    fn of(found: Result<Option<T>>) -> Self {
+        match found {
             Ok(Some(who)) => Self::Yes(who),
             Ok(None) => Self::No,
             Err(error) => Self::Unknown(error.reason().to_string()),

@@ -16,6 +16,7 @@ use std::ops::RangeInclusive;
 
 use super::{RESULT, fetch};
 use crate::error::Result;
+use crate::probe::answers_in_rom;
 use gauge_bus::clock::Clock;
 use gauge_bus::{Bus, BusError};
 
@@ -41,6 +42,14 @@ pub enum Device {
     SmartBattery,
     /// It may be the one or the other, or a third.
     Unclear,
+}
+
+/// The device that answers there, if one does.
+pub fn find(bus: &mut dyn Bus, clock: &dyn Clock) -> Result<Option<Device>> {
+    match answers_in_rom(bus)? {
+        true => device(bus, clock).map(Some),
+        false => Ok(None),
+    }
 }
 
 /// Tells which device answers there. Nothing is written but the numbers of registers.
