@@ -149,9 +149,9 @@ impl Gauge {
             return Err(BusError::ReadOnly);
         }
         // Where the bus carries it, a look begins at Control(), which is not limited.
-        let begins_at_control = self.reach().carries(1, pace::COMMANDS.end.into());
-        let is_limited = !(read.is_empty() || begins_at_control || self.chip.access.scheme.is_flat());
-        if let (&[code], true) = (write, is_limited) {
+        let is_flat = self.chip.access.scheme.is_flat();
+        let is_free = read.is_empty() || is_flat || self.reach().carries(1, pace::COMMANDS.end.into());
+        if let (&[code], false) = (write, is_free) {
             let pause = self.wire.pace.before(code, self.clock.now());
             self.wait(pause);
         }
