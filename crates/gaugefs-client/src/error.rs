@@ -193,7 +193,7 @@ impl From<ti_gauge::error::Error> for Error {
     }
 }
 
-/// The same failure, for a program whose other errors are those of `ti_gauge`.
+/// A failure of this crate among those of `ti_gauge`, for a program that has both.
 impl From<Error> for ti_gauge::error::Error {
     fn from(error: Error) -> Self {
         let text = error.text();

@@ -70,7 +70,7 @@ impl Owner {
         }
     }
 
-    /// The same for a poll that somebody has asked for: its failure is always recorded, also that of a gauge that is gone.
+    /// Notes the failure of a poll that somebody has asked for: it is always recorded, also that of a gauge that is gone.
     pub(super) fn asked_poll_failed(&mut self, error: &Error) {
         let was_gone = self.access.schedule().is_gone();
         self.poll_failed(error);

@@ -20,7 +20,7 @@ impl Records {
         Self { journal, unrecorded: false }
     }
 
-    /// The same place, with nothing reported yet.
+    /// Records at this place, with nothing reported yet.
     pub(super) fn anew(self) -> Self {
         Self::new(self.journal)
     }
