@@ -2,9 +2,7 @@
 
 //! SHA-1 authentication (SLUSBZ5D 7.3.15): a challenge goes to the gauge, the digest comes back.
 //!
-//! The gauge computes SHA1(K || SHA1(K || M)) from its key K, which never leaves it, and the challenge M. This is not
-//! the HMAC of RFC 2104. This module has the sequence on the bus, which needs no key, and the computation of the
-//! expected answer, which needs no gauge.
+//! The gauge computes SHA1(K || SHA1(K || M)) from its key K and the challenge M. This is not the HMAC of RFC 2104.
 
 use std::time::Duration;
 
@@ -25,13 +23,11 @@ pub type Message = [u8; LENGTH];
 const SELECTED: Duration = Duration::from_millis(60);
 /// Shortest time before the buffer is read: gauges take up to 30 ms for its content.
 const SETTLED: Duration = Duration::from_millis(30);
-/// Reads of the digest before giving up.
 const DIGEST_READS: u32 = 4;
 /// write(2) returns within 30 s.
 const LIMIT: Duration = Duration::from_secs(12);
 
-/// Byte order of challenge and digest on the bus. The manual does not say; drivers and traces of related
-/// parts have the least significant byte first.
+/// Byte order on the bus. The manual does not say; related parts have the least significant byte first.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Order {
     /// Least significant byte first.
@@ -73,8 +69,7 @@ pub fn answer(key: &[u8; 16], challenge: &Message) -> Message {
     Sha1::new().chain_update(key).chain_update(inner).finalize().into()
 }
 
-/// The byte order in which a gauge with this key gives this digest after a challenge in the order `asked`; `None` if
-/// neither fits.
+/// The byte order in which this key gives `digest` after a challenge in the order `asked`; `None` if neither fits.
 pub fn fits(key: &[u8; 16], challenge: &Message, digest: &Message, asked: Order) -> Option<Order> {
     let (sent, got) = (asked.turn(*challenge), asked.turn(*digest));
     Order::ALL.into_iter().find(|order| answer(key, &order.turn(sent)) == order.turn(got))
@@ -139,8 +134,7 @@ fn exchange(gauge: &mut Gauge, waits: &Authentication, sent: &Message) -> Result
     // Sent once: a second checksum would apply to the digest.
     let started = gauge.write_once(at.sum, &[checksum(sent)]);
     started.map_err(|bus| Error::bus("AuthenticateChecksum()", bus))?;
-    // I2C has no error detection, and the gauge's computing time is not documented, so two readings of the digest must
-    // agree.
+    // I2C has no error detection, and the computing time is not documented: two readings must agree.
     let mut before = None;
     for _ in 0..DIGEST_READS {
         gauge.wait(waits.digest.max(SETTLED));
@@ -162,8 +156,7 @@ pub fn to_hex(message: &Message) -> String {
     text::hex(message)
 }
 
-/// Parses a challenge or a digest; surrounding spaces are allowed. The error does not repeat the text, which
-/// may be a key.
+/// Parses a challenge or a digest, with spaces around it. The error does not repeat the text, which may be a key.
 pub fn from_hex(digits: &[u8]) -> Result<Message> {
     let message = text::unhex(digits.trim_ascii()).and_then(|bytes| bytes.try_into().ok());
     message.ok_or_else(|| {

@@ -1,11 +1,8 @@
 // SPDX-License-Identifier: MIT
 
-//! Calibration of a gauge: repeated readings, their spread, the new values through a transaction, and the remaining
-//! error. If a calibration makes the error larger, the transaction puts the old values back before its journal is
-//! removed.
-//!
-//! The gauge must not be polled meanwhile. Voltages and currents are in the registers' units, temperatures in degrees
-//! Celsius.
+//! Calibration of a gauge: readings, their spread, new values, and the remaining error. If that error grows, the
+//! transaction puts the old values back before its journal is removed. The gauge must not be polled meanwhile.
+//! Voltages and currents are in the registers' units, temperatures in degrees Celsius.
 
 use std::time::Duration;
 
@@ -28,15 +25,13 @@ const INTERVAL: Duration = Duration::from_millis(600);
 const RECOGNITIONS: usize = 3;
 /// Readings before and after an offset measurement, which itself takes up to 16 s.
 const FEW_READINGS: usize = 4;
-/// From a reset until the first reading.
 const AFTER_RESET: Duration = Duration::from_millis(1500);
 /// A request has 16 s until its first commit; the readings leave some of them.
 const READ_LIMIT: Duration = Duration::from_secs(12);
 /// Longest offset measurement.
 const ENDS: Duration = Duration::from_secs(22);
 const LOOK: Duration = Duration::from_millis(100);
-/// Largest current for an offset measurement, in mA. Board Offset has 8 bits, and a real load's shunt voltage would not
-/// fit.
+/// Largest current for an offset measurement, in mA: a real load's shunt voltage does not fit Board Offset's 8 bits.
 const NO_CURRENT_MA: f64 = 10.0;
 /// Smallest current for calibrating a gain, in mA.
 const LEAST_CURRENT_MA: i32 = 100;
@@ -151,13 +146,10 @@ pub fn not_documented(chip: &Chip) -> Error {
     Error::new(chip.model, Cause::NotPermitted, why).at(Step::Check)
 }
 
-/// The target of a calibration.
 #[derive(Clone, Copy)]
 struct Target {
     role: Role,
-    /// The reading to reach.
     wanted: f64,
-    /// Largest normal spread.
     spread: f64,
 }
 
@@ -201,7 +193,6 @@ impl Task<'_> {
         Err(Error::new(subject, Cause::OutOfRange, why).at(Step::Check))
     }
 
-    /// Reads a register, and refuses scattered readings.
     fn steady(&mut self, target: Target, count: usize) -> Result<Readings> {
         let (name, unit) = naming(self.gauge.chip, target.role);
         (self.tell)(&format!("reading {name} {count} times"));
@@ -238,7 +229,6 @@ impl Task<'_> {
         Ok((row, self.values(row.0, &[row.1])?.remove(0)))
     }
 
-    /// Values of a subclass's parameters, with one reading.
     fn values(&mut self, subclass: &'static Subclass, parameters: &[&Parameter]) -> Result<Vec<Value>> {
         let waited = self.waited();
         let bytes = self.dataflash.read(self.gauge, &[subclass], waited)?.remove(0);
@@ -367,7 +357,6 @@ impl Task<'_> {
         self.write(target, before, &[(place, new)], false)
     }
 
-    /// Refuses a correction beyond all tolerances.
     fn check_ratio(&self, read: f64, actual: f64, hint: &str) -> Result<()> {
         let ratio = if read == 0.0 { f64::INFINITY } else { actual / read };
         if (1.0 - LARGEST_CHANGE..=1.0 + LARGEST_CHANGE).contains(&ratio) {
@@ -380,7 +369,6 @@ impl Task<'_> {
         self.refuse("calibration", why)
     }
 
-    /// Makes the gauge measure an offset, which it stores itself.
     fn offset(&mut self, offset: &'static Offset) -> Result<String> {
         let target = Target { role: Role::CurrentNow, wanted: 0.0, spread: NO_CURRENT_MA };
         let before = self.steady(target, FEW_READINGS)?;
@@ -466,8 +454,7 @@ impl Task<'_> {
         self.save()
     }
 
-    /// Checks that it is still the same pack. A gauge may be silent while it stores something, so after a silence its
-    /// distinguishing values are compared.
+    /// A gauge may be silent while it stores something; after that it must show the marks of the same pack.
     fn recognise(&mut self) -> Result<()> {
         for _ in 0..RECOGNITIONS {
             if self.gauge.is_unbroken_since(self.since) {
@@ -484,7 +471,6 @@ impl Task<'_> {
         assure_same(self.gauge, self.since)
     }
 
-    /// Makes the gauge store its measurement.
     fn save(&mut self) -> Result<()> {
         self.recognise()?;
         self.gauge.command_since(self.calibration.save, self.since)?;
@@ -492,7 +478,6 @@ impl Task<'_> {
         Ok(())
     }
 
-    /// The reading after a measurement, and the first stored value.
     fn judge(&mut self, olds: &[(Row, Value)], before: Readings) -> Result<(Readings, Value)> {
         let after = readings(self.gauge, Role::CurrentNow, FEW_READINGS)?;
         let ((subclass, _), _) = olds[0];
@@ -524,7 +509,6 @@ impl Task<'_> {
         }
     }
 
-    /// Writes old offsets back after a failed measurement.
     fn put_back(&mut self, olds: &[(Row, Value)], error: Error) -> Result<String> {
         let show = |((_, parameter), old): &(Row, Value)| {
             format!("{} {}", parameter.name, notation::render(parameter.kind, old))
@@ -550,8 +534,7 @@ impl Task<'_> {
         }
     }
 
-    /// Refuses a divider or a voltage that does not fit so many cells: otherwise the gauge would be set up before the
-    /// mistake shows.
+    /// Refuses a divider or a voltage that does not fit so many cells, before the gauge is set up with them.
     fn check_pack(&self, cells: u8, divider: u16, voltage_mv: Option<f64>) -> Result<()> {
         for (name, given) in [("Voltage Divider", Some(divider.into())), ("Voltage()", voltage_mv)] {
             if let Some(given) = given.filter(|given| *given < LEAST_CELL_MV * f64::from(cells)) {
@@ -570,8 +553,7 @@ impl Task<'_> {
         Ok(())
     }
 
-    /// Makes a new board of several cells writable: calibration mode allows to set the limit to 0, and the divider with
-    /// it.
+    /// Makes a new board of several cells writable: in calibration mode the limit can be set to 0, with the divider.
     fn bring_up(&mut self, cells: u8, divider: u16, voltage_mv: Option<f64>) -> Result<String> {
         let chip = self.gauge.chip;
         let gate = chip.gate.as_ref().and_then(|gate| {
@@ -630,7 +612,6 @@ impl Task<'_> {
         self.since = self.gauge.moment();
         let read = match found {
             Some(read) => read,
-            // Nothing had to be written.
             None => readings(self.gauge, Role::VoltageNow, FEW_READINGS)?,
         };
         let first = format!("{name}: {}", read.show(unit));

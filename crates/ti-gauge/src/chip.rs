@@ -2,8 +2,7 @@
 
 //! A chip is a table: the types of its rows, and the list of all chips.
 //!
-//! Rows keep the manual's columns and order, so that a reviewer checks them with the manual open
-//! alongside. No code asks which chip it has: a difference between chips is a field here.
+//! Rows keep the manual's columns and order, to be checked beside it. Parts differ in fields; no code asks for a name.
 
 use std::time::Duration;
 
@@ -73,8 +72,7 @@ pub struct Chip {
     pub evidence: &'static [Evidence],
     /// The answers that identify the part.
     pub identity: Identity,
-    /// How a firmware file of the part is recognised, for a gauge that is left in ROM mode; `None` where no source shows
-    /// a whole one.
+    /// How a firmware file of the part is recognised, for ROM mode; `None` where no source shows a whole one.
     pub firmware_file: Option<FirmwareFile>,
     /// Chemistry as the kernel names it, where the part allows only one; else `Unknown`.
     pub technology: &'static str,
@@ -82,8 +80,7 @@ pub struct Chip {
     pub address: u8,
     /// How it stores numbers in data flash.
     pub layout: Layout,
-    /// The addresses of data flash on a part with a flat address space; empty on others, and where no document says where
-    /// they end.
+    /// Addresses of data flash on a part with a flat address space; empty on others, and where no document has the end.
     pub flat: std::ops::Range<u16>,
     /// Standard commands, by address.
     pub registers: &'static [Register],
@@ -109,11 +106,9 @@ pub struct Chip {
     pub subclasses: &'static [Subclass],
     /// Single-byte writes only above this bus clock; `None` where the manual says nothing.
     pub byte_writes_above_hz: Option<u32>,
-    /// Values that data flash must hold before the first write, for parts whose offsets differ between
-    /// firmwares. Empty where [`Identity`] is enough.
+    /// Values of data flash that prove its layout before the first write; empty where [`Identity`] is enough.
     pub signature: &'static [Signature],
-    /// `[ITPOR]`, the flag that is set after data memory in RAM has reverted to its defaults; 0 where no flag
-    /// shows that, and `None` where it is flash.
+    /// `[ITPOR]`: data memory in RAM has reverted to its defaults; 0 where no flag shows that, `None` where it is flash.
     pub volatile: Option<u32>,
     /// Known defects of some parts as shipped, and their remedies.
     pub quirks: &'static [Quirk],
@@ -175,21 +170,18 @@ impl Evidence {
     }
 }
 
-/// The layout of data flash in images that are written in ROM mode: 32 rows of 32 bytes, in which subclasses
-/// follow each other without regard to the blocks of normal mode.
+/// Data flash in images for ROM mode: 32 rows of 32 bytes, in which subclasses cross the blocks of normal mode.
 #[derive(Clone, Debug)]
 pub struct RomImage {
     /// The subclasses whose place is known, by id, and the index of their first byte. All of their length is there.
     pub subclasses: &'static [(u8, u16)],
     /// The data of the chemistry and private data around them: the first byte, and one behind the last.
     pub chemistry: (u16, u16),
-    /// The index of the word, most significant byte first, that is the checksum of the chemistry's data. It is inferred
-    /// from values; so it may prove that two chemistries are the same, and never that they differ.
+    /// Index of the big-endian checksum of the chemistry. It is inferred, so it never proves that two of them differ.
     pub chemistry_sum: u16,
 }
 
-/// A file with the whole firmware, by the Device Name in its data flash. Only that and the version of the firmware show which part a
-/// file is for.
+/// A file with the whole firmware. Only the Device Name in its data flash and the firmware's version show its part.
 #[derive(Clone, Debug)]
 pub struct FirmwareFile {
     /// Index of its length byte in the 32 rows.
@@ -228,8 +220,7 @@ pub enum Tier {
     Window,
 }
 
-/// The power_supply property that a register feeds, or a parameter of data flash. Units are those before
-/// [`Scaling`] apply.
+/// The power_supply property that a register or a parameter feeds, in units before [`Scaling`] applies.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Role {
     /// `capacity`, %.
@@ -384,16 +375,14 @@ pub struct Condition {
     pub absent: u32,
     /// Set while the gauge asks for an update of its capacity; 0 where no flag does.
     pub uncertain: u32,
-    /// The bit that is set once values are valid after power-up or a reset: of CONTROL_STATUS, or of a register that is
-    /// polled; `None` where none is documented.
+    /// The bit of CONTROL_STATUS or of a polled register that is set once values are valid after a reset, if documented.
     pub complete: Option<(Source, u32)>,
     /// A gauge for primary cells.
     pub primary: Option<Primary>,
 }
 
 impl Condition {
-    /// Whether the flags show a battery. Parts without a flag for it have one whenever they answer, unless all flags say
-    /// that nothing does.
+    /// Whether the flags show a battery. Without a flag for it there is one, unless all flags say that there is not.
     pub fn shows_battery(&self, flags: Option<i64>) -> bool {
         let is_set = |flags: i64| flags & i64::from(self.present) != 0;
         let is_absent = self.absent != 0 && flags == Some(self.absent.into());
@@ -401,8 +390,7 @@ impl Condition {
     }
 }
 
-/// A gauge for primary cells, which are never charged: `status` is `Discharging` while a current flows, whatever
-/// its sign, and otherwise `Not charging`; never `Charging` or `Full`.
+/// A gauge for primary cells: `status` is `Discharging` while a current of either sign flows, else `Not charging`.
 #[derive(Clone, Debug)]
 pub struct Primary {
     /// The bit of CONTROL_STATUS that is set between GAUGE_START and GAUGE_STOP. Current() is measured only then.
@@ -430,8 +418,7 @@ pub struct Scaling {
     pub charge: Scale,
     /// Energies and powers.
     pub energy: Scale,
-    /// Shows that the host has to multiply currents, charges and energies by a factor that the gauge does not have:
-    /// a register that is read when the gauge is opened, and its bit.
+    /// Register, read at opening, and bit: set if the host must multiply by a factor that the gauge does not have.
     pub scaled: Option<(Source, Bit)>,
 }
 
@@ -482,8 +469,7 @@ pub struct Security {
     pub full_access: bool,
     /// Subcommand that seals.
     pub seal: u16,
-    /// Time without traffic that the gauge needs before it accepts keys after a refusal. The manuals print 4 s
-    /// (10 s for the bq35100), which is measured by the gauge's clock, so there is a margin.
+    /// Silence before keys after a refusal. The manuals print 4 s (bq35100: 10 s) by the gauge's clock; this has a margin.
     pub key_silence: Duration,
     /// The blocks that a SEALED gauge shows: DataFlashBlock(), and the subclass whose first bytes it is.
     pub shown_sealed: &'static [(u8, u8)],
@@ -549,16 +535,14 @@ pub enum SealStatus {
     None,
 }
 
-/// How data flash is accessed, and the delays that this needs. No delay is optional; the table gives the
-/// source of each.
+/// How data flash is accessed, with the delays. No delay is optional; the table gives the source of each.
 #[derive(Clone, Debug)]
 pub struct Access {
     /// The sequence that reads and writes a block.
     pub scheme: Scheme,
     /// From selecting a block until its bytes are in the window.
     pub select: Duration,
-    /// From selecting a block until a look at it is worth while, where data memory is RAM: the least that drivers in use
-    /// wait. A look that shows nothing new is repeated at `select`.
+    /// Like `select`, for the first look at a block in RAM: the least that drivers wait. The next one is at `select`.
     pub soonest: Duration,
     /// From the checksum that commits until the gauge has stored the block.
     pub commit: Duration,
@@ -566,8 +550,7 @@ pub struct Access {
     pub enter: Duration,
     /// For how long `[CFGUPMODE]` is polled.
     pub enter_limit: Duration,
-    /// From RESET until the gauge is first polled for an answer; from the way out of CONFIG UPDATE until data memory can be
-    /// read.
+    /// From RESET until the first poll for an answer; from the end of CONFIG UPDATE until data memory can be read.
     pub reset: Duration,
     /// For how long it is polled for an answer.
     pub reset_limit: Duration,
@@ -576,8 +559,7 @@ pub struct Access {
 /// The sequences by which TI's gauges give access to data flash.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Scheme {
-    /// Unsealed block access: BlockDataControl, DataFlashClass, DataFlashBlock, a 32-byte window, and a
-    /// checksum that commits.
+    /// BlockDataControl, DataFlashClass, DataFlashBlock, a 32-byte window, and a checksum that commits; unsealed only.
     Block,
     /// Block access between SET_CFGUPDATE and SOFT_RESET; data memory is RAM.
     CfgUpdate,
@@ -616,8 +598,7 @@ impl Access {
 }
 
 impl Security {
-    /// No seal state. [`Gauge`](crate::gauge::Gauge) sends neither keys nor the subcommand to a chip without a
-    /// table.
+    /// No seal state: neither keys nor the subcommand are sent to a chip without a table.
     pub const NONE: Self = Self {
         status: SealStatus::None,
         default_unseal: [0; 2],
@@ -645,8 +626,7 @@ pub struct Gate {
     pub limit: (u8, u16),
     /// Parameter of two bytes to which Voltage() is proportional: the voltage at the full scale of the converter.
     pub divider: Option<(u8, u16)>,
-    /// The divider at which Voltage() is a cell's, if the limit applies to Voltage() scaled back to it as well;
-    /// `None` where it applies to Voltage() only.
+    /// Divider at which Voltage() is a cell's, if the limit also holds for Voltage() scaled to it; else `None`.
     pub cell_divider: Option<u32>,
     /// The bit that switches off the internal divider.
     pub external: Option<External>,
@@ -812,8 +792,7 @@ impl Chip {
         Self::all().find(|chip| chip.model == model)
     }
 
-    /// Whether a table describes more than its standard commands. Without one nothing is ever written to the
-    /// gauge, not even a subcommand: there may be another register at the address of Control().
+    /// Whether it has a full table. Without one nothing is written: Control()'s address may be another register's.
     pub fn has_table(&self) -> bool {
         self.access.scheme != Scheme::None
     }
@@ -839,8 +818,7 @@ impl Chip {
         self.subclasses.iter().flat_map(rows).find(|(_, parameter)| parameter.role == Some(role))
     }
 
-    /// The places in data flash (subclass and offset) that say something about the pack or the gauge: what feeds
-    /// properties, what proves the addresses, and what defects show in.
+    /// The places in data flash (subclass, offset) of properties, signatures, quirks and scales.
     pub fn places(&self) -> impl Iterator<Item = (u8, u16)> + '_ {
         let rows = |row: &'static Subclass| row.parameters.iter().map(move |parameter| (row.id, parameter));
         let stored = self.subclasses.iter().flat_map(rows).filter(|(_, parameter)| parameter.role.is_some());
@@ -851,8 +829,7 @@ impl Chip {
         stored.chain(primary).chain(signature).chain(quirks).chain(self.scaling.in_flash())
     }
 
-    /// The folder of a subclass in `df/by-name`: its name, preceded by the manual's class if two subclasses
-    /// have the same name.
+    /// The folder of a subclass in `df/by-name`: its name, after the manual's class if the name occurs twice.
     pub fn class_dir(&self, subclass: &Subclass) -> String {
         let name = kebab_case(subclass.name);
         let alike = self.subclasses.iter().filter(|other| kebab_case(other.name) == name).count();
@@ -864,8 +841,7 @@ impl Chip {
         self.subclasses.iter().find(|subclass| subclass.id == id)
     }
 
-    /// The parameter at `df/SUBCLASS/OFFSET` and its subclass; on a part without subclasses, `flash` and an
-    /// address in hexadecimal.
+    /// The row at `df/SUBCLASS/OFFSET`; on a part without subclasses, `flash` and an address in hexadecimal.
     pub fn row(&self, subclass: &str, offset: &str) -> Option<(&'static Subclass, &'static Parameter)> {
         let is_hex = |text: &str| text.starts_with("0x");
         let id = match subclass {

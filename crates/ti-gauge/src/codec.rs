@@ -13,7 +13,6 @@ pub const WINDOW: usize = 32;
 pub(crate) struct Bytes(pub(crate) u32);
 
 impl Bytes {
-    /// Those positions for which `is` holds.
     pub(crate) fn of(is: impl Fn(usize) -> bool) -> Self {
         Self((0..WINDOW).filter(|&at| is(at)).fold(0, |set, at| set | 1 << at))
     }
@@ -22,7 +21,6 @@ impl Bytes {
         self.0 >> at & 1 != 0
     }
 
-    /// Its positions, in ascending order.
     pub(crate) fn iter(self) -> impl Iterator<Item = usize> {
         (0..WINDOW).filter(move |&at| self.has(at))
     }
@@ -55,7 +53,6 @@ pub enum Order {
 }
 
 impl Order {
-    /// The number that bytes are.
     pub(crate) fn number(self, bytes: &[u8]) -> i64 {
         let add = |sum: i64, &byte: &u8| sum << 8 | i64::from(byte);
         match self {
@@ -144,7 +141,6 @@ impl Layout {
         self.number(&bytes) as u16
     }
 
-    /// The low bytes of a number, `size` of them.
     fn bytes(self, number: i64, size: usize) -> Vec<u8> {
         let mut bytes = number.to_le_bytes()[..size].to_vec();
         if self.order == Order::Big {

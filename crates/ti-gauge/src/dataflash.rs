@@ -109,13 +109,9 @@ const LOADS: u32 = 3;
 /// State that is kept between transactions on one gauge.
 #[derive(Debug, Default)]
 pub struct DataFlash {
-    /// What a user allows.
     rules: Rules,
-    /// What is on disk of each access.
     records: Records,
-    /// What is known of the gauge and its pack.
     knowledge: Knowledge,
-    /// What is left to do.
     debts: Debts,
     /// A change of keys that is neither done nor undone, with the keys, for as long as this process runs.
     unfinished: Begun,
@@ -132,8 +128,7 @@ impl DataFlash {
         self.knowledge.forget_pack();
     }
 
-    /// The pack may have been exchanged unnoticed. Forgets what was read of it, but for what distinguishes it: that is
-    /// compared when data flash is open for the next time.
+    /// Forgets all but what distinguishes the pack, to be compared when data flash is next open: it may be another one.
     pub fn suspect(&mut self, chip: &'static Chip) {
         self.knowledge.suspect(chip);
     }
@@ -159,14 +154,12 @@ impl DataFlash {
         self.knowledge.doubt_pack();
     }
 
-    /// Whether the registers of a poll have to be read again before they are believed: they show another pack, or another
-    /// count of cycles, by which later polls are judged. I2C has no error detection.
+    /// Whether a poll shows another pack or count of cycles, and has to be repeated: I2C has no error detection.
     pub fn needs_second_poll(&self, chip: &Chip, value: impl Fn(Source) -> Option<u32>) -> bool {
         self.knowledge.needs_second_poll(chip, value)
     }
 
-    /// Whether the flags of a poll show a loss of data memory that was not known, or no longer show one, and the gauge does
-    /// not say the same once more. The profile is written for a loss.
+    /// Whether a poll's flags report a loss of data memory, or its end, which a second look does not confirm.
     pub fn misreads_loss(&self, gauge: &mut Gauge, value: impl Fn(Source) -> Option<u32>) -> Result<bool> {
         self.knowledge.misreads_loss(gauge, value)
     }
@@ -187,8 +180,7 @@ impl DataFlash {
         *self = Self { rules, records: records.anew(), ..Self::default() };
     }
 
-    /// Reads whole subclasses in one session and restores the seal state. `waited` is the time since the
-    /// request was made.
+    /// Reads whole subclasses in one session. `waited` is the time since the request was made.
     pub fn read(
         &mut self,
         gauge: &mut Gauge,
@@ -219,7 +211,6 @@ impl DataFlash {
         self.read_found(gauge, wanted, Duration::ZERO, |found| found != Seal::Sealed)
     }
 
-    /// Reads subclasses if the seal state that the gauge is found in allows it.
     fn read_found(
         &mut self,
         gauge: &mut Gauge,
@@ -252,7 +243,6 @@ impl DataFlash {
         self.noted(outcome)
     }
 
-    /// The unsealed part of a read.
     fn read_open(
         &mut self,
         gauge: &mut Gauge,
@@ -316,17 +306,15 @@ impl DataFlash {
         self.write_with(gauge, changes, WriteOptions::default(), waited)
     }
 
-    /// Makes every check of a write of these changes, and programs nothing. The gauge is unsealed for it, and sealed
-    /// again.
+    /// Makes every check of a write, with the gauge unsealed meanwhile, and programs nothing.
     pub fn try_write(&mut self, gauge: &mut Gauge, changes: &[Change], waited: Duration) -> Result<()> {
         self.write_with(gauge, changes, WriteOptions { only_check: true, ..WriteOptions::default() }, waited)
             .map(drop)
     }
 
-    /// Writes a saved configuration again to a gauge whose data memory is RAM and was lost: `lost` says so, or the gauge's
-    /// flag, or a parameter with another value that the gauge does not rewrite itself. Otherwise nothing is written, and
-    /// what the gauge has learned stays. Quick where a doubt costs no more than a second look: what is stored there does
-    /// not outlive the next brown-out.
+    /// Writes a saved configuration again to a gauge whose data memory is RAM and was lost, as `lost`, its flag, or a value
+    /// that it does not rewrite itself shows. Otherwise nothing is written, and what it has learned stays. Quick where a
+    /// doubt costs no more than a second look: what is stored there does not outlive the next brown-out.
     pub fn restore(
         &mut self,
         gauge: &mut Gauge,
@@ -357,8 +345,7 @@ impl DataFlash {
         Ok(outcome)
     }
 
-    /// Removes the journals of restorations that were interrupted at this place: one is begun anew whenever the memory is lost,
-    /// and there would be more and more of them.
+    /// Removes interrupted restorations at this place: each loss begins a new one, and there would be more and more.
     fn drop_restorations(&mut self, changes: &[Change]) {
         let Some(journal) = self.records.journal() else { return };
         let is_over = |entry: &Entry| entry.plan.as_ref().is_some_and(|plan| plan.is_part_of(changes));
@@ -405,8 +392,7 @@ impl DataFlash {
         }
     }
 
-    /// Settles an interrupted write and makes sure that the gauge is the one whose values were read, and in no mode in
-    /// which nothing is written.
+    /// Settles an interrupted write. Then the gauge must be the one that was read, in no mode that forbids writing.
     pub(crate) fn ready(&mut self, gauge: &mut Gauge, waited: Duration) -> Result<()> {
         let waited = self.settle_first(gauge, waited)?;
         self.access(gauge, waited, |this, gauge, _| {
@@ -444,7 +430,6 @@ impl DataFlash {
         Ok(found)
     }
 
-    /// Opens the gauge and makes the changes.
     fn change(
         &mut self,
         gauge: &mut Gauge,
@@ -464,7 +449,6 @@ impl DataFlash {
         outcome
     }
 
-    /// The unsealed part of a write: checks the gauge, plans the blocks, records them and programs them.
     fn change_open(
         &mut self,
         gauge: &mut Gauge,
@@ -522,8 +506,7 @@ impl DataFlash {
         self.knowledge.confirm(gauge)
     }
 
-    /// Makes the checks of an open gauge that need none of the blocks to be changed. Returns why a write that needs a reset has
-    /// to wait for the end of a learning cycle.
+    /// The checks that need none of the blocks. Returns why a write with a reset waits for the end of a learning cycle.
     fn check_open(
         &mut self,
         gauge: &mut Gauge,
@@ -583,7 +566,6 @@ impl DataFlash {
         Ok(Some(Prepared { planned, old, in_window: in_window && !loaded }))
     }
 
-    /// Puts the plan of the blocks into the journal, after which they may be programmed.
     fn record_plan(
         &mut self,
         gauge: &mut Gauge,
@@ -614,12 +596,10 @@ impl DataFlash {
     }
 }
 
-/// The blocks of a write, all of whose checks it has passed.
 struct Prepared {
     planned: Vec<Planned>,
     /// For each change, the bytes that it replaces.
     old: Vec<Vec<u8>>,
-    /// The only block is in the window.
     in_window: bool,
 }
 
@@ -648,9 +628,8 @@ fn still_written(gauge: &mut Gauge, outcome: Outcome) -> Result<Outcome> {
     Ok(outcome)
 }
 
-/// Whether data memory in RAM, whose flag shows no loss, has lost these values: it holds the part's defaults in their
-/// place. Those of a part without the flag are in one-time programmable memory, so any other value counts there. What the
-/// gauge rewrites itself shows nothing.
+/// Whether RAM without a flag of loss holds the part's defaults in place of these values. On a part without the flag they
+/// are in one-time programmable memory, so any other value counts there. What the gauge rewrites itself shows nothing.
 fn is_forgotten(chip: &Chip, changes: &[Change], old: &[Vec<u8>]) -> bool {
     let differs =
         |(change, old): &(&Change, &Vec<u8>)| !change.is_learned() && change.stored_over(old) != **old;
@@ -677,7 +656,6 @@ pub(crate) type Accept<'a> = &'a mut dyn FnMut(&mut Gauge) -> Result<()>;
 pub(crate) struct WriteOptions<'a> {
     /// [`Care::Quick`] if the configuration of a gauge with RAM is written again: see [`DataFlash::restore`].
     pub(crate) care: Care,
-    /// Its data memory is known to be lost.
     pub(crate) lost: bool,
     /// Enter calibration mode first, in which the gauge ignores its gate, and leave it before the reset.
     pub(crate) calibrate: bool,
@@ -690,7 +668,6 @@ pub(crate) struct WriteOptions<'a> {
 }
 
 impl WriteOptions<'_> {
-    /// Whether the configuration of a gauge with RAM is written again.
     fn is_restoration(&self) -> bool {
         self.care == Care::Quick
     }

@@ -32,7 +32,6 @@ pub fn parse(text: &str) -> Option<i64> {
     (of(stored)? == [year, month, day]).then_some(stored)
 }
 
-/// Days of a month.
 fn days(year: i64, month: i64) -> Option<i64> {
     let is_leap = year % 4 == 0 && (year % 100 != 0 || year % 400 == 0);
     Some(match month {

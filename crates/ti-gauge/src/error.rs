@@ -2,9 +2,8 @@
 
 //! What went wrong, at which step, to which register or parameter, and what to do.
 //!
-//! Every failure is one [`Error`]: one line that a technician can act on, a [`Cause`] that a program can match on, with an
-//! errno, and facts by their names, so that no program has to read the line. A failure with facts of its own is one row
-//! of [`Reason`]: its fields are the facts, and the line is made of them when it is printed.
+//! Every failure is one [`Error`]: a line that a technician can act on, a [`Cause`] with an errno that a program can match
+//! on, and facts by names. A failure with facts is one row of [`Reason`], and the line is made of them when printed.
 
 use std::borrow::Cow;
 use std::sync::Arc;
@@ -251,8 +250,7 @@ fn told_of_bus(bus: BusError) -> (Option<&'static str>, Vec<(&'static str, Fact)
     (Some(SLOW_BUS), facts.map(|(name, number)| (name, Fact::Number(number.into()))).into())
 }
 
-/// Makes [`Reason`] from a row per failure: its facts, and words for the text only; its name for programs and its
-/// cause; and the text.
+/// Makes [`Reason`] from a row per failure: facts; words for the text only; name and cause; the text.
 macro_rules! reasons {
     ($($(#[doc = $doc:literal])+
         $variant:ident { $($fact:ident: $type:ty),* $(; $($word:ident: $kind:ty),+)? }
@@ -275,7 +273,6 @@ macro_rules! reasons {
             /// Names of the reasons with facts.
             pub const NAMES: &[&str] = &[SLOW_BUS, $($name),+];
 
-            /// Name for programs, cause, named facts, and the failure behind this one.
             fn row(&self) -> (Option<&'static str>, Cause, Vec<(&'static str, Fact)>, Option<&Error>) {
                 match self {
                     Self::Text(cause, _) => (None, *cause, Vec::new(), None),
@@ -406,9 +403,7 @@ struct Inner {
     subject: String,
     step: Option<Step>,
     reason: Reason,
-    /// The register, named as in the manual.
     register: Option<String>,
-    /// The place in data flash.
     place: Option<(u8, u16)>,
     /// The access has left something to do, or was refused because an earlier one did.
     owed: bool,
@@ -422,7 +417,6 @@ struct Inner {
 #[derive(Clone, Debug)]
 struct Host(Arc<io::Error>);
 
-/// It has no equality, but its kind and number have.
 impl PartialEq for Host {
     fn eq(&self, other: &Self) -> bool {
         (self.0.kind(), self.0.raw_os_error()) == (other.0.kind(), other.0.raw_os_error())
@@ -488,7 +482,6 @@ impl Error {
         self
     }
 
-    /// Notes that its subject is a register.
     #[must_use]
     pub(crate) fn of_register(mut self) -> Self {
         self.0.register = Some(self.0.subject.clone());

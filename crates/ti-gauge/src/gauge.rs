@@ -2,9 +2,8 @@
 
 //! A gauge on a bus, driven by its chip's table: registers, Control() subcommands, seal states.
 //!
-//! Its rooms, each above the next: `access` (keys, from one seal state to another), `seal` (looks at it), `control`
-//! (registers, subcommands and their answers), `dialect` (what these are on the wire), `wire` (transfers, retries, time), and below these what is kept of them: `presence`
-//! (is it still the same gauge), `effects` (how long it takes), `statistics`, `state`.
+//! Its rooms, each above the next: `access` (keys), `seal` (looks), `control` (registers, subcommands), `dialect` (what
+//! these are on the wire), `wire` (transfers, retries, time); then `presence`, `effects`, `statistics`, `state`.
 
 use std::sync::Arc;
 
@@ -40,13 +39,9 @@ pub use state::{ALONG, Seal};
 pub use statistics::{Progress, Statistics};
 use wire::Wire;
 
-/// Control(CONTROL_STATUS).
 const CONTROL_STATUS: u16 = 0x0000;
-/// Control(DEVICE_TYPE).
 const DEVICE_TYPE: u16 = 0x0001;
-/// Control(FW_VERSION).
 const FW_VERSION: u16 = 0x0002;
-/// Control(RESET).
 const RESET: u16 = 0x0041;
 /// Further looks at a state until two agree.
 const TRIES: u32 = 4;

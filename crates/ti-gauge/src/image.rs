@@ -2,8 +2,7 @@
 
 //! Images: a gauge's configuration as a file, in three formats, and how two of them differ.
 //!
-//! Nothing here accesses a gauge. Keys are never part of an image: they are not read, shown or written, even if a
-//! file contains them.
+//! Nothing here accesses a gauge. Keys are never part of an image, even if a file contains them.
 
 use std::fmt;
 
@@ -142,7 +141,6 @@ pub struct Raw {
     pub line: usize,
 }
 
-/// An error about a line of a file. Quotations of the line may be very long.
 pub(crate) fn at_line(line: usize, why: impl Into<String>) -> Error {
     const LONGEST: usize = 1000;
     let mut why = why.into();
@@ -153,7 +151,6 @@ pub(crate) fn at_line(line: usize, why: impl Into<String>) -> Error {
     Error::new(format!("line {line}"), Cause::Invalid, why)
 }
 
-/// An error about a file that is shorter than its first lines say.
 fn cut_short(why: impl fmt::Display) -> Error {
     Error::new("", Cause::Invalid, format!("{why}; the file is cut short, or lines were added or removed"))
 }
@@ -185,8 +182,7 @@ impl Entry {
         notation::show(self.parameter, &self.value)
     }
 
-    /// Why an import skips the value: its address is uncertain and that is not allowed, or it is a learned value
-    /// outside the range. Other values outside their range are errors, with line and parameter.
+    /// Why an import skips the value: an uncertain address, or a learned value out of range; others are errors.
     pub fn not_imported(&self, also_unproven: bool) -> Result<Option<&'static str>> {
         match notation::parse(self.parameter, self.text().as_bytes()) {
             _ if self.parameter.unproven && !also_unproven => Ok(Some("its address or range is unproven")),
@@ -289,7 +285,6 @@ impl Image {
         Some(at_line(line, why))
     }
 
-    /// Whether these are chemistry bytes in a file for this part and firmware, whose purpose is to write them.
     fn is_chemistry(&self, raw: &Raw) -> bool {
         let is_for_part = self.names_chip && self.firmware.is_some();
         is_for_part && self.chip.subclass(raw.subclass).is_some_and(Subclass::is_chemistry)
@@ -329,8 +324,7 @@ impl Image {
         }
     }
 
-    /// The names of the parameters missing from a complete file of the chip's configuration. Keys and unproven
-    /// parameters are never written and not required.
+    /// The parameters missing from a complete configuration. Keys and unproven ones are never written or required.
     pub fn missing(&self, exclude: &[Group]) -> Vec<String> {
         let subclasses = self.chip.subclasses.iter().filter(|subclass| subclass.kind != Kind::Security);
         let all = subclasses.flat_map(|subclass| subclass.parameters.iter().map(move |row| (subclass, row)));
@@ -394,13 +388,11 @@ impl Image {
     }
 }
 
-/// Whether a format contains this parameter.
 fn is_written(entry: &Entry, format: Format) -> bool {
     // Other FlashStreams have whole blocks.
     !(format == Format::FlashStream && entry.subclass.id == FLAT && entry.parameter.unproven)
 }
 
-/// `subclasses 83, 84, 85 and 108`.
 fn listed(subclasses: &[&Subclass]) -> String {
     let ids: Vec<_> = subclasses.iter().map(|subclass| subclass.id.to_string()).collect();
     match ids.as_slice() {
@@ -410,7 +402,6 @@ fn listed(subclasses: &[&Subclass]) -> String {
     }
 }
 
-/// An error about a parameter that a file sets twice.
 fn twice(name: &str, first: usize, second: usize) -> Error {
     at_line(second, also_in(name, first))
 }
@@ -419,7 +410,6 @@ fn also_in(name: &str, first: usize) -> String {
     format!("{name} is also in line {first}; remove one of the two")
 }
 
-/// A hexadecimal word, with or without `0x`.
 fn word(text: &str) -> Option<u16> {
     crate::text::unsigned(&format!("0x{}", text.strip_prefix("0x").unwrap_or(text)))
 }

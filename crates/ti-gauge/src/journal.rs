@@ -2,22 +2,18 @@
 
 //! The journal: records on disk what a write is about to do, before it does it.
 //!
-//! A host that loses power during a write leaves the gauge unsealed or data flash half written. The journal
-//! holds the seal state and the blocks from before the write, and what distinguishes the pack, so that it can
-//! be settled later. It never holds keys.
+//! A host that loses power during a write leaves the gauge unsealed or data flash half written. The journal holds the
+//! seal state and the blocks from before the write, and what distinguishes the pack. It never holds keys.
 //!
-//! The file is created before the gauge is touched; the plan is appended before the first block is written.
-//! A power cut in between leaves a plan without its last line, which is ignored because nothing had been
-//! written yet.
+//! The file is created before the gauge is touched; the plan is appended before the first block is written. A power cut
+//! in between leaves a plan without its last line, which is ignored: nothing had been written yet.
 //!
 //! A journal belongs to a pack, and a pack can come back at any place. So the folder is searched as a whole, and a
 //! journal leaves it only with its own pack, or because a person says so:
 //!
-//! * `KEY.journal` is a write at the place that KEY stands for. No other write is begun there until it has been settled
-//!   or set aside. Other hosts may use the same folder and the same keys: theirs are left alone, and a number keeps the
-//!   names apart.
-//! * `KEY.waiting` and `KEY.N.waiting` are of packs that may have been exchanged for another one. They stop nothing,
-//!   and wait for their packs.
+//! * `KEY.journal` is a write at the place KEY. No other write is begun there until it has been settled or set aside.
+//!   Other hosts may use the same folder and the same keys: theirs are left alone, and a number keeps names apart.
+//! * `KEY.waiting` and `KEY.N.waiting` wait for packs that may have been exchanged. They stop nothing.
 //! * `KEY.dismissed` and `KEY.N.dismissed` were put aside by a person.
 //!
 //! A process that works on a journal holds its lock, so that it is never taken for one that was left behind.
@@ -66,9 +62,7 @@ const SEAL: &str = "seal";
 pub struct Journal {
     disk: Arc<dyn Disk>,
     folder: PathBuf,
-    /// Start of the file's name, for the gauge's connection.
     key: String,
-    /// The gauge's name in the file.
     gauge: String,
     machine: Machine,
     /// An account, besides this one and root, with believed journals.
@@ -85,12 +79,10 @@ pub(crate) struct Identity {
 }
 
 impl Identity {
-    /// A gauge that certainly has its table's part.
     pub(crate) fn of(chip: &Chip, firmware: u16, serial: u16) -> Self {
         Self { chip: chip.name.into(), device_type: chip.identity.device_type, firmware, serial }
     }
 
-    /// Whether it belongs to a part and firmware like those of a gauge with that table.
     pub(crate) fn is_of_part(&self, gauge: &Identity, chip: &Chip) -> bool {
         (&self.chip, self.device_type) == (&gauge.chip, gauge.device_type)
             && (self.firmware == gauge.firmware || chip.identity.is_device_number(self.firmware))
@@ -103,13 +95,11 @@ pub(crate) struct Entry {
     pub(crate) identity: Identity,
     /// The host that began it; `None` in a journal of an earlier version.
     pub(crate) machine: Option<Machine>,
-    /// Seal state before.
     pub(crate) found: Seal,
     /// `None` before any block was touched.
     pub(crate) plan: Option<Plan>,
 }
 
-/// What a write was about to do.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Plan {
     /// Whether the gauge needs a reset to work with the new values.
@@ -128,7 +118,6 @@ pub(crate) struct Plan {
 /// A change of keys: which ones, and its progress. It contains no key, nor anything computed from one.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct KeyPlan {
-    /// The keys to be changed.
     pub(crate) names: Vec<Name>,
     /// Keys that read as erased flash before.
     pub(crate) erased: Vec<Name>,
@@ -177,7 +166,6 @@ impl KeyPlan {
         (!names.is_empty()).then_some(Self { names, erased, ordered, written: false })
     }
 
-    /// Takes what follows the plan, as far as it is complete.
     fn follow(&mut self, rest: &str) {
         for line in rest.split_inclusive('\n') {
             if line == KEYS_WRITTEN {
@@ -240,8 +228,7 @@ pub(crate) enum Content {
 }
 
 impl Journal {
-    /// A journal in a folder. `key` identifies the gauge's connection and must be unique on this host; `gauge` is the
-    /// name in the file.
+    /// `key` identifies the gauge's connection and must be unique on this host; `gauge` is the name in the file.
     pub fn new(folder: PathBuf, key: String, gauge: String) -> Self {
         let machine = Machine::this().clone();
         Self { disk: Arc::new(disk::Host), folder, key, gauge, machine, trusted: None }
@@ -281,7 +268,6 @@ impl Journal {
         paths.into_iter().filter(|path| self.is_key_of(path)).collect()
     }
 
-    /// `KEY.END`, `KEY.1.END` ...
     fn numbered(&self, end: &str, number: u32) -> PathBuf {
         self.folder.join(match number {
             0 => format!("{}.{end}", self.key),
@@ -289,7 +275,6 @@ impl Journal {
         })
     }
 
-    /// The folder's files with names of that end.
     fn files(&self, end: &str) -> io::Result<Vec<PathBuf>> {
         let mut paths = match self.disk.list(&self.folder) {
             Err(error) if error.kind() == ErrorKind::NotFound => Vec::new(),
@@ -300,7 +285,6 @@ impl Journal {
         Ok(paths)
     }
 
-    /// Whether a file has this place's key.
     fn is_key_of(&self, path: &Path) -> bool {
         let Some(stem) = path.file_stem().and_then(|stem| stem.to_str()) else { return false };
         let is_number = |text: &str| !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
@@ -385,13 +369,11 @@ impl Journal {
         })
     }
 
-    /// The present content of this place's journal; `None` if it is gone.
     pub(crate) fn look(&self, path: &Path) -> Option<Content> {
         self.content(path)
     }
 
-    /// Starts an entry and reserves space for a plan of `blocks` blocks. On return the entry is on disk and locked. An
-    /// existing entry of this place is not replaced.
+    /// Starts an entry with room for so many blocks, on disk and locked on return. An existing one is not replaced.
     pub(crate) fn begin(&self, identity: &Identity, found: Seal, blocks: usize) -> Result<OpenJournal> {
         if self.disk.exists(&self.folder) {
             self.check_folder()?;
@@ -458,7 +440,6 @@ impl Journal {
         Ok(Some(OpenJournal { disk: self.disk.clone(), file, path: path.into() }))
     }
 
-    /// The file of a seal that is owed beside an unsettled write.
     fn seal_path(&self) -> PathBuf {
         self.numbered(SEAL, 0)
     }
@@ -468,7 +449,6 @@ impl Journal {
         self.replace(&self.seal_path(), identity, Seal::Sealed)
     }
 
-    /// The gauge that is owed a seal at this place.
     pub(crate) fn seal_owed(&self) -> Result<Option<Entry>> {
         match self.content(&self.seal_path()) {
             Some(Content::Entry(entry)) => Ok(Some(entry).filter(|entry| self.is_ours(entry))),
@@ -477,7 +457,6 @@ impl Journal {
         }
     }
 
-    /// Removes the record of an owed seal, if there is one.
     pub(crate) fn seal_paid(&self) -> Result<()> {
         let path = self.seal_path();
         if !self.disk.exists(&path) {
@@ -531,8 +510,7 @@ impl Journal {
     }
 }
 
-/// Checks that nobody but this account, root or a trusted one can have written a file, or can replace the contents of a
-/// folder.
+/// Checks that only this account, root or a trusted one can have written a file, or can replace a folder's files.
 pub fn check(path: &Path, trusted: Option<u32>) -> Result<()> {
     is_own(path, trusted).map_err(|error| untrusted(path, &error))
 }
@@ -562,7 +540,6 @@ impl OpenJournal {
         stored.map_err(|error| refused(&self.path, &error))
     }
 
-    /// Notes that the reset is about to be sent. On return that is on disk.
     pub(crate) fn reset_sent(&mut self) -> Result<()> {
         self.note(RESET_SENT)
     }

@@ -1,9 +1,7 @@
 // SPDX-License-Identifier: MIT
 
-//! Key words, which appear nowhere: not in a log, a trace, an error or a process list.
-//!
-//! Errors about a key file name the file and the line, never its content: a line that is not understood may still be a
-//! key. A key is in one allocation, which is wiped with its last owner.
+//! Key words, which appear in no log, trace, error or process list. An error about a key file has no content of it: a line
+//! that is not understood may be a key. A key is in one allocation, which is wiped with its last owner.
 
 use std::fmt;
 use std::sync::Arc;
@@ -64,8 +62,7 @@ enum Form {
     Digits,
 }
 
-/// A key as typed: two words in their order on the wire, most significant byte first, or the 16 bytes of an
-/// authentication key. Clones share the allocation, and a move leaves no copy behind.
+/// A key: two words in their order on the wire, big-endian, or 16 bytes. Clones share it, and a move leaves no copy.
 #[derive(Clone, PartialEq, Eq)]
 pub struct Secret(Arc<Zeroizing<Vec<u8>>>);
 
@@ -92,7 +89,6 @@ impl Secret {
         }
     }
 
-    /// Reads that many hexadecimal bytes directly into the allocation.
     fn of_digits(mut digits: impl Iterator<Item = u8>, length: usize) -> Option<Self> {
         let mut bytes = Zeroizing::new(Vec::with_capacity(length));
         let half = |digit: u8| char::from(digit).to_digit(16).map(|half| half as u8);
@@ -213,8 +209,7 @@ impl fmt::Debug for Keys {
 /// Depth below its caller that [`wipe_stack`] wipes, in bytes.
 pub const WIPED: usize = 24 * 1024;
 
-/// How deep the words of a key are wiped after a transfer. What is wiped stays in memory for as long as a gauge is
-/// mounted, so it is no more than a poll needs.
+/// How deep the words of a key are wiped. What is wiped stays in memory, so it is no more than a poll needs.
 pub const WIPED_OF_WORDS: usize = 8 * 1024;
 
 /// Wipes copies of keys that functions have left on the stack.
@@ -223,7 +218,6 @@ pub fn wipe_stack() {
     [0u128; WIPED / size_of::<u128>()].zeroize();
 }
 
-/// Wipes those that a transfer of the words of a key has left.
 #[inline(never)]
 pub(crate) fn wipe_words() {
     [0u128; WIPED_OF_WORDS / size_of::<u128>()].zeroize();
@@ -242,8 +236,7 @@ impl Keys {
         keys
     }
 
-    /// Reads lines such as `unseal = 0414 3672`; `#` starts a comment. Lines before the first section apply to
-    /// all gauges; those below `[NAME]` apply to the gauge of that name and take precedence.
+    /// Reads lines such as `unseal = 0414 3672`, for all gauges; those below `[NAME]` are for one and take precedence.
     pub fn parse(name: &str, text: &[u8], gauge: &str) -> Result<Self> {
         let keys = Self::parse_lines(name, text, gauge);
         wipe_stack();

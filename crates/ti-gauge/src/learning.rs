@@ -2,9 +2,8 @@
 
 //! How far a learning cycle is, what it waits for, and whether something has spoiled it, from readings over time.
 //!
-//! The rules of Impedance Track are those of SLUA450 (the same for all its parts), of chapter 12 of SLUUBW5A, and of
-//! TI's answers to owners: Qmax is learned from two open-circuit voltages at rest between which enough charge has
-//! passed; Ra in a discharge between them. Those of the CEDV parts are in 2.1.3 of SLUUBD4A.
+//! Impedance Track: SLUA450, chapter 12 of SLUUBW5A, and TI's answers to owners. Qmax is learned from two open-circuit
+//! voltages at rest with enough charge between them; Ra in a discharge between. CEDV: 2.1.3 of SLUUBD4A.
 
 use std::collections::VecDeque;
 use std::fmt;
@@ -169,8 +168,7 @@ pub enum Spoiled {
     Temperature(f64),
     /// The open-circuit voltage was in the flat part of the curve, in mV of a cell.
     Flat(f64),
-    /// Too little charge passed between two open-circuit voltages, in percent of the design capacity, if watched from
-    /// the first one on; and how much is needed.
+    /// Too little charge between two open-circuit voltages, in % of design, if watched from the first on; and the need.
     TooLittleCharge(Option<f64>, f64),
     /// The gauge was reset during the cycle.
     Reset,

@@ -10,8 +10,7 @@
 //! [owed](dataflash::DataFlash::owed), and the caller tries it again. [`image`] reads and writes configurations as
 //! TOML, gg.csv and FlashStream; [`probe`] finds a gauge without disturbing other devices.
 //!
-//! What it is not: it polls nothing, has no threads, no FUSE and no errno. The program `gaugefs` has those. It
-//! programs no chemistry, and firmware only to bring back a gauge in ROM mode ([`rom`]).
+//! It polls nothing, has no threads, no FUSE. It programs no chemistry, and firmware only in ROM mode ([`rom`]).
 //!
 //! ```
 //! use std::sync::Arc;

@@ -11,9 +11,8 @@ use crate::text::unhex;
 use crate::unit;
 use crate::value::{Type, Value};
 
-/// The text of a value, without a newline: integers in decimal, `H` types in hexadecimal of their full
-/// width, `F4` in the shortest decimal that reads back to the same bytes, strings with `%HH` for each byte that a shell
-/// or a terminal could act on. [`parse_stored`] turns each of them into the same value again.
+/// The text of a value: integers in decimal, `H` types in hexadecimal of full width, `F4` in the shortest decimal that
+/// reads back to the same bytes, strings with `%HH` for unsafe bytes. [`parse_stored`] is the reverse.
 pub fn render(kind: Type, value: &Value) -> String {
     match (kind, value) {
         (Type::H(size), Value::Int(value)) => format!("0x{value:0width$x}", width = usize::from(size) * 2),
@@ -23,8 +22,7 @@ pub fn render(kind: Type, value: &Value) -> String {
     }
 }
 
-/// A gauge's string may contain any bytes. Bytes that a shell or a terminal could act on become `%HH`, and so do
-/// ambiguous ones: a space at either end, and a `%` before two hexadecimal digits.
+/// What a shell or a terminal could act on becomes `%HH`, also a space at an end, and `%` before two digits.
 fn escape(bytes: &[u8]) -> String {
     let mut text = String::new();
     for (at, &byte) in bytes.iter().enumerate() {
@@ -40,7 +38,6 @@ fn escape(bytes: &[u8]) -> String {
     text
 }
 
-/// The byte in a leading `%HH`.
 fn escaped(text: &[u8]) -> Option<u8> {
     match text {
         [b'%', digits @ ..] => unhex(digits.get(..2)?)?.first().copied(),
@@ -85,8 +82,7 @@ fn shortest(value: f64) -> String {
         .to_string()
 }
 
-/// Parses a parameter's value. It must be of its type and in the manual's range; otherwise the error says what is
-/// allowed. Surrounding white space is ignored; numbers are decimal, `0x` or `0b`; in a string, `%HH` is the byte of
+/// Parses a value of the parameter's type in the manual's range: decimal, `0x` or `0b`; in a string `%HH` is a byte.
 /// that number.
 pub fn parse(parameter: &Parameter, text: &[u8]) -> Result<Value> {
     parse_in(parameter, Some(&parameter.range), text)
@@ -184,8 +180,7 @@ fn wanted(parameter: &Parameter, range: Option<&Range>, text: &str) -> String {
     format!("the value is not a {what}; write {limits}{unit}{notations}")
 }
 
-/// The number of a value with a unit, in the parameter's unit, if it is a possible value. A message repeats nothing
-/// else of a text, which may be a key.
+/// The number of a value with a unit, if possible. A message repeats nothing else of a text, which may be a key.
 fn without_unit(parameter: &Parameter, range: Option<&Range>, text: &str) -> Option<String> {
     // `367A` may be half of a key, `367 A` is not.
     if text.strip_suffix('A').is_some_and(|number| number.bytes().all(|byte| byte.is_ascii_digit())) {
@@ -214,8 +209,7 @@ fn integer(text: &str) -> Option<Option<i64>> {
     Some(magnitude.map(|magnitude| if negative { -magnitude } else { magnitude }))
 }
 
-/// Parses a parameter's value: as in its file, with a unit that converts exactly to a storable value, or as a date such
-/// as `2026-11-22`. The error lists the accepted units.
+/// Parses a value as in its file, with a unit that converts exactly, or as a date. The error lists the units.
 pub fn parse_with_unit(parameter: &Parameter, text: &str) -> Result<Value> {
     let invalid = |why: String| Error::new(parameter.name, Cause::Invalid, why);
     let text = text.trim();

@@ -2,9 +2,8 @@
 
 //! Finds out which gauge answers at an address, without disturbing other devices.
 //!
-//! An EEPROM may have a gauge's address, and to it Control(DEVICE_TYPE) is a write. So the registers are read first,
-//! which sends only a register pointer. Control() goes only to a device whose registers read like a gauge's, and only
-//! at an address that the user has named.
+//! An EEPROM may have a gauge's address, and to it Control(DEVICE_TYPE) is a write. So the registers are read first;
+//! Control() goes only to a device that reads like a gauge, at an address that the user has named.
 
 use std::ptr;
 use std::sync::Arc;
@@ -26,7 +25,6 @@ const STRANGE: &str = "the device at this address does not read like a gauge, so
 /// A gauge's watchdog allows each standard command twice in this time.
 const SECOND: Duration = Duration::from_secs(1);
 
-/// Control(DEVICE_TYPE).
 const DEVICE_TYPE: u16 = 0x0001;
 
 /// The polled registers of a chip, read from the device at an address.
@@ -44,8 +42,7 @@ impl Reading {
         Some(register.in_unit(self.registers.value(register)?, 1))
     }
 
-    /// Whether these can be a gauge's values: a temperature between -50 and 125 degrees Celsius, and percentages of at
-    /// most 100.
+    /// Whether these can be a gauge's: between -50 and 125 degrees Celsius, and percentages of at most 100.
     pub fn is_plausible(&self) -> bool {
         let within = |role, min, max| self.value(role).is_none_or(|value| min <= value && value <= max);
         self.value(Role::Temp).is_some()
@@ -72,7 +69,6 @@ pub struct Target<'a> {
 }
 
 impl Target<'_> {
-    /// The device as a given chip.
     fn gauge(&self, chip: &'static Chip) -> Result<Gauge> {
         let gauge = Gauge::new(chip, (self.open)()?, self.clock.clone(), Keys::default());
         Ok(gauge.within(self.reach.narrowed(chip.reach_at(self.clock_hz))))
@@ -113,10 +109,7 @@ pub fn check(gauge: &mut Gauge) -> Result<()> {
     Err(Error::new("", Cause::Gone, STRANGE).at(Step::Identify))
 }
 
-/// The chips whose registers read plausibly at the address. Fails if no chip's registers were readable.
-///
-/// No register is read more than twice within a second, because a gauge's watchdog may take that for a failure of the
-/// host.
+/// The chips whose registers read plausibly; an error if none. Twice a second at most, for the gauge's watchdog.
 pub fn candidates(target: &Target<'_>) -> Result<Vec<Reading>> {
     let refused = |error: &Error| matches!(error.cause(), Cause::Bus(bus) if bus.may_be_no_ack());
     let mut gauge = target.gauge(CHIPS[0])?;
@@ -155,8 +148,7 @@ pub fn candidates(target: &Target<'_>) -> Result<Vec<Reading>> {
     Ok(plausible)
 }
 
-/// Whether a device answers at ROM mode's address. One byte is read and nothing is written: a smart battery has the
-/// same address.
+/// Whether ROM mode's address answers. One byte is read, nothing written: a smart battery has that address too.
 pub fn answers_in_rom(bus: &mut dyn Bus) -> Result<bool> {
     match bus.transfer(&[], &mut [0]) {
         Ok(()) => Ok(true),
@@ -178,10 +170,7 @@ pub struct Who {
     pub unproven: Vec<&'static Chip>,
 }
 
-/// Identifies a device that reads like a gauge, by the questions for each plausible chip.
-///
-/// All chips have DEVICE_TYPE at the same code; the other questions follow only if the type fits. Chips with the same
-/// questions share the answers.
+/// Identifies a device that reads like a gauge. All chips have DEVICE_TYPE at one code; chips share other answers.
 pub fn identify(plausible: &[Reading], target: &Target<'_>) -> Result<Who> {
     let mut who = Who::default();
     let mut types: Vec<(u8, u16)> = Vec::new();
@@ -243,7 +232,6 @@ pub fn identify(plausible: &[Reading], target: &Target<'_>) -> Result<Who> {
     Ok(who)
 }
 
-/// The register of a chip's answers, and its identifying subcommands.
 type Questions = (u8, [Option<u16>; 3]);
 
 fn questions(chip: &Chip) -> Questions {

@@ -37,7 +37,6 @@ fn readable(number: i64, unit: &str) -> Option<String> {
     Some(format!("{sign}{whole}{point}{part} {name}"))
 }
 
-/// The unit that is a thousand times as large.
 fn larger(name: &str) -> Option<String> {
     let mut letters = name.chars();
     let (_, next) = PREFIXES.iter().find(|(prefix, _)| letters.clone().next() == Some(*prefix))?;
@@ -59,7 +58,6 @@ pub fn change(old: &str, new: &str, unit: &str) -> String {
     pair(old, " -> ", new, unit)
 }
 
-/// Two values with their unit, such as `1000 to 3700 mV`.
 pub(crate) fn pair(first: &str, between: &str, second: &str, unit: &str) -> String {
     let values = [first, second].map(|text| text.parse().ok().and_then(|number| readable(number, unit)));
     match values {

@@ -14,8 +14,7 @@ use crate::gauge::Gauge;
 /// Addresses that registers can have.
 const ADDRESSES: usize = 128;
 
-/// The longest gap between two registers that one read spans. A second read would cost as much: the gauge's
-/// address twice and the register's.
+/// The longest gap that one read spans: a second read costs the gauge's address twice and the register's.
 const GAP: u8 = 3;
 
 /// A number as standard commands have it, least significant byte first.
@@ -33,7 +32,6 @@ pub enum Cell {
 }
 
 impl Cell {
-    /// What a row reads with these bytes.
     fn of(row: &Register, bytes: &[u8]) -> Self {
         if row.text {
             let shown = |&byte: &u8| if matches!(byte, b' '..=b'~') { char::from(byte) } else { '?' };
@@ -49,7 +47,6 @@ impl Cell {
 #[derive(Clone, Debug)]
 pub struct Registers {
     rows: &'static [Register],
-    /// One for each row; `None` until it has been read.
     cells: Vec<Option<Cell>>,
 }
 
@@ -93,7 +90,6 @@ impl Registers {
         }
     }
 
-    /// What a row has read; `None` until then.
     fn cell(&self, register: &Register) -> Option<&Cell> {
         let at = self.rows.iter().position(|row| row.source == register.source)?;
         self.cells[at].as_ref()
@@ -125,8 +121,7 @@ impl Registers {
     }
 }
 
-/// Address and length of the reads that fetch all standard commands of the wanted tiers in the fewest bytes. A command
-/// whose address lies within the one before has a read of its own.
+/// The reads that fetch all commands of the tiers in the fewest bytes. Overlapping addresses are read apart.
 pub fn bursts(registers: &[Register], wanted: impl Fn(Tier) -> bool) -> Vec<(u8, u8)> {
     let mut bursts: Vec<(u8, u8)> = Vec::new();
     for register in registers.iter().filter(|register| wanted(register.tier)) {

@@ -1,10 +1,9 @@
 // SPDX-License-Identifier: MIT
 
-//! ROM mode: a gauge whose firmware is not whole answers to its boot loader only, at [`ROM_ADDRESS`], and is brought
-//! back by the whole of a firmware file, a FlashStream for that address (`.bq.fs`, `.bqfs`).
+//! ROM mode: a gauge without whole firmware answers at [`ROM_ADDRESS`] only, until a `.bq.fs` or `.bqfs` restores it.
 //!
-//! No manual describes the boot loader. What is known is from whole files for bq27510, bq27520-G3 and bq27520-G4, from
-//! arrays made of files for bq34z100-G1 and bq34z100-R2, and from drivers that flash gauges; they agree:
+//! No manual describes the boot loader. Known from whole files for bq27510, bq27520-G3 and bq27520-G4, from arrays made of
+//! files for bq34z100-G1 and bq34z100-R2, and from drivers that flash gauges; they agree:
 //!
 //! - A command is written to the buffer at 0x00: code, row in two bytes, and data from 0x04 on. The 16-bit sum of
 //!   all bytes of the command, written to 0x64, starts it. Then 0x66 reads 0 if it was carried out.
@@ -14,8 +13,7 @@
 //!   else is written, alone or with the rest of row 0. So the file can be started again from its first row whatever
 //!   has interrupted it before.
 //!
-//! A file says of its part only the version of the firmware, in row 0, and the Device Name, in data flash. The boot
-//! loader does not tell which part it belongs to: the user must know.
+//! A file tells the firmware's version and the Device Name only, and the boot loader nothing: the user must know the part.
 
 use std::time::Duration;
 
@@ -36,7 +34,6 @@ const ROWS: usize = 512;
 const ROW: usize = 96;
 const DATA_ROWS: usize = 32;
 const DATA_ROW: usize = 32;
-/// An erased word of instruction flash.
 const ERASED: [u8; 3] = [0xff, 0xff, 0x3f];
 /// The mark of valid firmware in row 0: its word, its byte, and its value.
 const MARK_WORD: u8 = 5;
@@ -44,12 +41,9 @@ const MARK_AT: usize = 15;
 const MARK: [u8; 3] = [0x54, 0x54, 0x15];
 /// Offset of the firmware's version in row 0, low byte first.
 const VERSION_AT: usize = 48;
-/// Follows the code of an erase command.
 const MAGIC: [u8; 2] = [0x83, 0xde];
-/// Registers for a command's sum and for its result.
 const SUM: u8 = 0x64;
 const RESULT: u8 = 0x66;
-/// Start of a command's data.
 const DATA: usize = 0x04;
 /// The longest message: the register and a row in its command.
 pub const LONGEST: usize = 1 + DATA + ROW;
@@ -246,8 +240,7 @@ fn refuse_battery(bus: &mut dyn Bus, clock: &dyn Clock) -> Result<()> {
     Err(Error::new("", Cause::Gone, why))
 }
 
-/// Reads row 0 of instruction flash, which proves a gauge's boot loader. That needs a command, so a Smart Battery is
-/// told apart before it. Nothing is erased or programmed.
+/// Reads row 0, which proves a gauge's boot loader, by a command: a Smart Battery is ruled out before. No change.
 pub fn look(bus: &mut dyn Bus, clock: &dyn Clock) -> Result<Found> {
     check_reach(bus)?;
     let subject = || format!("address 0x{ROM_ADDRESS:02x}");
@@ -322,7 +315,6 @@ fn version_of(row: &Row) -> u16 {
     u16::from_le_bytes([row[VERSION_AT], row[VERSION_AT + 1]])
 }
 
-/// A boot loader and its flash, at some point of a file.
 struct Loader {
     /// The bytes of the present command.
     buffer: [Option<u8>; SUM as usize],

@@ -34,9 +34,8 @@ fn push(shown: &mut String, letter: char) {
     if is_plain(letter) { shown.push(letter) } else { shown.extend(letter.escape_default()) }
 }
 
-/// A text of unknown origin, such as the name of a file or a process, made safe for a terminal or a log: a character
-/// that would begin a line, control a terminal or reorder text becomes an escape such as `\n` or `\u{1b}`. Other
-/// characters remain. A text that is too long ends with `...`. Applying it twice changes nothing.
+/// A text of unknown origin made safe for a terminal or a log: a character that would begin a line, control a terminal or
+/// reorder text becomes an escape. A text that is too long ends with `...`. Applying it twice changes nothing.
 pub fn printable(text: &str) -> String {
     let mut shown = String::with_capacity(text.len());
     text.chars().take(LONGEST + 4).for_each(|letter| push(&mut shown, letter));
@@ -47,8 +46,7 @@ pub fn printable(text: &str) -> String {
     shown
 }
 
-/// Lines of text made safe for a terminal. Line ends and tabs remain; other characters that [`printable`] replaces
-/// become escapes.
+/// Like [`printable`], but line ends and tabs remain.
 pub fn lines(text: &str) -> String {
     let mut shown = String::with_capacity(text.len());
     for letter in text.chars() {
@@ -82,8 +80,7 @@ pub fn nearest<'a>(word: &str, names: impl Iterator<Item = &'a str>) -> Option<&
     })
 }
 
-/// Of names and what they name, those with all parts of a text, such as `voltage_now` for `voltage`; the ones with the
-/// fewest other parts first. A part is a word, or the beginning of one.
+/// Names with all parts of a text, such as `voltage_now` for `voltage`, fewest other parts first. Parts may be cut.
 pub fn with_parts<'a, T>(text: &str, names: impl Iterator<Item = (&'a str, T)>) -> Vec<T> {
     const LONGEST: usize = 64;
     const SHORTEST: usize = 3;

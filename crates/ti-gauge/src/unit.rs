@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! Units that a number may be written with, and their exact conversion to a parameter's unit. [`crate::notation`] has
-//! the notation of values.
+//! Units of numbers, and their exact conversion to a parameter's unit, for [`crate::notation`].
 //!
 //! A stored value is converted exactly or refused, never rounded. A value for comparisons may be any number.
 
@@ -57,8 +56,7 @@ const PER: [&str; 2] = ["/cell", "/day"];
 const DIGITS: usize = 18;
 
 impl Unit {
-    /// A table's unit, such as `mV`, `0.1°C`, `4 mΩ` or `mV/cell`. `None` for mere names, such as `hex`, and for units
-    /// that depend on a setting of the gauge, such as `mWh/cWh`.
+    /// A table's unit, such as `0.1°C` or `mV/cell`. `None` for names such as `hex`, and for units that a setting moves.
     fn of(text: &str) -> Option<Self> {
         let (number, unit) = split(text);
         let (num, den) = if number.is_empty() { (1, 1) } else { decimal(number)? };
@@ -74,7 +72,6 @@ impl Unit {
     }
 }
 
-/// A decimal number as a fraction.
 pub(crate) fn decimal(text: &str) -> Option<(i128, i128)> {
     let (sign, digits) = match text.strip_prefix('-') {
         Some(digits) => (-1, digits),
@@ -135,8 +132,7 @@ fn greatest_divisor(a: u128, b: u128) -> u128 {
     if b == 0 { a } else { greatest_divisor(b, a % b) }
 }
 
-/// The probable meaning of a number without a unit, where a value is in `unit`s: `3.9` for a voltage in `uV` is `3.9V`,
-/// and `3900` is `3900mV`. `None` if `unit` is a mere name.
+/// What a number without a unit may mean in `unit`s: `3.9` in `uV` is `3.9V`, `3900` is `3900mV`. `None` for names.
 pub fn likely(number: f64, unit: &str) -> Option<String> {
     /// Above these limits, people write a smaller unit.
     const LARGE: [(f64, &str); 2] = [(100.0, ""), (100_000.0, "m")];

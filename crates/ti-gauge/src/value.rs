@@ -4,8 +4,7 @@
 
 use std::fmt;
 
-/// The type of a data-flash parameter, named as TI's manuals name it: a letter for the kind and the
-/// number of bytes. Multi-byte values are stored with the most significant byte first.
+/// The type of a parameter as TI's manuals name it: a letter for the kind and the number of bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Type {
     /// A signed integer of this many bytes, two's complement.

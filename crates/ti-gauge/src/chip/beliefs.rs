@@ -30,7 +30,6 @@ fn is_mac(chip: &Chip) -> bool {
     chip.access.scheme.is_flat()
 }
 
-/// A part whose voltage depends on a divider in data flash.
 fn has_divider(chip: &Chip) -> bool {
     chip.gate.as_ref().is_some_and(|gate| gate.divider.is_some())
 }
@@ -43,7 +42,6 @@ fn named(chip: &'static Chip, names: &[&str]) -> Vec<Row> {
     rows.filter(|(_, row)| names.contains(&row.name)).collect()
 }
 
-/// The parameters that contain those bytes.
 fn at(chip: &'static Chip, places: &[(u8, u16)]) -> Vec<Row> {
     let rows = chip
         .subclasses
@@ -55,7 +53,6 @@ fn at(chip: &'static Chip, places: &[(u8, u16)]) -> Vec<Row> {
     rows.filter(|row| places.iter().any(|place| holds(row, place))).collect()
 }
 
-/// What Voltage() and the gate's limit depend on.
 fn gate(chip: &'static Chip) -> Vec<Row> {
     let places = |gate: &Gate| {
         let external = gate.external.as_ref().map(|external| external.byte);

@@ -14,16 +14,14 @@ pub struct Identity {
     pub firmware: &'static [u16],
     /// Control(HW_VERSION), if it distinguishes parts with the same device type.
     pub hardware: Option<u16>,
-    /// Control(DM_CODE) values, if they distinguish parts with the same device type; empty for any value that no other
-    /// part has.
+    /// Control(DM_CODE) values, if they distinguish equal device types; empty for any that no other part has.
     pub dm_codes: &'static [u16],
     /// The register in which the answers to DEVICE_TYPE and the like are read.
     pub answer: u8,
 }
 
 impl Identity {
-    /// For a part that is never asked: chosen by name, or recognised by a row of [`SIBLINGS`]. No part answers with
-    /// type 0.
+    /// For a part that is chosen by name or recognised by a row of [`SIBLINGS`]: no part answers with type 0.
     pub(super) const NONE: Self =
         Self { device_type: 0, firmware: &[], hardware: None, dm_codes: &[], answer: 0 };
 
@@ -33,13 +31,11 @@ impl Identity {
             && self.hardware.is_none_or(|hardware| hardware == answers.hardware_version)
     }
 
-    /// Whether the answers are in MACData() instead of Control().
     pub(crate) fn answers_in_mac_data(&self) -> bool {
         self.answer != 0
     }
 
-    /// Whether a version in a file says nothing about the firmware: gaugefs once took the device number for it, with
-    /// its bytes swapped.
+    /// Whether a version in a file is the device number with its bytes swapped, which gaugefs once wrote in its place.
     pub(crate) fn is_device_number(&self, version: u16) -> bool {
         self.answers_in_mac_data() && version == self.device_type.swap_bytes()
     }
@@ -104,8 +100,7 @@ pub struct Sibling {
     pub name: &'static str,
     /// What it answers.
     pub identity: Identity,
-    /// The chip whose standard commands it shares; `None` if the same addresses mean something else, so that every
-    /// number would be wrong.
+    /// The chip whose standard commands it shares; `None` if its addresses mean something else.
     pub like: Option<&'static Chip>,
 }
 
@@ -121,8 +116,7 @@ impl Sibling {
     }
 }
 
-/// Known parts without a table, by their answers. Rows with the same answers are parts that only the user can tell
-/// apart. A device type inferred from a part's name has no row.
+/// Known parts without a table. Only the user can tell rows with the same answers apart; an inferred type has no row.
 pub static SIBLINGS: &[Sibling] = &[
     // The generations differ in firmware only, which can be exchanged. The first has no CycleCount() in
     // the kernel's driver, the last another map of commands; 6.04 is a build for one product.

@@ -47,7 +47,6 @@ impl Chip {
         }
     }
 
-    /// The parameters of that name, in any class.
     fn named(&self, name: &str) -> impl Iterator<Item = Row> + use<> {
         let name = kebab_case(name);
         let first = name.chars().next();
@@ -78,8 +77,7 @@ impl Chip {
         found.max_by_key(|(own, _)| own.len()).map(|(_, row)| row)
     }
 
-    /// The parameter probably meant: at the nearest place in the same subclass, with a name that has all parts of this
-    /// one, or with a similar name.
+    /// The parameter probably meant: nearest in the same subclass, with all parts of the name, or with a similar name.
     pub fn nearest(&self, name: &str) -> Option<Row> {
         let (class, own) = name.rsplit_once('/').unwrap_or(("", name));
         if let Some(at) = text::unsigned::<u16>(own) {
@@ -106,9 +104,7 @@ impl Chip {
     }
 }
 
-/// TI's name as a file name of `gauge/`: words of lower-case letters and digits joined by `_`. A capital after a
-/// lower-case letter, or after a digit, starts a new word (`StateOfCharge` is `state_of_charge`, `DOD@EOC` is
-/// `dod_at_eoc`).
+/// TI's name as a file name of `gauge/`: `StateOfCharge` is `state_of_charge`, `DOD@EOC` is `dod_at_eoc`.
 pub fn snake_case(name: &str) -> String {
     let mut words = String::new();
     let mut before = ' ';

@@ -48,8 +48,7 @@ impl Subclass {
         if self.id == FLAT { self.parameters.first().map_or(0, |parameter| parameter.offset) } else { 0 }
     }
 
-    /// Number of bytes read and committed with it: whole blocks, including bytes after the last documented parameter;
-    /// for a flat group, only its own bytes.
+    /// Bytes read and committed with it: whole blocks, with what follows its parameters; of a flat group its own bytes.
     pub fn stored(&self) -> u16 {
         if self.id == FLAT { self.length } else { self.length.next_multiple_of(WINDOW as u16) }
     }

@@ -21,7 +21,6 @@ pub struct Preflight {
 }
 
 impl Preflight {
-    /// For a part that is never written to.
     pub(super) const NONE: Self =
         Self { pack: None, marks: &[], modes: &[], learning: None, voltage_mv: None };
 }

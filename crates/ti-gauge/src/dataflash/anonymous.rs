@@ -19,8 +19,7 @@ use gauge_bus::trace::Event;
 /// Bytes that two readings have at least in common if they show the same block.
 const ALIKE: usize = 8;
 
-/// The subclass, by its index in the table, that shows whether data flash can be read, and nothing of the pack's
-/// owner: the first one of a single block without keys, serial number or text.
+/// Index of the first subclass of one block without key, serial number or text: it shows whether data flash is readable.
 pub fn sample(chip: &Chip) -> Option<usize> {
     chip.subclasses.iter().position(|subclass| {
         let places = windows(subclass);
@@ -36,8 +35,7 @@ const DECIDING: [u8; 3] = [64, 68, 104];
 /// Where addresses begin that owners have found lower than printed.
 const DOUBTED: u16 = 0x4100;
 
-/// The subclasses of a report, by their indices: the sample, and what could confirm what the table believes of the part.
-/// None of them has a key, a serial number or a text in any of its blocks.
+/// The subclasses of a report: the sample and what could confirm beliefs, without keys, serial numbers or texts.
 pub fn samples(chip: &Chip) -> Vec<usize> {
     let is_open = |subclass: &Subclass| {
         let places = windows(subclass);
@@ -54,14 +52,12 @@ pub fn samples(chip: &Chip) -> Vec<usize> {
     all
 }
 
-/// The blocks that a subclass is in.
 fn windows(subclass: &Subclass) -> Vec<Window> {
     let first = subclass.start() / WINDOW as u16 * WINDOW as u16;
     let bases = (first..subclass.start() + subclass.length).step_by(WINDOW);
     bases.map(|base| Window { subclass: subclass.id, base }).collect()
 }
 
-/// Whether a block holds something that is not to be given away.
 fn is_private(chip: &Chip, place: Window) -> bool {
     let rows = chip.subclasses.iter().filter(|row| row.id == place.subclass).flat_map(|row| row.parameters);
     let base = usize::from(place.base);
@@ -73,7 +69,6 @@ fn is_private(chip: &Chip, place: Window) -> bool {
         || inside.any(|parameter| parameter.names_pack() || matches!(parameter.kind, Type::S(_)))
 }
 
-/// The block that is in the window.
 struct Selected<'a> {
     chip: &'a Chip,
     bytes: [u8; 2],
@@ -111,7 +106,6 @@ impl Selected<'_> {
         is_private.then(|| window(self.chip, event))
     }
 
-    /// Whether the block of that selection, or of that echo, is private.
     fn shows_private(&self, bytes: [u8; 2]) -> bool {
         let place = if self.chip.access.scheme.is_flat() {
             Window { subclass: FLAT, base: u16::from_le_bytes(bytes) }
@@ -158,7 +152,6 @@ fn alike(one: &[u8], other: &[u8]) -> bool {
     length >= ALIKE && one[..length] == other[..length]
 }
 
-/// Puts 0 in place of what the registers of that range show.
 fn hide(registers: Range<u8>, event: &mut Event) {
     if let Event::Transfer { write, answer: Ok(bytes), .. } = event
         && let [start] = write[..]

@@ -61,14 +61,12 @@ pub(super) fn arrange(planned: &mut [Planned], key: &dyn Fn(&Planned) -> (u8, u1
     planned.sort_by_key(key);
 }
 
-/// Whether a change gives a string the value that it has. Its bytes then remain as they are, also those after its end
-/// and a length that is larger than the field: they are no part of the value.
+/// Whether a string keeps its value. Then its bytes stay, also those after its end, and a length larger than the field.
 fn is_same_string(change: &Change, planned: &[Planned]) -> bool {
     let Some((_, Parameter { kind: Type::S(_), .. })) = change.row else { return false };
     change.value_of(&old_bytes(change, planned)) == change.value_of(&change.bytes)
 }
 
-/// Number of blocks that the changes touch.
 pub(super) fn blocks(changes: &[Change]) -> usize {
     let places: Vec<Window> = changes.iter().flat_map(Change::windows).map(|(place, _)| place).collect();
     (0..places.len()).filter(|&at| !places[..at].contains(&places[at])).count()

@@ -14,13 +14,11 @@ use crate::gauge::{Gauge, Seal, agreed};
 const TRIES: u32 = 4;
 const SHOWS: Duration = Duration::from_millis(100);
 
-/// Whether calibration is enabled.
 fn is_enabled(gauge: &mut Gauge, calibration: &Calibration) -> Result<bool> {
     let (source, mask) = calibration.enabled;
     agreed("the bit that allows calibration", || Ok(read_bits(gauge, source)? & mask != 0))
 }
 
-/// Whether the gauge is in calibration mode.
 pub(super) fn is_on(gauge: &mut Gauge, calibration: &Calibration) -> Result<bool> {
     agreed("CONTROL_STATUS", || Ok(gauge.control_status()?.1 & calibration.mode != 0))
 }
@@ -57,14 +55,12 @@ fn failed(gauge: &Gauge, name: &str) -> Error {
     Error::of(gauge.chip.model, unseen).at(Step::Control)
 }
 
-/// Enters calibration mode and confirms it. The gauge is open.
 pub(super) fn enter(gauge: &mut Gauge, calibration: &Calibration) -> Result<()> {
     set_enabled(gauge, calibration, true)?;
     set_mode(gauge, calibration, true)
 }
 
-/// Leaves calibration mode, if the gauge is in it, and confirms that. A gauge that was sealed meanwhile is unsealed.
-/// Returns whether there was anything to leave.
+/// Leaves calibration mode if it is on, unsealing a gauge that was sealed meanwhile; returns whether it was on.
 pub(super) fn leave(gauge: &mut Gauge, calibration: &Calibration) -> Result<bool> {
     let on = is_on(gauge, calibration)?;
     if !on && !is_enabled(gauge, calibration)? {

@@ -27,20 +27,17 @@ use crate::value::Value;
 /// ```
 #[derive(Clone, Debug)]
 pub struct Change {
-    /// Place of the first byte.
     pub(super) place: Place,
     pub(super) bytes: Vec<u8>,
     /// The parameter whose value this is; `None` for undocumented bytes.
     pub(super) row: Option<Row>,
     /// The bytes come from a saved configuration: bits that must not change keep their present value.
     pub(super) saved: bool,
-    /// How the part stores numbers.
     pub(super) layout: Layout,
 }
 
 impl Change {
-    /// A new value of a parameter, as its file takes it. `also_unproven` also allows a row whose address or range no
-    /// second source confirms (EACCES otherwise).
+    /// A new value as its file takes it; `also_unproven` allows rows that no second source confirms (EACCES otherwise).
     pub fn parse(chip: &Chip, row: Row, text: &[u8], also_unproven: bool) -> Result<Self> {
         let value = check_row(row, also_unproven).and_then(|()| notation::parse(row.1, text));
         let value = value.map_err(|error| error.at_place(Place::of(row).into()))?;
@@ -97,14 +94,12 @@ impl Change {
         self.row.map(|(_, parameter)| self.layout.decode(parameter.kind, bytes))
     }
 
-    /// The bytes as they will be stored in place of `old`: those of a saved configuration leave bits alone that must not
-    /// change.
+    /// The bytes as stored over `old`: a saved configuration leaves bits alone that must not change.
     pub fn stored_over(&self, old: &[u8]) -> Vec<u8> {
         let bytes = self.bytes.iter().zip(old).enumerate();
         bytes.map(|(at, (new, old))| new & !self.kept_bits(at) | old & self.kept_bits(at)).collect()
     }
 
-    /// The bits of byte `number` that a write must not change.
     pub(super) fn kept_bits(&self, number: usize) -> u8 {
         match self.row {
             Some((_, Parameter { safe: Some(Safe::Keep(mask, _)), .. })) if self.saved => {

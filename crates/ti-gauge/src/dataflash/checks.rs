@@ -38,8 +38,7 @@ pub(super) struct Setting {
 }
 
 impl Setting {
-    /// The values that a gauge has now. The number of cells is left out: should it count, the gauge stores nothing and the
-    /// write fails.
+    /// The values that a gauge has now, without the number of cells: should it count, the write stores nothing and fails.
     pub(super) fn now(limit: i16, divider: u16) -> Self {
         Self { limit: limit.into(), divider: divider.into(), external: false, cells: 1 }
     }
@@ -78,8 +77,7 @@ impl Setting {
         Some(self.divider * i64::from(factor))
     }
 
-    /// Why the gate is shut at a Voltage(). Every way in which the documents let the gauge compare must open it,
-    /// and no division rounds.
+    /// Why the gate is shut at a Voltage(): every documented way to compare must open it, and no division rounds.
     pub(super) fn shut(
         &self,
         gate: &Gate,
@@ -148,19 +146,16 @@ impl Change {
 }
 
 impl Planned {
-    /// The position of a byte in this block, if it is there.
     pub(super) fn at(&self, (subclass, offset): (u8, u16)) -> Option<usize> {
         let at = usize::from(offset.checked_sub(self.place.base)?);
         (self.place.subclass == subclass && at < WINDOW).then_some(at)
     }
 
-    /// Whether it changes a byte.
     pub(super) fn changes(&self, row: (u8, u16)) -> bool {
         self.at(row).is_some_and(|at| self.old[at] != self.new[at])
     }
 }
 
-/// The two bytes of a word.
 pub(super) fn both((subclass, offset): (u8, u16)) -> [(u8, u16); 2] {
     [(subclass, offset), (subclass, offset + 1)]
 }
@@ -169,13 +164,11 @@ pub(super) fn place_of((subclass, offset): (u8, u16)) -> (Window, usize) {
     locate(subclass, offset)
 }
 
-/// A word that is read twice.
 pub(super) fn short_word(gauge: &mut Gauge, row: (u8, u16)) -> Result<u16> {
     let (place, at) = place_of(row);
     sequence(gauge).word(gauge, place, at)
 }
 
-/// Whether calibration is enabled, in which the gauge ignores its gate.
 pub(super) fn calibration_enabled(gauge: &mut Gauge) -> Result<bool> {
     let Some((source, mask)) = gauge.chip.gate.as_ref().and_then(|gate| gate.calibration) else {
         return Ok(false);
@@ -200,8 +193,7 @@ pub(super) fn remedy(gate: &Gate) -> String {
     )
 }
 
-/// Why the gate is shut, by what an open gauge holds and measures now. What a loss of power has erased may shut it: the
-/// divider, or the bit that switches it.
+/// Why the gate is shut by present values: a loss of power may have erased the divider, or the bit that switches it.
 pub(super) fn shut(gauge: &mut Gauge) -> Result<Option<Error>> {
     let voltage = gauge.chip.register(Role::VoltageNow).map(|register| register.source);
     let Some((gate, voltage)) = gauge.chip.gate.as_ref().zip(voltage) else { return Ok(None) };

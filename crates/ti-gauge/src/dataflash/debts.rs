@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! What is left to do on a gauge: a write that is neither done nor undone and a seal that is owed, where they are on record,
-//! and which journals of other places were compared with the gauge. Nothing is sent from here.
+//! What is left to do on a gauge, where it is on record, and which journals were compared with it. Nothing is sent here.
 
 use std::borrow::Cow;
 use std::path::PathBuf;
@@ -20,23 +19,19 @@ use crate::gauge::{Gauge, Moment};
 use crate::journal::{Content, Entry, Found, Identity, OpenJournal, Plan};
 use crate::keys::Name;
 
-/// What is left to do.
 #[derive(Debug, Default)]
 pub(super) struct Debts {
     /// A write that is neither done nor undone, or a seal that is owed.
     pending: Option<Pending>,
-    /// What was last shown of it.
     shown: Option<Shown>,
     /// Its journal, locked while this process may go on with it.
     held: Option<OpenJournal>,
-    /// A seal that is owed beside it.
     owed_seal: Option<OwedSeal>,
     /// How far the journals of other gauges have been compared with this one, and those that are not of it.
     searched: Fact<Searched, Arrival>,
     judged: Fact<Vec<PathBuf>, Arrival>,
 }
 
-/// What is still to be settled.
 #[derive(Clone, Debug)]
 pub(super) struct Pending {
     /// `None` if the journal cannot be read, or another process works on it.
@@ -50,7 +45,6 @@ pub(super) struct Pending {
     pub(super) watched: bool,
     /// When it was certain that the gauge is the one, and when its session ended.
     pub(super) certain: Option<(Moment, Duration)>,
-    /// Only a person can decide.
     pub(super) undecided: bool,
     /// How often what was put back did not read back right, since the gauge has arrived.
     pub(super) tries: u32,
@@ -69,7 +63,6 @@ pub struct Owed<'a> {
     pub keys: &'a [Name],
 }
 
-/// A seal that is owed.
 #[derive(Clone, Debug)]
 pub(super) struct OwedSeal {
     /// The gauge that was opened; `None` if the record cannot be read.
@@ -95,7 +88,6 @@ impl Shown {
     }
 }
 
-/// What of the folder of journals has been compared with this gauge since it arrived.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Searched {
     /// Those of other places.
@@ -112,7 +104,6 @@ pub(super) enum Where {
 }
 
 impl Debts {
-    /// What is pending, as far as it was looked for.
     pub(super) fn pending(&self) -> Option<&Pending> {
         self.pending.as_ref()
     }
@@ -122,32 +113,26 @@ impl Debts {
         self.pending = Some(pending);
     }
 
-    /// Nothing is pending any more. Its journal may be held still.
     pub(super) fn settled(&mut self) {
         self.pending = None;
     }
 
-    /// Keeps the journal of what is pending locked, or lets it go.
     pub(super) fn hold(&mut self, journal: Option<OpenJournal>) {
         self.held = journal;
     }
 
-    /// The journal that is locked.
     pub(super) fn take_held(&mut self) -> Option<OpenJournal> {
         self.held.take()
     }
 
-    /// Notes what a person was shown of what is pending.
     pub(super) fn show(&mut self, shown: Shown) {
         self.shown = Some(shown);
     }
 
-    /// What a person was shown of an entry.
     pub(super) fn shown_of(&self, entry: &Entry) -> Option<&Shown> {
         self.shown.as_ref().filter(|shown| shown.entry == *entry)
     }
 
-    /// Whether the journals of other gauges there have been compared with this one.
     pub(super) fn is_searched(&self, arrival: Epoch<Arrival>, place: Where) -> bool {
         self.searched.get(arrival).is_some_and(|searched| match place {
             Where::Places => searched.places,
@@ -168,14 +153,12 @@ impl Debts {
         self.judged.in_epoch(arrival).extend(files);
     }
 
-    /// Why the seal that is owed could not be restored.
     pub(super) fn note_unsealed(&mut self, why: String) {
         if let Some(owed) = &mut self.owed_seal {
             owed.why = why;
         }
     }
 
-    /// What is owed to the gauge, if anything is.
     pub(super) fn owed(&self) -> Option<Owed<'_>> {
         let (pending, seal) = (self.pending.as_ref(), self.owed_seal.as_ref());
         let data =
@@ -237,7 +220,6 @@ impl Debts {
         self.pending = Some(pending);
     }
 
-    /// Trying again does not help with what is owed.
     pub(super) fn leave_to_person(&mut self) {
         if let Some(pending) = &mut self.pending {
             pending.undecided = true;
@@ -257,13 +239,11 @@ impl Debts {
         }
     }
 
-    /// The files that need not be looked at: what they say of this gauge is known.
     pub(super) fn known_files(&self, arrival: Epoch<Arrival>) -> Vec<PathBuf> {
         let held = self.held.iter().map(|held| held.path().to_path_buf());
         held.chain(self.judged.get(arrival).into_iter().flatten().cloned()).collect()
     }
 
-    /// Whether what is pending has been settled at another place, or its journal was moved away.
     fn is_over(&self, records: &Records, pending: &Pending) -> bool {
         let Some((journal, file)) = records.journal().zip(pending.file.as_ref()) else {
             return pending.entry.is_none();
@@ -294,7 +274,6 @@ impl Debts {
         }
     }
 
-    /// Keeps a seal that could not be restored.
     fn keep_seal(&mut self, entry: Entry, why: String) {
         self.owed_seal = Some(OwedSeal { entry: Some(entry), why });
     }
@@ -315,7 +294,6 @@ impl Debts {
         self.owed_seal.as_ref()
     }
 
-    /// No seal is owed any more: it is restored, or somebody has changed the seal state on purpose.
     pub(super) fn forget_seal(&mut self, records: &Records) {
         self.owed_seal = None;
         if let Some(Err(error)) = records.journal().map(|journal| journal.seal_paid()) {
@@ -344,7 +322,6 @@ impl Pending {
         }
     }
 
-    /// What an earlier process has left.
     pub(super) fn found(found: Found) -> Self {
         let file = Some(found.path);
         match found.content {
@@ -357,13 +334,11 @@ impl Pending {
         }
     }
 
-    /// Whether a person would have to decide about a write that these changes write anew as a whole: then no decision is
-    /// needed.
+    /// Whether these changes write anew as a whole what a person would have to decide about: no decision is needed then.
     pub(super) fn is_written_again(&self, changes: &[Change]) -> bool {
         self.undecided && self.plan().is_some_and(|plan| plan.is_covered(changes))
     }
 
-    /// What was about to be written.
     pub(super) fn plan(&self) -> Option<Plan> {
         self.entry.as_ref()?.plan.clone()
     }

@@ -10,11 +10,9 @@ use crate::codec::{Layout, WINDOW};
 use crate::error::{Cause, Error};
 use crate::value::Value;
 
-/// Content of erased flash.
 const ERASED: u8 = 0xff;
 
-/// The parameters that were erased with the end of their row: all of them from there on are 0xff, and these cannot be
-/// that. `bytes` returns what the gauge holds, as far as it is known. RAM has no rows.
+/// The parameters erased with the end of their row: all from there on are 0xff, and these cannot be. RAM has no rows.
 pub fn erased(chip: &'static Chip, bytes: impl Fn(Row) -> Option<Vec<u8>>) -> Vec<Row> {
     let mut lost = Vec::new();
     for (_, rows) in rows(chip) {
@@ -24,8 +22,7 @@ pub fn erased(chip: &'static Chip, bytes: impl Fn(Row) -> Option<Vec<u8>>) -> Ve
     lost
 }
 
-/// The parameters that were erased with the end of their row since an earlier reading, whatever they can hold: at least
-/// two of them, or four bytes.
+/// The parameters erased since an earlier reading, whatever they can hold: at least two of them, or four bytes.
 pub fn erased_since(
     chip: &'static Chip,
     before: impl Fn(Row) -> Option<Vec<u8>>,
@@ -69,7 +66,6 @@ pub fn says_erased(lost: &[Row], remedy: &str) -> Error {
     Error::new("", Cause::BadChecksum, why)
 }
 
-/// The parameters that were erased with the end of a block.
 pub(super) fn erased_in(chip: &'static Chip, place: Window, content: &[u8; WINDOW]) -> Vec<Row> {
     let inside = |(subclass, parameter): Row| {
         let start = parameter.offset.checked_sub(place.base).filter(|_| subclass.id == place.subclass)?;
@@ -103,7 +99,6 @@ fn rows(chip: &'static Chip) -> Vec<(Window, Vec<Row>)> {
     found
 }
 
-/// Those of a row, from its end on, that are erased.
 fn erased_end(rows: &[Row], bytes: impl Fn(Row) -> Option<Vec<u8>>) -> Vec<Row> {
     let erased = |row: &&Row| bytes(**row).is_some_and(|bytes| bytes.iter().all(|&byte| byte == ERASED));
     let mut ends: Vec<Row> = rows.iter().rev().take_while(erased).copied().collect();
@@ -111,7 +106,6 @@ fn erased_end(rows: &[Row], bytes: impl Fn(Row) -> Option<Vec<u8>>) -> Vec<Row> 
     ends
 }
 
-/// Whether a parameter cannot hold what erased flash reads as.
 fn is_forbidden(layout: Layout, (_, parameter): Row) -> bool {
     let value = layout.decode(parameter.kind, &vec![ERASED; parameter.kind.size()]);
     match (&parameter.range, value) {

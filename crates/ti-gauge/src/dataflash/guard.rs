@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! The guard of every session: what would have to be settled is on record before anything is sent to the gauge, whatever
-//! happens then the session is closed, and what it leaves is kept.
+//! The guard of every session: records what would be owed before anything is sent, always closes, keeps what is left.
 
 use std::time::Duration;
 
@@ -28,9 +27,7 @@ pub(super) enum Record {
 }
 
 impl DataFlash {
-    /// Runs an access, all of whose transfers are within `run`: within its time up to the first commit and with the presence
-    /// of the gauge attended. The blocks that it has programmed are counted, whatever becomes of it. `waited` is the time
-    /// since the request was made; `run` gets the time of the request.
+    /// Runs an access within its time, counts the blocks that it programs, and watches presence. `waited`: since the request.
     pub(super) fn access<T>(
         &mut self,
         gauge: &mut Gauge,
@@ -49,8 +46,7 @@ impl DataFlash {
         outcome
     }
 
-    /// A session with a gauge that was found in a seal state, for a request made at the time `asked`, with its record on disk.
-    /// After an error nothing was sent.
+    /// A session for a request made at the time `asked`, with its record on disk. After an error nothing was sent.
     pub(super) fn recorded(
         &mut self,
         gauge: &mut Gauge,
@@ -86,7 +82,6 @@ impl DataFlash {
         end(self, session, gauge, outcome, left)
     }
 
-    /// Keeps what a session has left to be settled.
     pub(super) fn end<T>(
         &mut self,
         mut session: Session,
@@ -113,7 +108,6 @@ impl DataFlash {
         outcome
     }
 
-    /// Records that a session is about to change the gauge's state.
     pub(super) fn owe(&mut self, gauge: &mut Gauge, session: &mut Session, blocks: usize) -> Result<()> {
         let identity = self.knowledge.identity(gauge)?;
         gauge.watch();
@@ -126,7 +120,6 @@ impl DataFlash {
         Ok(())
     }
 
-    /// Records that a sealed gauge is about to be opened for a read.
     fn record_read(&mut self, gauge: &mut Gauge, session: &mut Session) -> Result<()> {
         let owed = match self.find_pending() {
             None => self.owe(gauge, session, 0).and_then(|()| self.note_marks(gauge, session)),
@@ -135,7 +128,6 @@ impl DataFlash {
         self.records.read_without(owed)
     }
 
-    /// Records that a sealed gauge is about to be opened while a write waits to be settled.
     fn owe_seal(&mut self, gauge: &mut Gauge, session: &mut Session) -> Result<()> {
         let identity = self.knowledge.identity(gauge)?;
         let plan = Some(Plan::of_marks(self.knowledge.marks(gauge.chip)));
@@ -158,7 +150,6 @@ impl DataFlash {
         Ok(())
     }
 
-    /// Records what is known of a pack that will be owed its seal only.
     pub(super) fn note_marks(&mut self, gauge: &Gauge, session: &mut Session) -> Result<()> {
         let marks = self.knowledge.marks(gauge.chip);
         if marks.is_empty() {
@@ -167,7 +158,6 @@ impl DataFlash {
         self.note(session, Plan::of_marks(marks))
     }
 
-    /// Keeps what a session leaves, with its record.
     pub(super) fn leave(&mut self, gauge: &Gauge, mut session: Session, left: Left) {
         let journal = session.journal.take();
         self.debts.keep(&self.records, gauge, session.entry.take(), journal, left);

@@ -1,7 +1,5 @@
 // SPDX-License-Identifier: MIT
 
-//! What the gauge says of itself.
-
 use super::state::read_word;
 use crate::error::Result;
 use crate::gauge::{Gauge, agreed};

@@ -11,11 +11,10 @@ use crate::codec::WINDOW;
 use crate::error::{Cause, Error, Reason, Result, Step};
 use crate::gauge::{Gauge, Seal};
 
-/// Looks at a block that was just committed, and the time between them. Programming takes up to 250 ms, during
-/// which a gauge may answer with the old content, or not at all.
+/// Looks at a block after its commit: programming takes up to 250 ms, with the old content or no answer meanwhile.
 const VERIFIES: u32 = 8;
 const VERIFY_INTERVAL: Duration = Duration::from_millis(80);
-/// As long as these looks take: by then a commit is over, also one that waits for a row of the gauge's own.
+/// A look lasts that long: then every commit has finished, even one that waited for a row of the gauge's own.
 pub(super) const COMMITTED: Duration = VERIFY_INTERVAL.saturating_mul(VERIFIES);
 /// Commits of a block before giving up.
 pub(super) const STORES: u32 = 3;
@@ -44,8 +43,7 @@ pub(super) fn read_subclass(
     Ok(bytes)
 }
 
-/// Loads a block whose content is known into the window again, and returns it as it is now: learned bytes may
-/// have moved, and the checksum covers them.
+/// Loads a block of known content again, as it is now: learned bytes may have moved, and the checksum covers them.
 pub(super) fn reload(gauge: &mut Gauge, block: &Planned, care: Care) -> Result<Planned> {
     if !sequence(gauge).fills_window() {
         return Ok(block.clone());
@@ -71,13 +69,11 @@ pub(super) fn reload(gauge: &mut Gauge, block: &Planned, care: Care) -> Result<P
     Ok(Planned { old: window, new, ..block.clone() })
 }
 
-/// Whether an error may be gone at the next attempt.
 pub(super) fn is_passing(error: &Error) -> bool {
     matches!(error.cause(), Cause::Bus(bus) if bus.is_transient()) || matches!(error.cause(), Cause::NotNow)
 }
 
-/// Makes sure that the gauge has not lost its power meanwhile. One that has is sealed: it ignores what is written and
-/// may show what was sent to it as if it were in flash.
+/// A gauge that has lost its power is sealed: it ignores writes and may show what was sent to it as if it were in flash.
 pub(super) fn still_open(gauge: &mut Gauge) -> Result<()> {
     match gauge.seal_anew()? {
         Seal::Sealed => {
@@ -89,8 +85,7 @@ pub(super) fn still_open(gauge: &mut Gauge) -> Result<()> {
     }
 }
 
-/// Selects and reads the block again: right after a write the window shows the buffer, not flash. Keys that are read wrong
-/// cannot be corrected once the gauge is sealed, so two looks have to agree on them.
+/// The window shows the buffer after a write, so the block is selected again. Keys cannot be corrected later: two looks.
 pub(super) fn verify(gauge: &mut Gauge, block: &Planned) -> Result<()> {
     patiently(gauge, |gauge| {
         let stored = match holds_keys(gauge.chip, block.place) {
@@ -101,7 +96,6 @@ pub(super) fn verify(gauge: &mut Gauge, block: &Planned) -> Result<()> {
     })
 }
 
-/// Looks until the gauge shows what was committed, or for as long as programming may take.
 fn patiently(gauge: &mut Gauge, look: impl Fn(&mut Gauge) -> Result<()>) -> Result<()> {
     let mut outcome = look(gauge);
     for _ in 1..VERIFIES {
@@ -114,8 +108,7 @@ fn patiently(gauge: &mut Gauge, look: impl Fn(&mut Gauge) -> Result<()>) -> Resu
     outcome
 }
 
-/// Compares the written bytes only: after a reset the gauge updates others itself, and what is its own. What reads wrong is
-/// read again with its checksum before it counts.
+/// Compares the written bytes only: the gauge updates others itself. What reads wrong is read again with its checksum.
 pub(super) fn verify_written(gauge: &mut Gauge, block: &Planned, care: Care) -> Result<()> {
     let written = |at: &usize| block.written.has(*at);
     let (Some(first), Some(last)) = ((0..WINDOW).find(written), (0..WINDOW).rfind(written)) else {
@@ -135,7 +128,6 @@ pub(super) fn verify_written(gauge: &mut Gauge, block: &Planned, care: Care) -> 
     }
 }
 
-/// The first of the written bytes that is not as it was stored, and was not rewritten by the gauge since.
 fn wrong(chip: &Chip, block: &Planned, stored: &[u8; WINDOW]) -> Option<usize> {
     let written = block.written.without(block.as_rewritten(chip, stored).learned);
     written.iter().find(|&at| stored[at] != block.new[at])
@@ -154,7 +146,6 @@ fn verify_whole(gauge: &mut Gauge, block: &Planned) -> Result<()> {
     wrong(gauge.chip, block, &stored).map_or(Ok(()), |at| Err(mismatch(block, &stored, at)))
 }
 
-/// Compares the whole block but for bytes that the gauge rewrites itself.
 fn compare(block: &Planned, stored: &[u8; WINDOW]) -> Result<()> {
     match block.differs(stored, &block.new) {
         None => Ok(()),

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! The work that a write, an undo, the settling of an interrupted write and a change of keys have in common: blocks with
-//! an old and a new content, which are brought to one of the two. [`converge`] is the only loop that does so.
+//! What write, undo, settling and key change have in common: blocks with an old and a new content. [`converge`] is the loop.
 
 use std::time::Duration;
 
@@ -29,7 +28,6 @@ pub(super) enum Side {
 
 /// Where data flash is after a job.
 pub(super) enum Landed {
-    /// It has the content that was wanted.
     There,
     /// It has the old content again: the new one was given up for this error.
     Back(Error),
@@ -84,12 +82,10 @@ impl Job {
         }
     }
 
-    /// The blocks that change.
     pub(super) fn changed(&self) -> impl Iterator<Item = &Planned> {
         self.blocks.iter().map(|seen| &seen.block).filter(|block| !block.is_neighbour())
     }
 
-    /// Whether every block that changes has that content.
     pub(super) fn all(&self, held: Held) -> bool {
         self.blocks.iter().all(|seen| seen.held == held || seen.block.is_neighbour())
     }
@@ -99,7 +95,6 @@ impl Job {
         self.blocks.iter().all(|seen| !seen.block.is_neighbour() || seen.held == Held::Old)
     }
 
-    /// Stores the new content where it is not.
     fn forward(&mut self, gauge: &mut Gauge, session: &mut Session) -> Result<()> {
         session.begin(gauge)?;
         if self.care == Care::Quick {
@@ -120,8 +115,7 @@ impl Job {
         outcome
     }
 
-    /// Stores the new content of all blocks, and then looks at each of them: the window shows another block before, so that
-    /// one look tells. Those that are not as they should be are left to be stored one by one, with all looks.
+    /// Stores all blocks, then looks at each once: the window shows another one before. Wrong ones are stored one by one.
     fn store_together(&mut self, gauge: &mut Gauge, session: &mut Session) -> Result<()> {
         let waiting: Vec<usize> =
             (0..self.blocks.len()).filter(|&at| !self.blocks[at].is_at(Side::New)).collect();
@@ -129,7 +123,6 @@ impl Job {
             let moment = session.assure(gauge)?;
             let Ok(block) = reload(gauge, &self.blocks[at].to_new(), Care::Quick) else { continue };
             session.go_forward(gauge);
-            // What has become of it shows below.
             let touched = &mut self.touched;
             let _ = put(gauge, &block, moment, || *touched += 1);
         }
@@ -170,17 +163,15 @@ impl Job {
         outcome.map_err(|error| error.at(Step::Restore))
     }
 
-    /// Which block goes back after which: the last one first, so that flash is open after each of them as it was on the way
-    /// here, and at the end those that it was not the turn of yet.
+    /// Order of the way back: last written first, so that flash stays open; blocks not yet written come last.
     fn way_back(&self) -> impl Iterator<Item = usize> + use<> {
         let changed = self.changed().count();
         let first = if self.returns { self.touched.min(changed) } else { changed };
         (changed..self.blocks.len()).rev().chain((0..first).rev()).chain(first..changed)
     }
 
-    /// Restores one block. Once the gauge uses the new values only the written bytes go back, which keeps what it has
-    /// learned since. Before that the whole block does: a bit error in a register address puts a byte in the wrong place,
-    /// and the checksum, a plain sum, does not detect it.
+    /// Restores one block. Once the gauge uses the new values only written bytes go back, which keeps what was learned. Before
+    /// that all do: a bit error in an address misplaces a byte, and the checksum, a plain sum, does not detect it.
     fn restore(&mut self, gauge: &mut Gauge, session: &mut Session, at: usize, is_seen: bool) -> Result<()> {
         if !is_seen {
             gauge.doubt();
@@ -191,8 +182,7 @@ impl Job {
             seen.held = classify(&seen.block, &seen.stored);
         }
         let seen @ Seen { block, stored, .. } = &self.blocks[at];
-        // A loss of power disturbs the rows next to the one that is programmed. Any other change of a block that it was not
-        // the turn of is not of this job.
+        // A loss of power disturbs the rows beside; any other change of a block that it was not the turn of is not ours.
         let waits = self.returns && at >= self.touched && !block.is_neighbour();
         if seen.is_at(Side::Old) {
             return Ok(());
@@ -223,8 +213,7 @@ impl Job {
         store(gauge, session, &back, &mut 0)
     }
 
-    /// Finds out which bytes, that the job does not touch, move by themselves. To put them back would program their block
-    /// again and again.
+    /// Finds bytes that move by themselves: putting them back would program their block again and again.
     fn learn_moving(&mut self, gauge: &mut Gauge) {
         let first: Vec<_> = self
             .blocks
@@ -245,15 +234,13 @@ impl Job {
         }
     }
 
-    /// A block as it goes back: what was seen to move by itself is left to the gauge.
     fn without_moving(&self, block: &Planned) -> Planned {
         let moving = self.moving.iter().filter(|(place, _)| *place == block.place);
         let learned = moving.fold(block.learned, |learned, (_, moving)| learned.with(*moving));
         Planned { learned, ..block.clone() }
     }
 
-    /// Brings data flash to one side: stores what is not there, makes the gauge use it and reads back what was not read
-    /// back since.
+    /// Brings data flash to one side: stores, makes the gauge use it, and reads back what was not read back since.
     fn bring(&mut self, gauge: &mut Gauge, session: &mut Session, side: Side, is_seen: bool) -> Result<()> {
         let unread: Vec<bool> = self.blocks.iter().map(|seen| is_seen && seen.is_at(side)).collect();
         match side {
@@ -285,8 +272,7 @@ impl Job {
     }
 }
 
-/// Brings data flash to one of the two contents of a job. A write that fails on its way to the new one goes back to the old
-/// one, once anything may have been committed; `accept` judges the gauge that works with the new one.
+/// Brings data flash to one content of a job, or back to the old one if that fails once anything may be committed.
 pub(super) fn converge(
     gauge: &mut Gauge,
     session: &mut Session,
@@ -323,7 +309,6 @@ pub(super) fn converge(
 }
 
 impl Seen {
-    /// The block with a side's content as the one to be read back.
     fn to(&self, side: Side) -> Planned {
         let block = self.block.clone();
         if side == Side::Old { Planned { old: block.new, new: block.old, ..block } } else { block }
@@ -338,8 +323,7 @@ impl Seen {
         }
     }
 
-    /// The block on its way from what is stored to the new content. A learned byte stays as it is, unless its row was
-    /// erased.
+    /// The block on its way to the new content. A learned byte stays as it is, unless its row was erased.
     fn to_new(&self) -> Planned {
         let mut new = self.block.new;
         let erased = self.block.is_erased(&self.stored);

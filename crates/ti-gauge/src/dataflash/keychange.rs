@@ -2,19 +2,16 @@
 
 //! Key changes: the only write to the Security subclass.
 //!
-//! A gauge whose key is lost cannot be recovered, so every step is verified. The old key is proven by using
-//! it. The stored keys are compared with those the gauge accepted, which shows on this very gauge that the
-//! table has the right place and byte order. The block is read back while FULL ACCESS still allows a
-//! correction, and only then is the gauge sealed and opened with the new key.
+//! A gauge whose key is lost cannot be recovered. The old key is proven by using it; the stored keys are compared with
+//! those the gauge accepted, so the table's place and byte order are right; the block is read back while FULL ACCESS
+//! still allows a correction; only then is the gauge sealed, and opened with the new key.
 //!
-//! Until the block is committed an error means that no key was changed. From then on the answer is
-//! success, [`Cause::RolledBack`] (the old key is back, and was used) or [`Cause::StateUnknown`], which says what
-//! is known of the keys.
+//! Until the block is committed an error means that no key was changed. From then on the answer is success,
+//! [`Cause::RolledBack`] (the old key was used) or [`Cause::StateUnknown`], which says what is known of the keys.
 //!
-//! A loss of power may leave each word of the block old, new or erased, also those of keys that are not changed. The
-//! journal says that a change was about to be written, and how far it came, but has no key. So a change that was cut
-//! short is undone by the process that has begun it and still knows the keys, or made or undone when somebody makes it
-//! once more with the same two keys; until then nothing else is written.
+//! A loss of power may leave each word of the block old, new or erased, also of other keys. The journal says how far a
+//! change came, but has no key: a change that was cut short is settled by the process that still knows the keys, or when
+//! somebody makes it once more with the same two keys. Until then nothing else is written.
 
 use std::cell::OnceCell;
 use std::fmt;
@@ -57,22 +54,19 @@ use ring::{LENGTH_OF_KEY, Ring, SEALS, shows_order};
 
 /// Time for the change, and again for undoing it, without the pauses that a gauge needs after a refused key.
 const WAY: Duration = Duration::from_secs(8);
-/// Most pauses that are needed in either direction.
 const SILENCES: u32 = 14;
 /// Time that a gauge may take to restart before it answers.
 const START: Duration = Duration::from_secs(3);
 
-/// A change that this process has begun and that is neither done nor undone, if there is one.
 #[derive(Debug, Default)]
 pub(super) struct Begun(Option<Unfinished>);
 
-/// A change that this process has begun and that is neither done nor undone. What is in memory ends with the process.
+/// A change that this process has begun and that is neither done nor undone.
 struct Unfinished {
     change: KeyChange,
     ring: Ring,
     /// The key that has to answer a challenge when the old keys are back.
     authentication: Option<Secret>,
-    /// The row with the old keys.
     before: Zeroizing<[u8; WINDOW]>,
     order: Order,
 }
@@ -83,7 +77,6 @@ impl fmt::Debug for Unfinished {
     }
 }
 
-/// One change on its way.
 struct Task<'a> {
     block: &'a KeyBlock,
     change: &'a KeyChange,
@@ -114,18 +107,15 @@ impl Begun {
         self.0.is_none()
     }
 
-    /// It is done, undone or given up.
     pub(super) fn forget(&mut self) {
         self.0 = None;
     }
 
-    /// The row of keys as it was before.
     fn row_before(&self) -> Option<&[u8; WINDOW]> {
         self.0.as_ref().map(|kept| &*kept.before)
     }
 
-    /// What a gauge has of a change that was cut short, found out by using the keys that this process has. Nothing is
-    /// written but by the process that has begun it.
+    /// What a gauge has of a change that was cut short, by using this process's keys. Writes only if this process began it.
     pub(super) fn settle(
         &mut self,
         gauge: &mut Gauge,
@@ -187,8 +177,7 @@ pub(super) fn change(
     flash.noted(outcome).map_err(|error| error.within(&format!("{name} key")))
 }
 
-/// Refuses what may not be changed, and settles what has to be before: all but a change of keys that was cut short, which
-/// is returned. Also returns the time since the request.
+/// Refuses what may not be changed, and settles all but a key change that was cut short, which is returned.
 fn prepare(
     flash: &mut DataFlash,
     gauge: &mut Gauge,
@@ -274,7 +263,6 @@ fn change_unnamed(
     })
 }
 
-/// The change of keys that was cut short and is to be settled, if there is one.
 fn pending_keys(flash: &mut DataFlash) -> Option<Plan> {
     let plan = flash.find_pending()?.plan()?;
     plan.key.as_ref().filter(|key| !key.is_over())?;
@@ -374,7 +362,6 @@ impl<'a> Task<'a> {
         Err(self.give_up(dataflash, gauge, session, unfinished, &error))
     }
 
-    /// Checks the pack of a gauge that is open, and that flash can be written.
     fn check_open(
         &self,
         dataflash: &mut DataFlash,
@@ -398,7 +385,6 @@ impl<'a> Task<'a> {
         dataflash.knowledge.check_gate(gauge, voltage_mv)
     }
 
-    /// Puts the old keys back after a change that failed, and keeps what is needed to do so later.
     fn give_up(
         &mut self,
         dataflash: &mut DataFlash,
@@ -422,7 +408,6 @@ impl<'a> Task<'a> {
         error
     }
 
-    /// The mount's key of that name, which is not the one that is changed.
     fn mine(&self, name: Name) -> Option<&Secret> {
         self.mine[usize::from(name == Name::FullAccess)].as_ref()
     }
@@ -446,8 +431,7 @@ impl<'a> Task<'a> {
         })
     }
 
-    /// Records what is about to be written: which key, and what is beside the keys in their row and in the rows next
-    /// to it.
+    /// Records which key is about to be written, and what is beside the keys in their row and the rows next to it.
     fn announce(
         &self,
         dataflash: &mut DataFlash,
@@ -501,7 +485,6 @@ impl<'a> Task<'a> {
         Ok(())
     }
 
-    /// Refuses a pack that is not the one on which a change was begun.
     fn check_pack(&self, gauge: &mut Gauge, [then, now]: [&Identity; 2], plan: &Plan) -> Result<()> {
         match same_pack(gauge, [then, now], plan)? {
             Match::Other(name) => {
@@ -516,7 +499,6 @@ impl<'a> Task<'a> {
     }
 }
 
-/// The line of the journal about the keys that are written.
 fn keys_line(name: Name) -> String {
     format!("key {}\n", name.as_str())
 }

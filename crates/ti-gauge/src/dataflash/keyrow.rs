@@ -29,7 +29,6 @@ pub(super) fn keeps_unseal_key(gauge: &mut Gauge) -> Result<bool> {
     Ok(keeps)
 }
 
-/// A key as the gauge keeps it.
 pub(super) fn stored(key: &Secret, order: KeyOrder) -> Zeroizing<Vec<u8>> {
     let mut bytes = Zeroizing::new(key.bytes().to_vec());
     if let (KeyOrder::Reversed, [a, b, c, d]) = (order, bytes.as_slice()) {

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! What is known of the gauge and its pack: who it is, what its data flash holds, which modes may be on, and for how long
-//! each of that holds. Nothing is written here.
+//! What is known of the gauge and its pack, and for how long each of that holds. Nothing is written here.
 
 use super::identity::{identify, serial_number};
 use super::io;
@@ -27,16 +26,12 @@ use now::{Name, Now, Pack, Values};
 use preflight::KnownPack;
 pub(super) use preflight::{Found, check_unsealed, learning};
 
-/// What is known of the gauge and its pack.
 #[derive(Debug, Default)]
 pub(super) struct Knowledge {
-    /// Since when what is known holds.
     now: Now,
-    /// The gauge whose values were read.
     known_pack: Option<KnownPack>,
     /// Another gauge has answered at its address.
     doubts: Fact<(), Arrival>,
-    /// Identity of the gauge for the journal.
     identity: Fact<Identity, Name>,
     /// Blocks of this gauge as they were last read or written.
     known: Fact<Known, Pack>,
@@ -50,27 +45,22 @@ pub(super) struct Knowledge {
     no_erased_key: Fact<(), Arrival>,
     /// A failed write left its mode on; the next write ends it.
     mode_left_on: bool,
-    /// A session of ours may have left calibration mode on.
     in_calibration: bool,
 }
 
 impl Knowledge {
-    /// The present arrival of a gauge, with which other facts are kept.
     pub(super) fn arrival(&self) -> Epoch<Arrival> {
         self.now.arrival
     }
 
-    /// Its data memory is lost, or another pack may be there.
     pub(super) fn forget_pack(&mut self) {
         self.now.forget_pack();
     }
 
-    /// An access has failed, or has changed what permits the next one.
     pub(super) fn forget_values(&mut self) {
         self.now.forget_values();
     }
 
-    /// Its serial number may have been written.
     pub(super) fn forget_name(&mut self) {
         self.now.forget_name();
     }
@@ -87,7 +77,6 @@ impl Knowledge {
         self.fingerprint.learn(self.now.pack, fingerprint);
     }
 
-    /// An interrupted write was settled, so data flash is not what was read of it.
     pub(super) fn note_settled(&mut self) {
         self.now.forget_pack();
         if let Some(known_pack) = &mut self.known_pack {
@@ -95,33 +84,27 @@ impl Knowledge {
         }
     }
 
-    /// Another pack answers.
     pub(super) fn note_another(&mut self) {
         self.now.forget_pack();
         self.doubt_pack();
     }
 
-    /// A mode of a write may be on; the next write ends it.
     pub(super) fn note_mode_left_on(&mut self) {
         self.mode_left_on = true;
     }
 
-    /// A session may have left calibration mode on.
     pub(super) fn note_calibration(&mut self, is_on: bool) {
         self.in_calibration |= is_on;
     }
 
-    /// A session has ended calibration mode, unless it `is_on` still.
     pub(super) fn left_calibration(&mut self, is_on: bool) {
         self.in_calibration &= is_on;
     }
 
-    /// Whether a session of ours may have left calibration mode on.
     pub(super) fn may_calibrate(&self) -> bool {
         self.in_calibration
     }
 
-    /// Whether the gauge has refused the key of erased flash since it has arrived.
     pub(super) fn refuses_erased_key(&self) -> bool {
         self.no_erased_key.is_known(self.now.arrival)
     }
@@ -130,8 +113,7 @@ impl Knowledge {
         self.no_erased_key.learn(self.now.arrival, ());
     }
 
-    /// The pack may have been exchanged unnoticed. Forgets what was read of it, but for what distinguishes it: that is
-    /// compared when data flash is open for the next time.
+    /// Forgets what was read of a pack that may have been exchanged, but for what distinguishes it.
     pub(super) fn suspect(&mut self, chip: &'static Chip) {
         let fingerprint = self.fingerprint_now(chip);
         self.now.forget_pack();
@@ -141,7 +123,6 @@ impl Knowledge {
         }
     }
 
-    /// What distinguishes the pack, as far as it is known.
     pub(super) fn fingerprint_now(&self, chip: &'static Chip) -> Known {
         let mut fingerprint = self.fingerprint().clone();
         for place in pack::mark_windows(chip) {
@@ -152,7 +133,6 @@ impl Knowledge {
         fingerprint
     }
 
-    /// Compares the pack with the suspected one, if the gauge is open. See [`Self::doubts`].
     pub(super) fn compare(&mut self, gauge: &mut Gauge) -> Result<()> {
         if self.fingerprint().is_empty() || gauge.seal()? == Seal::Sealed {
             return Ok(());
@@ -161,8 +141,7 @@ impl Knowledge {
         self.learn_marks(gauge).map(drop)
     }
 
-    /// Reads, once after the gauge has arrived, what distinguishes its pack. Returns what shows that it is another
-    /// one than before; then it is in doubt.
+    /// Reads, once after an arrival, what distinguishes the pack. Returns what shows that it is another one; then in doubt.
     pub(super) fn learn_marks(&mut self, gauge: &mut Gauge) -> Result<Option<Row>> {
         let mut other = None;
         for place in pack::mark_windows(gauge.chip) {
@@ -199,17 +178,14 @@ impl Knowledge {
         self.known.in_epoch(self.now.pack).note(gauge.chip, place, content);
     }
 
-    /// Blocks of this pack as they were last read or written.
     pub(super) fn known(&self) -> &Known {
         self.known.get(self.now.pack).unwrap_or(&NOTHING)
     }
 
-    /// What distinguished the pack before it may have been exchanged; empty once that was compared.
     fn fingerprint(&self) -> &Known {
         self.fingerprint.get(self.now.pack).unwrap_or(&NOTHING)
     }
 
-    /// Makes sure that a block just read is of the pack whose values are known, and notes it.
     pub(super) fn recognise(&mut self, gauge: &Gauge, place: Window, content: &[u8; WINDOW]) -> Result<()> {
         let Some(row) = self.contradicted_mark(gauge.chip, place, content) else {
             self.note_block(gauge, place, *content);
@@ -218,8 +194,7 @@ impl Knowledge {
         Err(self.other_pack(gauge, row))
     }
 
-    /// The mark in a block just read that is not as this pack had it, as far as that is known. What a suspected pack was known
-    /// by counts as well: its marks may not have been compared yet, because it did not answer.
+    /// The mark in a block just read that contradicts this pack, or what a suspected pack was known by, not yet compared.
     fn contradicted_mark(&self, chip: &'static Chip, place: Window, content: &[u8; WINDOW]) -> Option<Row> {
         [self.known(), self.fingerprint()].iter().find_map(|before| before.contradicts(chip, place, content))
     }
@@ -236,8 +211,7 @@ impl Knowledge {
         Error::new(gauge.chip.model, Cause::Gone, why).at(Step::Identify)
     }
 
-    /// The blocks next to those that change, where they are known. On a part with a flat address space they are
-    /// read first: a row may hold bytes that no manual names.
+    /// The blocks beside those that change, where known. With flat addresses they are read: bytes may have no name there.
     pub(super) fn neighbours(&mut self, gauge: &mut Gauge, planned: &[Planned]) -> Result<Vec<Planned>> {
         let mut found: Vec<Planned> = Vec::new();
         let apart = |one: Window, other: Window| {
@@ -260,13 +234,11 @@ impl Knowledge {
         Ok(found)
     }
 
-    /// What distinguishes the pack, as far as it is known.
     pub(super) fn marks(&self, chip: &'static Chip) -> Vec<Mark> {
         let known = if self.fingerprint().is_empty() { self.known() } else { self.fingerprint() };
         known.marks(chip)
     }
 
-    /// From now on the session's pack is compared with what is known of it.
     pub(super) fn refer(&mut self, gauge: &Gauge, session: &mut Session) {
         let Some(entry) = &session.entry else { return };
         let mut reference = Reference::of(entry);
@@ -276,7 +248,6 @@ impl Knowledge {
         session.pack.pack = Some(reference);
     }
 
-    /// Identity of the gauge for the journal, read on first use after the gauge was connected.
     pub(super) fn identity(&mut self, gauge: &mut Gauge) -> Result<Identity> {
         if let Some(identity) = self.identity.get(self.now.name) {
             return Ok(identity.clone());
@@ -301,8 +272,7 @@ impl Knowledge {
         Ok(then.is_of_part(&now, gauge.chip) && same == Match::Certain)
     }
 
-    /// Refuses a write whose reset would seal a gauge that was found open and may not open again: its key must have
-    /// been used, or be the one that it keeps, which only FULL ACCESS lets one read.
+    /// Refuses a reset that would seal an open gauge for good: its key was used, or is what FULL ACCESS shows it to keep.
     pub(super) fn check_key(&mut self, gauge: &mut Gauge, found: Seal, changes: &[Change]) -> Result<()> {
         let resets = changes.iter().any(|change| change.kind(gauge.chip) == Kind::Reset);
         let volatile = gauge.chip.volatile.is_some();

@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: MIT
 
-//! Values that the gauge itself measures and stores, as the offsets of a calibration. What it is going to store is not
-//! known before, and whether it is right only shows afterwards. Until then the old values are owed, as after an
-//! interrupted write: settling puts them back.
+//! Values that the gauge measures and stores itself, such as offsets. Whether they are right shows only afterwards; until
+//! then the old values are owed, as after an interrupted write: settling puts them back.
 
 use std::time::Duration;
 
@@ -74,7 +73,6 @@ fn note_measured(
     Ok(olds)
 }
 
-/// What the gauge has stored is right.
 pub(crate) fn accept_measured(flash: &mut DataFlash) {
     flash.debts.settled();
     if let Some(Err(error)) = flash.debts.take_held().map(OpenJournal::remove) {
@@ -82,14 +80,12 @@ pub(crate) fn accept_measured(flash: &mut DataFlash) {
     }
 }
 
-/// Puts the old values back.
 pub(crate) fn undo_measured(flash: &mut DataFlash, gauge: &mut Gauge) -> Result<()> {
     flash.debts.still_certain(gauge);
     flash.settle(gauge, Duration::ZERO).map(drop)
 }
 
-/// Makes sure that nothing has happened since then behind which the pack could have been exchanged: what was measured on
-/// one says nothing of another.
+/// The pack must not have been exchanged since: what was measured on one says nothing of another.
 pub(crate) fn assure_same(gauge: &Gauge, since: Moment) -> Result<()> {
     if gauge.is_unbroken_since(since) {
         return Ok(());

@@ -1,9 +1,7 @@
 // SPDX-License-Identifier: MIT
 
-//! What is known of the pack: the blocks that were read of it, and the values that distinguish it from others.
-//!
-//! From the factory all packs have the same serial number, so type, firmware and serial number alike do not make
-//! two packs one. Calibration does: it is measured for each board.
+//! What is known of the pack: its blocks and its marks. From the factory all packs have the same serial number, so type,
+//! firmware and serial number do not make two packs one. Calibration does: it is measured for each board.
 
 use std::collections::BTreeMap;
 
@@ -19,7 +17,6 @@ use crate::value::Value;
 #[derive(Clone, Debug, Default)]
 pub(super) struct Known(BTreeMap<(u8, u16), [u8; WINDOW]>);
 
-/// Where nothing was read yet.
 pub(super) static NOTHING: Known = Known(BTreeMap::new());
 
 impl Known {
@@ -42,7 +39,6 @@ impl Known {
         self.0.is_empty()
     }
 
-    /// Bytes of a parameter, if every byte of it is known.
     fn bytes(&self, (subclass, parameter): Row) -> Option<Vec<u8>> {
         let places = (parameter.offset..).take(parameter.kind.size());
         places
@@ -51,7 +47,6 @@ impl Known {
             .collect()
     }
 
-    /// What distinguishes this pack, as far as it is known.
     pub(super) fn marks(&self, chip: &'static Chip) -> Vec<Mark> {
         let mark = |&(id, offset): &(u8, u16)| {
             let bytes = self.bytes(row(chip, id, offset)?)?;
@@ -60,8 +55,7 @@ impl Known {
         chip.preflight.marks.iter().filter_map(mark).collect()
     }
 
-    /// The first mark in a block just read that differs from what is known: another pack has taken the place of
-    /// this one, or another program has written to it.
+    /// The first mark in a block that differs from what is known: another pack, or another program has written.
     pub(super) fn contradicts(&self, chip: &'static Chip, place: Window, now: &[u8; WINDOW]) -> Option<Row> {
         let before = self.get(place)?;
         let moving = learned(chip, place);
@@ -87,8 +81,7 @@ pub(super) enum Match {
     Other(String),
 }
 
-/// Compares the marks of a plan with a gauge; `stored` reads a window of it. A mark that the plan itself writes is
-/// one of two values, and counts as the gauge has it.
+/// Compares a plan's marks with a gauge; `stored` reads a window. A mark that the plan writes is one of two values.
 pub(super) fn compare<E>(
     chip: &'static Chip,
     then: &Identity,
@@ -206,7 +199,6 @@ pub fn distinguishes(chip: &Chip, (_, parameter): Row, bytes: &[u8]) -> bool {
     }
 }
 
-/// A row of the table, by subclass and offset.
 fn row(chip: &'static Chip, id: u8, offset: u16) -> Option<Row> {
     let alike = chip.subclasses.iter().filter(|subclass| subclass.id == id);
     alike.into_iter().find_map(|subclass| Some((subclass, subclass.parameter(offset)?)))
@@ -226,8 +218,7 @@ pub(super) fn mark_windows(chip: &'static Chip) -> Vec<Window> {
     windows
 }
 
-/// The windows on either side of one, in the same subclass: a loss of power while flash is programmed may disturb
-/// them.
+/// The windows beside one, in its subclass: a loss of power while flash is programmed may disturb them.
 pub(super) fn neighbours(chip: &Chip, place: Window) -> Vec<Window> {
     let step = WINDOW as u16;
     let sides = [place.base.checked_sub(step), place.base.checked_add(step)];

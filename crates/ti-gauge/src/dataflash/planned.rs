@@ -12,7 +12,6 @@ use crate::error::Result;
 use crate::gauge::Gauge;
 use crate::journal::{Entry, Mark, Plan, PlannedBlock};
 
-/// Which content a block has.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) enum Held {
     Old,
@@ -56,7 +55,6 @@ impl PlannedBlock {
 }
 
 impl Plan {
-    /// The names of the parameters that were about to be written.
     fn names(&self, chip: &Chip) -> Vec<&'static str> {
         let is_written = |(subclass, row): &Row| {
             self.blocks.iter().filter(|block| block.subclass == subclass.id).any(|block| {
@@ -69,7 +67,6 @@ impl Plan {
         chip.rows().filter(is_written).map(|(_, row)| row.name).collect()
     }
 
-    /// Nothing but what is known of the pack.
     pub(super) fn of_marks(marks: Vec<Mark>) -> Self {
         Self { marks, ..Self::default() }
     }
@@ -129,7 +126,6 @@ impl Entry {
         }
     }
 
-    /// Whether nothing but the seal is owed.
     pub(super) fn owes_seal(&self) -> bool {
         self.plan.as_ref().is_none_or(|plan| plan.blocks.is_empty() && plan.key.is_none())
     }
@@ -140,8 +136,7 @@ impl Entry {
     }
 }
 
-/// The blocks of a plan as the gauge has them now. The last commit may be at work still, and the gauge may answer with
-/// what was there before it: the process that sent it is gone.
+/// A plan's blocks as the gauge has them now. The dead process's last commit may be at work, and show old content.
 pub(super) fn look(gauge: &mut Gauge, plan: &Plan) -> Result<Vec<Seen>> {
     gauge.wait(COMMITTED);
     look_at(gauge, plan)

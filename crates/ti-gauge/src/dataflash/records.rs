@@ -29,8 +29,7 @@ impl Records {
         self.journal.as_ref()
     }
 
-    /// Lets a read go on whose journal cannot be written: it changes nothing. What is lost is that a power cut of the host
-    /// within it leaves the gauge unsealed.
+    /// A read goes on without a journal: it changes nothing. Lost: a power cut of the host leaves the gauge unsealed.
     pub(super) fn read_without(&mut self, recorded: Result<()>) -> Result<()> {
         match recorded {
             Ok(()) => self.unrecorded = false,
@@ -44,9 +43,8 @@ impl Records {
         Ok(())
     }
 
-    /// Goes on with a restoration whose journal cannot be written, as on a full disk: without it the gauge shows nothing, and
-    /// whatever it leaves in RAM is written again by the next one. What is lost is that a power cut of the host within it
-    /// leaves the gauge unsealed, and in CONFIG UPDATE until that ends by itself.
+    /// Goes on with a restoration whose journal cannot be written, as on a full disk: the next one writes all of RAM again.
+    /// Lost: a power cut of the host leaves the gauge unsealed, and in CONFIG UPDATE until that ends by itself.
     pub(super) fn go_on_without(&mut self, gauge: &Gauge, recorded: Result<()>) -> Result<()> {
         let Err(Cause::Io(kind)) = recorded.as_ref().map_err(Error::cause) else {
             self.unrecorded &= recorded.is_err();

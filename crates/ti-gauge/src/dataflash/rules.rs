@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! What a user allows: how often data flash is programmed, and whether a write may end a learning cycle. The cells of
-//! flash last for 20,000 cycles (SLUSBZ5D 6.12), and the gauge itself does not stop a runaway script from using them up.
+//! What a user allows: writes per hour, and the end of a learning cycle. Gauges let a runaway script wear out their flash.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -9,7 +8,6 @@ use std::time::Duration;
 use crate::error::{Error, Reason, Result, Step};
 use crate::gauge::{Gauge, Statistics};
 
-/// The period over which blocks are counted.
 const HOUR: Duration = Duration::from_secs(3600);
 
 /// Limits that a user may change.
@@ -21,8 +19,7 @@ pub struct Limits {
     pub writes_per_hour: u32,
 }
 
-/// Default limit. A runaway script needs more than a weekend (66 h) to use up the 20,000 cycles of a block
-/// (SLUSBZ5D 6.12), and every parameter of the largest table can still be written once.
+/// At this rate the 20,000 cycles of a block (SLUSBZ5D 6.12) last 66 h, and each parameter can be written once.
 pub const WRITES_PER_HOUR: u32 = 300;
 
 impl Default for Limits {
@@ -71,23 +68,19 @@ impl Rules {
     }
 }
 
-/// The blocks that this process programmed within the last hour.
 #[derive(Debug, Default)]
 struct Wear {
-    /// Time and number of blocks, oldest first.
     spent: VecDeque<(Duration, u64)>,
 }
 
 impl Wear {
-    /// Records blocks that have just been programmed.
     fn record(&mut self, now: Duration, blocks: u64) {
         if blocks > 0 {
             self.spent.push_back((now, blocks));
         }
     }
 
-    /// Refuses a transaction while the limit has been reached within the last hour. The limit is checked only
-    /// before a transaction, so one of any size can complete.
+    /// Refuses a transaction at the limit. Checked before a transaction only, so one of any size can complete.
     fn check(&mut self, now: Duration, limit: u32) -> Result<()> {
         while self.spent.front().is_some_and(|(at, _)| *at + HOUR <= now) {
             self.spent.pop_front();

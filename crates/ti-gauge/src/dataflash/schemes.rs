@@ -17,9 +17,8 @@ mod sealed;
 
 pub(super) use sealed::shown_sealed;
 
-/// From selecting a block until the first look at it, and until the look that counts. The gauge has it within
-/// 50 ms (drivers wait 10 to 30 ms, and some have read only zeros). Until then the window still shows the block
-/// before, or a blank one, with a checksum that fits.
+/// From selecting a block until the first look, and until the look that counts. The gauge has it within 50 ms (drivers
+/// wait 10 to 30 ms, and some read zeros). Until then the window has another block with a checksum that fits.
 const FIRST_LOOK: Duration = Duration::from_millis(30);
 const SECOND_LOOK: Duration = Duration::from_millis(55);
 /// Time between two looks that must agree, where the first two did not.
@@ -33,8 +32,8 @@ pub(crate) enum Care {
     /// As much as flash needs: what is wrong there stays.
     #[default]
     Sure,
-    /// One look that shows that the window was loaded. Enough for RAM, whose content is lost with the next brown-out: a
-    /// doubtful block costs a second look, and not every block a long one. A part with flash is looked at as for `Sure`.
+    /// One look that shows a loaded window. Enough for RAM, which the next brown-out empties; a doubtful block costs a second
+    /// look. A part with flash is looked at as for `Sure`.
     Quick,
 }
 
@@ -44,31 +43,26 @@ pub(super) trait Sequence {
     fn enable(&self, gauge: &mut Gauge) -> Result<()>;
     /// Enables writing data flash, if that is a mode of its own.
     fn begin(&self, gauge: &mut Gauge) -> Result<()>;
-    /// Loads a block into the window and reads it with its checksum until two looks agree, some time apart; with
-    /// [`Care::Quick`] until one shows that the window was loaded.
+    /// Loads a block until two looks agree, some time apart; with [`Care::Quick`] until one shows that it was loaded.
     fn load(&self, gauge: &mut Gauge, place: Window, care: Care) -> Result<[u8; WINDOW]>;
     /// Loads a block whose content is known: one look, when it must be ready, with its checksum.
     fn glance(&self, gauge: &mut Gauge, place: Window) -> Result<[u8; WINDOW]>;
-    /// Loads a block into the window and reads some of its bytes, unchecked: a content that is not the expected
-    /// one has to be confirmed by `load`.
+    /// Loads a block and reads some bytes, unchecked: what is not as expected has to be confirmed by `load`.
     fn read_part(&self, gauge: &mut Gauge, place: Window, at: usize, into: &mut [u8]) -> Result<()>;
     /// Reads a word, believed when the selection is echoed and two readings agree, or its checksum is right.
     fn word(&self, gauge: &mut Gauge, place: Window, at: usize) -> Result<u16> {
         let window = self.load(gauge, place, Care::Sure)?;
         Ok(gauge.chip.layout.word([window[at], window[at + 1]]))
     }
-    /// Whether the block must be in the window before its bytes are changed. Not needed if the bytes are sent
-    /// with their address and the checksum covers both.
+    /// Whether the block must be in the window first. Not if the checksum covers bytes and address.
     fn fills_window(&self) -> bool;
     /// The parts of a change that are committed one by one.
     fn pieces(&self, block: &Planned) -> Vec<Planned>;
     /// Sends the bytes that differ to the gauge's buffer; flash is not changed yet.
     fn fill(&self, gauge: &mut Gauge, block: &Planned) -> Result<()>;
-    /// Makes the gauge program the block. Never sent twice: after an error the caller reads the block to
-    /// find out what it holds.
+    /// Makes the gauge program the block. Never sent twice: after an error the caller reads what it holds.
     fn commit(&self, gauge: &mut Gauge, block: &Planned) -> Result<()>;
-    /// Ends the mode that `begin` started, which makes the gauge use the new values. Returns when data memory can be read
-    /// again: what registers show is there before.
+    /// Ends the mode of `begin`: the gauge uses the new values. Returns when data memory, unlike registers, can be read.
     fn leave(&self, gauge: &mut Gauge) -> Result<Duration> {
         Ok(gauge.clock.now())
     }
@@ -85,8 +79,7 @@ fn wait_until(gauge: &Gauge, begun: Duration, time: Duration) {
     gauge.wait((begun + time).saturating_sub(gauge.clock.now()));
 }
 
-/// Looks at a selected block until two looks agree. The first look is at the checksum only, which is another one
-/// if the window still showed something else; it costs an eighth of a whole one.
+/// Looks until two agree. The first is at the checksum only, which differs with another block, for an eighth of the cost.
 fn look_twice<T: PartialEq>(
     gauge: &mut Gauge,
     sum: impl Fn(&mut Gauge) -> Result<u8>,
@@ -115,8 +108,7 @@ fn look_twice<T: PartialEq>(
     Err(Error::new("", Cause::Protocol, why).at(Step::ReadBlock))
 }
 
-/// Looks at a selected block of RAM as soon as that is worth while, and once more when the table says that it is there.
-/// `None` if neither look shows that the window was loaded since it held `before`.
+/// Looks at RAM early, and at the table's time. `None` if neither shows that the window, which held `before`, was loaded.
 fn look_early(
     gauge: &mut Gauge,
     before: &[u8; WINDOW],
@@ -129,13 +121,11 @@ fn look_early(
     })
 }
 
-/// Whether a look shows that the window was loaded since it was looked at before: until then it shows what it held, or a
-/// blank block, each with a checksum that fits.
+/// Until a window is loaded it shows what it held, or a blank block, each with a checksum that fits.
 fn is_loaded(before: &[u8; WINDOW], now: &[u8; WINDOW]) -> bool {
     now != before && now.iter().any(|&byte| byte != 0)
 }
 
-/// Waits until a selected block must be ready.
 fn settle(gauge: &Gauge) {
     gauge.wait(SECOND_LOOK.max(FIRST_LOOK + gauge.chip.access.select));
 }

@@ -8,8 +8,7 @@ use crate::codec::WINDOW;
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::{Gauge, Seal};
 
-/// Reads subclasses of a gauge that is SEALED; `None` unless it shows all of them. Without any, the access is for what the pack
-/// is known by, which it does not show.
+/// Reads subclasses of a SEALED gauge, if it shows all. Without any, the access is for marks, which it does not show.
 pub(super) fn read(gauge: &mut Gauge, wanted: &[&'static Subclass]) -> Option<Result<Vec<Vec<u8>>>> {
     if wanted.is_empty() {
         return None;

@@ -26,16 +26,14 @@ const FORWARD: Duration = Duration::from_secs(18);
 /// From a request to the end of the way back, and least time for it, however long the way forward has taken.
 const BACK: Duration = Duration::from_secs(24);
 const LEAST_BACK: Duration = Duration::from_secs(5);
-/// From a request to its answer, and least time for the seal. What is not done then remains owed. On a disturbed bus
-/// each of these ends up to 1.6 s late, by a wait and a transfer.
+/// From a request to its answer, and least time for the seal; the rest is owed. On a disturbed bus each ends 1.6 s late.
 const ANSWER: Duration = Duration::from_secs(28);
 const LEAST_CLOSE: Duration = Duration::from_secs(2);
 /// Between two attempts to restore the seal state of a gauge that does not answer.
 const TRY_AGAIN: Duration = Duration::from_millis(200);
 /// Attempts to restore the old bytes.
 pub(super) const RESTORES: u32 = 3;
-/// Times that RESET is sent, and how long it may take to show: up to 500 ms in which the gauge does not answer,
-/// or answers as before.
+/// Times that RESET is sent, and how long it may take: up to 500 ms without an answer, or with answers as before.
 const RESETS: u32 = 3;
 const RESET_SHOWS: Duration = Duration::from_millis(650);
 
@@ -44,7 +42,6 @@ pub(super) struct Session {
     pub(super) found: Seal,
     /// `None` while the state may have changed and is not yet confirmed.
     pub(super) now: Option<Seal>,
-    /// When it was requested.
     asked: Duration,
     /// A person has decided, so a neighbour goes back whatever it holds.
     pub(super) decided: bool,
@@ -56,7 +53,6 @@ pub(super) struct Session {
     pub(super) calibrating: Option<&'static Calibration>,
     /// How long the seal state is restored; `None` while a short time is enough.
     pub(super) patience: Option<Patience>,
-    /// What is known of the gauge that answers.
     pub(super) pack: Assurance,
     /// What would have to be settled if the session ended now.
     pub(super) entry: Option<Entry>,
@@ -85,7 +81,6 @@ pub(super) struct Left {
 }
 
 impl Left {
-    /// What another than a session leaves.
     pub(super) fn of(data: bool, why: String) -> Self {
         Self { data, why, is_new: false, certain: None }
     }
@@ -98,7 +93,6 @@ impl Left {
 }
 
 impl Session {
-    /// A session with a gauge in the state `found`, requested at the time `asked`.
     pub(super) fn new(found: Seal, asked: Duration) -> Self {
         Self {
             found,
@@ -115,8 +109,7 @@ impl Session {
         }
     }
 
-    /// Removes the journal: nothing is left to settle. One that remains is settled before the next write or at the
-    /// next start.
+    /// Removes the journal. One that remains is settled before the next write or at the next start.
     pub(super) fn remove_journal(&mut self) {
         if let Some(Err(error)) = self.journal.take().map(OpenJournal::remove) {
             log::warn!("{error}");
@@ -128,7 +121,6 @@ impl Session {
         (self.found, self.now) = (now, Some(now));
     }
 
-    /// Makes data flash readable.
     pub(super) fn open(&mut self, gauge: &mut Gauge) -> Result<()> {
         if self.found == Seal::Sealed {
             self.now = None;
@@ -151,7 +143,6 @@ impl Session {
         calmode::enter(gauge, calibration)
     }
 
-    /// Leaves calibration mode, if a session has entered it.
     pub(super) fn leave_calibration(&mut self, gauge: &mut Gauge) -> Result<()> {
         let Some(calibration) = self.calibrating else { return Ok(()) };
         let left = calmode::leave(gauge, calibration)
@@ -163,13 +154,11 @@ impl Session {
         left.map(|_| self.calibrating = None)
     }
 
-    /// Makes data flash writable.
     pub(super) fn begin(&mut self, gauge: &mut Gauge) -> Result<()> {
         self.begun = sequence(gauge).always_finishes();
         sequence(gauge).begin(gauge)
     }
 
-    /// Ends the mode that is still on.
     fn end_mode(&mut self, gauge: &mut Gauge) -> Result<()> {
         if self.begun { self.finish(gauge, Care::Sure, None).map(drop) } else { Ok(()) }
     }
@@ -191,11 +180,9 @@ impl Session {
         gauge.limit_until(Some((self.asked + BACK).max(gauge.clock.now() + LEAST_BACK)));
     }
 
-    /// Makes the gauge use the new values and data flash readable again.
-    ///
-    /// With [`Care::Quick`] a gauge with RAM uses what was restored and looked at in CONFIG UPDATE. One that was
-    /// found SEALED, and seals itself now, takes no key for 4 s; on others data memory cannot be read for 2 s. What can be read
-    /// all the same, such as the register of `copied`, shows whether RAM was lost since. Returns whether it shows that it was
+    /// Makes the gauge use the new values and data flash readable again. With [`Care::Quick`] RAM is used as looked at in
+    /// CONFIG UPDATE: a gauge that seals itself takes no key for 4 s, and data memory cannot be read for 2 s. What can be
+    /// read, such as the register of `copied`, shows whether RAM was lost since. Returns whether it was seen not to be.
     /// not: the blocks need not be looked at again then, and data memory may not be readable.
     pub(super) fn finish(&mut self, gauge: &mut Gauge, care: Care, copied: Option<&Copied>) -> Result<bool> {
         self.now = None;
@@ -224,7 +211,6 @@ impl Session {
         Ok(false)
     }
 
-    /// Makes data memory readable again after the end of CONFIG UPDATE.
     fn reopen(&mut self, gauge: &mut Gauge) -> Result<()> {
         let goal = self.open_as_found();
         reopen(gauge, goal, self.stays_open)?;
@@ -274,8 +260,7 @@ impl Session {
         self.journal.as_mut().map_or(Ok(()), OpenJournal::reset_sent)
     }
 
-    /// Records how far a change of keys has come. That it cannot be recorded does not keep it from going on: the journal
-    /// then says that less is known than is.
+    /// Records how far a key change has come. If that fails the journal says less than is known, and the change goes on.
     pub(super) fn note_keys(&mut self, change: impl FnOnce(&mut KeyPlan), line: &str) {
         if let Some(key) = self.entry.as_mut().and_then(|entry| entry.plan.as_mut()?.key.as_mut()) {
             change(key);
@@ -296,8 +281,7 @@ impl Session {
         Ok(())
     }
 
-    /// Ends every transaction: restores the seal state, confirms it, and reports both errors if there are
-    /// two. Returns what is left to be settled.
+    /// Restores the seal state, confirms it, and reports both errors if there are two. Returns what is left to settle.
     pub(super) fn close<T>(&mut self, gauge: &mut Gauge, outcome: Result<T>) -> (Result<T>, Option<Left>) {
         let begun = gauge.clock.now();
         let least = self.patience.map_or(LEAST_CLOSE, |patience| patience.refusals);
@@ -368,15 +352,13 @@ impl Session {
     }
 }
 
-/// Whether a block was stored and reads otherwise.
 pub(super) fn reads_wrong(error: &Error) -> bool {
     matches!(error.cause(), Cause::Protocol) && error.step() == Some(Step::Verify)
 }
 
-/// Resets the gauge, which is open, until there is a sign that it has happened: a part that had been sealed is
-/// sealed again (SLUSBZ5D 7.3.3.1 step 11). One that was found open may never have been sealed; then the sign is that it
-/// was silent, that [INITCOMP] is clear, or that it has forgotten which block was selected. An acknowledgement is no sign.
-/// Returns the seal state.
+/// Resets the gauge until there is a sign of it: a part that had been sealed is sealed again (SLUSBZ5D 7.3.3.1 step 11).
+/// If found open it may never have been sealed; then it was silent, [INITCOMP] is clear, or the selection is forgotten.
+/// An acknowledgement is no sign. Returns the seal state.
 fn reset(gauge: &mut Gauge, found: Seal, moment: Moment) -> Result<Seal> {
     let access = &gauge.chip.access;
     let incomplete = gauge.chip.control_status.iter().find(|bit| bit.name == "INITCOMP");
@@ -417,8 +399,7 @@ fn reset(gauge: &mut Gauge, found: Seal, moment: Moment) -> Result<Seal> {
     Err(Error::of(gauge.chip.model, unseen).at(Step::Reset))
 }
 
-/// Waits until the gauge answers after the end of CONFIG UPDATE, and goes to a state in which data memory can be
-/// read.
+/// Waits for an answer after the end of CONFIG UPDATE, then goes to a state in which data memory can be read.
 fn reopen(gauge: &mut Gauge, goal: Seal, stays_open: bool) -> Result<()> {
     let access = &gauge.chip.access;
     let limit = gauge.clock.now() + access.reset_limit;

@@ -1,12 +1,10 @@
 // SPDX-License-Identifier: MIT
 
-//! Settles interrupted writes: those cut short by a power loss of the host, or by a gauge that did not answer in
-//! time. The entry, which is also in the journal, holds the seal state and the blocks from before the write, and
-//! what distinguishes the pack.
+//! Settles interrupted writes by their entry: seal state and blocks from before the write, and what distinguishes the pack.
 //!
-//! A wrong belief does more harm here than the fault: 32 bytes of one pack's configuration in another pack. So
-//! nothing is written unless the pack is certainly the one, and every byte of its blocks is old, new, erased or
-//! rewritten by the gauge itself. Anything else is left as it is for a person to decide.
+//! A wrong belief does more harm here than the fault: 32 bytes of one pack's configuration in another pack. Nothing is
+//! written unless the pack is certainly the one, and every byte of its blocks is old, new, erased or rewritten by the
+//! gauge itself. Anything else is left as it is for a person to decide.
 
 use std::cell::OnceCell;
 use std::time::Duration;
@@ -39,8 +37,7 @@ const TRIES: u32 = 3;
 /// So soon after a session that has left something nobody exchanges a gauge that has answered since.
 const SOON: Duration = Duration::from_secs(1);
 
-/// What a person may decide about an interrupted write. What is written to another pack than it was begun on takes that
-/// pack's serial number, as SerialNumber() has it.
+/// A person's decision about an interrupted write. Another pack than its own is named by its SerialNumber().
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Decision {
     /// Write the old values.
@@ -52,7 +49,6 @@ pub enum Decision {
 }
 
 impl Decision {
-    /// The pack that it names.
     fn pack(self) -> Option<u16> {
         match self {
             Self::Undo(pack) | Self::Finish(pack) => pack,
@@ -82,17 +78,14 @@ impl DataFlash {
         decide::decide(self, gauge, decision, waited)
     }
 
-    /// Gives up an interrupted write whose values are all written anew: its journal is of no use to anybody.
     pub(super) fn withdraw(&mut self, gauge: &mut Gauge, pending: Pending, waited: Duration) -> Result<()> {
         decide::withdraw(self, gauge, pending, waited)
     }
 
-    /// Finds what an earlier process has left at this place.
     pub(super) fn find_pending(&mut self) -> Option<Pending> {
         self.debts.find(&self.records, self.knowledge.arrival())
     }
 
-    /// The seal that is owed, also by an earlier process.
     fn find_seal(&mut self) -> Option<&OwedSeal> {
         self.debts.find_seal(&self.records)
     }
@@ -133,7 +126,6 @@ impl DataFlash {
         }
     }
 
-    /// After the seal state was changed on purpose.
     pub(super) fn seal_was_chosen(&mut self, goal: Seal) {
         if self.find_seal().is_some() {
             log::info!("the gauge is {} as somebody has asked for: no seal is owed any more", goal.as_str());
@@ -160,9 +152,8 @@ impl DataFlash {
         Ok(())
     }
 
-    /// Pays what is owed: data flash then holds all old values or all new ones, and the gauge is sealed at least
-    /// as it was before. Also looks for what was begun on this gauge at other places. Returns a message for the log;
-    /// `None` if there was nothing to settle. After an error it is still owed.
+    /// Pays what is owed: data flash then holds all old values or all new ones, and the gauge is sealed at least as before.
+    /// Also looks for what was begun elsewhere. Returns a message; `None` if there was nothing to settle.
     pub fn settle(&mut self, gauge: &mut Gauge, waited: Duration) -> Result<Option<String>> {
         let begun = gauge.clock.now();
         let owes_seal = self.find_seal().is_some();
@@ -186,7 +177,6 @@ impl DataFlash {
         }
     }
 
-    /// Settles the writes, here and at other places.
     fn settle_writes(&mut self, gauge: &mut Gauge, waited: Duration) -> Result<Option<String>> {
         let begun = gauge.clock.now();
         let mut told = self.settle_here(gauge, waited)?;
@@ -205,7 +195,6 @@ impl DataFlash {
         Ok((!told.is_empty()).then(|| told.join("; ")))
     }
 
-    /// Settles what was begun at this place.
     fn settle_here(&mut self, gauge: &mut Gauge, waited: Duration) -> Result<Vec<String>> {
         let (begun, mut told, mut last) = (gauge.clock.now(), Vec::new(), None);
         while let Some(pending) = self.find_pending() {
@@ -457,8 +446,7 @@ impl DataFlash {
         Err(refused)
     }
 
-    /// Settles an interrupted write before a new one and logs it. Returns the time since the new write was
-    /// requested.
+    /// Settles an interrupted write before a new one and logs it. Returns the time since the new one was requested.
     pub(super) fn settle_first(&mut self, gauge: &mut Gauge, waited: Duration) -> Result<Duration> {
         self.pay_first(gauge, waited).map_err(|error| error.owing(self.owed().is_some()))
     }
@@ -481,8 +469,7 @@ impl DataFlash {
     }
 }
 
-/// Whether a gauge is certainly the one on which a change of keys was begun at another place. Only keys that this host
-/// has are sent to it.
+/// Whether it is certainly the gauge of a key change from another place. Only keys that this host has are sent.
 fn is_certainly(gauge: &mut Gauge, [then, now]: [&Identity; 2], plan: &Plan, session: &mut Session) -> bool {
     let same = session.open(gauge).and_then(|()| {
         compare(gauge.chip, then, now, plan, |place| sequence(gauge).load(gauge, place, Care::Sure))

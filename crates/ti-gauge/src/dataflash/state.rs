@@ -14,12 +14,10 @@ use crate::value::Value;
 /// Between two looks at a register that is to show what data memory holds, and the time that it has for that.
 const COPY_POLL: Duration = Duration::from_millis(25);
 const COPIES: Duration = Duration::from_millis(500);
-/// How long Voltage() may be 0 after a reset, until the first measurement. SLUUAC9A, 2.4.6: nothing is valid before
-/// [INITCOMP].
+/// How long Voltage() may be 0 after a reset: nothing is valid before [INITCOMP] (SLUUAC9A 2.4.6).
 const FIRST_MEASUREMENT: Duration = Duration::from_secs(2);
 const MEASUREMENT_POLL: Duration = Duration::from_millis(50);
 
-/// Reads a number of two bytes.
 pub(crate) fn read_word(gauge: &mut Gauge, source: Source) -> Result<u16> {
     read_bits(gauge, source).map(|word| word as u16)
 }
@@ -60,8 +58,7 @@ pub(super) fn lost_flag(chip: &Chip) -> Option<(Source, u32)> {
     Some((chip.register(Role::Flags)?.source, lost))
 }
 
-/// Whether the gauge's data memory is RAM and was lost. Two looks must agree: much is given up where it was. A gauge in
-/// CONFIG UPDATE has not lost its power since it entered that mode, whatever it has not forgotten of an earlier loss.
+/// Whether RAM was lost. Two looks must agree, as much is given up. In CONFIG UPDATE an earlier loss does not count.
 pub fn has_lost_memory(gauge: &mut Gauge) -> Result<bool> {
     let chip = gauge.chip;
     let Some((flags, lost)) = lost_flag(chip) else { return Ok(false) };
@@ -94,9 +91,8 @@ impl Copied {
     }
 }
 
-/// Whether registers show that data memory in RAM holds what was looked at in CONFIG UPDATE, which has ended: DesignCapacity()
-/// has its new value. Where a flag reports a loss, the transaction looks at that at its end, and it is all there is if no
-/// register shows a copy. A part without such a flag must have shown another value before.
+/// Whether RAM holds what was looked at in CONFIG UPDATE, which has ended: DesignCapacity() has its new value. A flag of a
+/// loss is looked at by the transaction's end. A part without one must have shown another value before.
 pub(super) fn has_kept(gauge: &mut Gauge, copied: Option<&Copied>) -> Result<bool> {
     let has_flag = lost_flag(gauge.chip).is_some();
     let Some(copied) = copied.filter(|copied| has_flag || copied.old != copied.new) else {

@@ -9,8 +9,7 @@ use crate::error::{Error, Reason, Step};
 pub(super) enum Verdict {
     /// It has been settled; the text says how.
     Done(String),
-    /// The gauge holds all old values or all new ones, so nothing had to be written. Whether it is the one that the
-    /// write was begun on is not certain, so its journal waits for that.
+    /// All old values or all new ones; the gauge is not certainly the one of the write, so its journal waits.
     Plausible(String),
     /// The write was begun on another gauge, whose journal is left alone.
     Another,

@@ -21,9 +21,7 @@ pub(super) struct Window {
 #[derive(Clone)]
 pub(super) struct Planned {
     pub(super) place: Window,
-    /// Content as read.
     pub(super) old: [u8; WINDOW],
-    /// Content to be written.
     pub(super) new: [u8; WINDOW],
     /// What the changed parameters occupy.
     pub(super) written: Bytes,
@@ -32,8 +30,7 @@ pub(super) struct Planned {
 }
 
 impl Planned {
-    /// The runs of bytes to send: from one that differs to another, but never a learned byte in between, which
-    /// may have moved since it was read.
+    /// The runs of bytes to send, from one that differs to another, without learned bytes, which may have moved.
     pub(super) fn runs(&self) -> Vec<Range<usize>> {
         let mut runs: Vec<Range<usize>> = Vec::new();
         for at in (0..WINDOW).filter(|&at| self.old[at] != self.new[at]) {
@@ -45,7 +42,6 @@ impl Planned {
         runs
     }
 
-    /// Restricts a block to one run of its changes.
     pub(super) fn only(&self, run: Range<usize>) -> Self {
         let mut new = self.old;
         new[run.clone()].copy_from_slice(&self.new[run]);
@@ -64,8 +60,7 @@ impl Planned {
         (0..WINDOW).any(|at| lost(at) && !self.learned.has(at))
     }
 
-    /// The bytes of the values that were to be written and the gauge has rewritten itself since: neither the write nor a loss of
-    /// power explains what is there.
+    /// Written bytes that the gauge has rewritten since: neither the write nor a loss of power explains them.
     pub(super) fn rewritten(&self, chip: &Chip, stored: &[u8; WINDOW]) -> Bytes {
         let is_own = |at: usize| ![self.old[at], self.new[at], 0xff].contains(&stored[at]);
         let values = learned_values(chip, self.place).filter(|value| value.without(self.written) != *value);
@@ -77,7 +72,6 @@ impl Planned {
         Self { learned: self.learned.with(self.rewritten(chip, stored)), ..self.clone() }
     }
 
-    /// A block next to those that change, whose content is known.
     pub(super) fn is_neighbour(&self) -> bool {
         self.written.0 == 0
     }
@@ -95,13 +89,11 @@ impl Planned {
 }
 
 impl Window {
-    /// The positions of `count` bytes from an offset on, as far as they are in the window.
     fn covers(self, offset: u16, count: usize) -> Bytes {
         let (base, start) = (usize::from(self.base), usize::from(offset));
         Bytes::of(|at| (start..start + count).contains(&(base + at)))
     }
 
-    /// Names the byte at a position of the window, for a message.
     pub(super) fn name(self, at: usize) -> String {
         let offset = usize::from(self.base) + at;
         match self.subclass {
@@ -111,8 +103,7 @@ impl Window {
     }
 }
 
-/// The window that shows an offset of a subclass, or an address, and the position in that window. Windows are rows
-/// of flash on every part: a loss of power may damage the whole row that is being programmed.
+/// The window of an offset, and the position in it. Windows are rows of flash: a loss of power may damage all of one.
 pub(super) fn locate(subclass: u8, offset: u16) -> (Window, usize) {
     let at = usize::from(offset) % WINDOW;
     (Window { subclass, base: offset - at as u16 }, at)
@@ -130,8 +121,7 @@ fn learned_values(chip: &Chip, place: Window) -> impl Iterator<Item = Bytes> {
     learned.map(move |parameter| place.covers(parameter.offset, parameter.kind.size()))
 }
 
-/// Whether data flash of a part with a flat address space has a row at an address. Beyond its ends the same word is a
-/// subcommand, or nothing that a manual names.
+/// Whether flat data flash has that row. Beyond its ends the word is a subcommand, or nothing that a manual names.
 pub(super) fn has_address(chip: &Chip, base: u16) -> bool {
     if !chip.flat.is_empty() {
         return chip.flat.contains(&base);

@@ -17,7 +17,6 @@ pub const DEFAULT_FULL_ACCESS: [u16; 2] = [0xffff; 2];
 /// Times that SEALED is sent. A frame may be lost, and I2C has no error detection.
 const SEALS: u32 = 4;
 
-/// The keys, and what is known of them.
 pub(super) struct Access {
     keys: Keys,
     /// The gauge refused the unseal key; it is not sent again.
@@ -39,9 +38,9 @@ impl Access {
 impl Gauge {
     /// Goes from SEALED to UNSEALED and confirms it.
     ///
-    /// The two words are sent with nothing in between. If the gauge stays SEALED they are sent once more after a
-    /// pause, as TI advises, and then never again: a refused key is not sent in a loop. Two cases are no refusal
-    /// of the key: the gauge has accepted it before, or a transfer failed in between.
+    /// The words are sent with nothing in between. If the gauge stays SEALED they are sent once more after a pause, as TI
+    /// advises, and never again. It is no refusal of the key if the gauge has accepted it before, or a transfer failed in
+    /// between.
     pub fn unseal(&mut self) -> Result<()> {
         let file = self.key_file.to_string();
         let refuse = |reason| Error::of(self.chip.model, reason).at(Step::Unseal);
@@ -68,8 +67,7 @@ impl Gauge {
         Err(refused("SEALED, and the gauge refused the key"))
     }
 
-    /// Whether the gauge that is there is known to have the unseal key: it has accepted it, and nothing has happened
-    /// since behind which it could have been exchanged.
+    /// Whether the gauge that is there has accepted the unseal key, and could not have been exchanged since.
     pub fn key_is_proven(&self) -> bool {
         self.access.proven.is_some_and(|moment| self.is_unbroken_since(moment))
     }
@@ -84,8 +82,7 @@ impl Gauge {
         self.access.proven = Some(self.moment());
     }
 
-    /// Notes that the gauge is certainly open: it has shown data flash, or two looks agree. If a key has opened it, that
-    /// key is right.
+    /// Notes that the gauge has shown data flash, or that two looks agree: a key that opened it is right.
     pub fn note_open(&mut self) {
         self.access.proven = self.access.opened.or(self.access.proven);
     }
@@ -155,9 +152,8 @@ impl Gauge {
             return Err(Error::bus(self.chip.model, bus).at(Step::Unseal));
         }
         self.commands(goal);
-        // A key that is sent too early is refused, for FULL ACCESS and on a gauge with RAM, so a single misread state
-        // could look like success: two looks must agree. Elsewhere one does, because only an open gauge echoes the
-        // selection of the block that is read next.
+        // A key sent too early is refused, and a misread state looks like success: two looks must agree, except where
+        // only an open gauge echoes the selection of the block that is read next.
         let is_echoed = goal == Seal::Unsealed && self.chip.access.scheme == Scheme::Block;
         self.looks.expect(is_echoed.then_some(goal));
         let state = self.seal().map_err(|error| error.at(Step::Unseal))?;
@@ -254,13 +250,11 @@ impl Gauge {
         }
     }
 
-    /// What a command of ours has done that it was not meant to do, once.
     pub(crate) fn take_mishap(&mut self) -> Option<String> {
         self.access.mishap.take()
     }
 
-    /// Sends RESET, after which a part that had been sealed is sealed again (SLUSBZ5D 7.3.3.1 step 11): not to a gauge
-    /// that may have been exchanged since then.
+    /// RESET, which seals a part that had been sealed (SLUSBZ5D 7.3.3.1 step 11), but not a gauge exchanged since then.
     pub(crate) fn reset_since(&mut self, moment: Moment) -> Result<()> {
         Statistics::count(&self.statistics.resets);
         self.looks.resets();
@@ -279,7 +273,6 @@ impl Gauge {
         self.manual_key(name).filter(|_| !self.access.keys.no_default).map(Secret::from)
     }
 
-    /// The two words that the manual gives for the key of that name.
     pub(crate) fn manual_key(&self, name: Name) -> Option<[u16; 2]> {
         match name {
             Name::Unseal => Some(self.chip.security.default_unseal),

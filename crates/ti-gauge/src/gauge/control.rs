@@ -43,7 +43,6 @@ impl Gauge {
             .map_or_else(|| format!("register 0x{code:02x}"), |register| format!("{}()", register.name))
     }
 
-    /// The registers of the SHA-1 authentication.
     pub(crate) fn challenge(&self) -> &'static Challenge {
         self.dialect.challenge()
     }
@@ -66,8 +65,7 @@ impl Gauge {
         sent.map_err(|bus| Error::bus(self.subcommand_name(code), bus).at(Step::Control))
     }
 
-    /// Sends a subcommand that must not reach another gauge: only if nothing has happened since then behind which this
-    /// one could have been exchanged.
+    /// Sends a subcommand, but not to a gauge that could have been exchanged since then.
     pub(crate) fn command_since(&mut self, code: u16, moment: Moment) -> Result<()> {
         self.refuse_without_table()?;
         let subject = self.subcommand_name(code);
@@ -90,7 +88,6 @@ impl Gauge {
         self.dialect.answer(self, code)
     }
 
-    /// Sends a subcommand and reads the bytes that it answers with, two or more.
     pub(crate) fn ask_bytes(&mut self, code: u16, into: &mut [u8]) -> Result<()> {
         self.dialect.answer_bytes(self, code, into)
     }
@@ -122,7 +119,6 @@ impl Gauge {
         Ok(Answers { device_type, firmware_version, hardware_version, chem_id, dm_code })
     }
 
-    /// The answer to a subcommand, if the table has one of that name.
     fn ask_named(&mut self, name: &str) -> Result<Option<u16>> {
         let known = self.chip.subcommands.iter().find(|subcommand| subcommand.name == name);
         known.map(|subcommand| self.ask(subcommand.code)).transpose()

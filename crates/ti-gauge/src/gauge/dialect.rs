@@ -11,10 +11,8 @@ use gauge_bus::replay::{Recording, Replay, Seals, Touch};
 
 pub(in crate::gauge) mod map;
 
-/// A byte of a write, and what it touches.
 pub(crate) type Touches = Vec<(Touch, u8)>;
 
-/// The registers of a challenge and its digest.
 pub(crate) struct Challenge {
     /// 0 selects challenge and digest.
     pub(crate) select: u8,
@@ -28,15 +26,12 @@ pub(crate) struct Challenge {
 
 /// The ways in which families of gauges differ on the wire.
 pub(crate) trait Dialect: Sync {
-    /// Reads the bytes of registers from that one on.
     fn fetch(&self, gauge: &mut Gauge, code: u8, into: &mut [u8]) -> Result<(), BusError>;
     /// Writes the bytes of registers from that one on, once.
     fn put(&self, gauge: &mut Gauge, code: u8, data: &[u8]) -> Result<(), BusError>;
     /// Sends a subcommand, once.
     fn subcommand(&self, gauge: &mut Gauge, code: u16) -> Result<(), BusError>;
-    /// Sends a subcommand and reads the word that it answers with.
     fn answer(&self, gauge: &mut Gauge, code: u16) -> Result<u16>;
-    /// Sends a subcommand and reads the bytes that it answers with, two or more.
     fn answer_bytes(&self, gauge: &mut Gauge, code: u16, into: &mut [u8]) -> Result<()>;
     /// All bytes of the answer to FW_VERSION; none where that is a word.
     fn version(&self, gauge: &mut Gauge) -> Result<Vec<u8>>;
@@ -52,11 +47,9 @@ pub(crate) trait Dialect: Sync {
     fn shows<'a>(&self, register: u8, bytes: &'a [u8]) -> Shown<'a>;
     /// Whether so many bytes from a register on belong to selection and window, all or in part.
     fn is_of_window(&self, register: u8, length: usize) -> bool;
-    /// The registers of the SHA-1 authentication.
     fn challenge(&self) -> &'static Challenge;
 }
 
-/// The dialect of a part.
 pub(crate) fn of(chip: &Chip) -> &'static dyn Dialect {
     match chip.access.scheme {
         Scheme::Block | Scheme::CfgUpdate | Scheme::None => &map::BLOCK,

@@ -1,10 +1,8 @@
 // SPDX-License-Identifier: MIT
 
-//! How long a gauge takes until it shows what it was told: what was committed, SEALED after a RESET, and that it measures
+//! How long a gauge takes to show what it was told: a commit, SEALED after a RESET, the measurement of an offset.
 //! an offset.
-//!
-//! Only transfers that happen anyway are looked at, none is added. So a time lies between two looks: the last one that did
-//! not show it, or failed, and the first one that did. What a table waits before the first look is in the later one.
+//! Only transfers that happen anyway are looked at: a time lies between the last look without it and the first with it.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
@@ -50,7 +48,6 @@ impl Effects {
     }
 }
 
-/// Something that was told, and is not seen yet.
 #[derive(Debug)]
 struct Awaited<T> {
     what: T,
@@ -67,7 +64,6 @@ impl<T> Awaited<T> {
         now.saturating_sub(self.since) > LIMIT
     }
 
-    /// A look that began then has not shown it.
     fn note_unseen(&mut self, begun: Duration) {
         self.unseen = begun.saturating_sub(self.since);
     }
@@ -77,10 +73,8 @@ impl<T> Awaited<T> {
     }
 }
 
-/// Bytes that were written to the window.
 type Sent = [Option<u8>; WINDOW];
 
-/// What was committed.
 #[derive(Debug)]
 struct Committed {
     selection: [u8; 2],
@@ -89,7 +83,6 @@ struct Committed {
     is_selected: bool,
 }
 
-/// A transfer.
 pub(super) struct Seen<'a> {
     pub(super) begun: Duration,
     pub(super) ended: Duration,
@@ -100,7 +93,6 @@ pub(super) struct Seen<'a> {
     pub(super) outcome: Result<(), BusError>,
 }
 
-/// What follows the transfers of a gauge.
 #[derive(Debug, Default)]
 pub(super) struct Watch {
     selection: [u8; 2],
@@ -117,7 +109,6 @@ impl Watch {
         *self = Self::default();
     }
 
-    /// A transfer of that part.
     pub(super) fn transfer(&mut self, seen: &Seen<'_>, chip: &Chip, commits: &Effects) {
         let is_flat = chip.access.scheme.is_flat();
         self.commit.take_if(|commit| commit.is_over(seen.begun));
@@ -179,7 +170,6 @@ impl Watch {
         }
     }
 
-    /// RESET was sent.
     pub(super) fn reset(&mut self, now: Duration) {
         (self.reset, self.commit) = (Some(Awaited::new((), now)), None);
     }
@@ -189,7 +179,6 @@ impl Watch {
         self.reset = None;
     }
 
-    /// CONTROL_STATUS has shown that word and state.
     pub(super) fn look(&mut self, look: &Status, resets: &Effects, offsets: &Effects) {
         let reset = |_: &mut ()| look.seal == Seal::Sealed;
         see(&mut self.reset, reset, look, resets);
@@ -197,7 +186,6 @@ impl Watch {
     }
 }
 
-/// A look at CONTROL_STATUS.
 pub(super) struct Status {
     pub(super) begun: Duration,
     pub(super) ended: Duration,

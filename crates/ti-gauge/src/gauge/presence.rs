@@ -2,10 +2,9 @@
 
 //! Whether it is still the same gauge that answers.
 //!
-//! A pack can be exchanged while it does not answer: within one transfer that fails, in a pause, or while the host is
-//! asleep. After each of these the gauge is asked which block is selected, before anything else is sent. It forgets
-//! that with its power, and another one has not been told it. Where that shows nothing, the presence is broken, and
-//! what was certain of the gauge before is certain no longer.
+//! A pack can be exchanged while it does not answer: in one transfer that fails, in a pause, or while the host sleeps.
+//! After each the gauge is asked first which block is selected. It forgets that with its power, and another one has not
+//! been told it. Where that shows nothing, the presence is broken, and nothing about the gauge is certain any longer.
 
 use std::time::Duration;
 
@@ -26,11 +25,9 @@ fn selection(touches: &[(Touch, u8)]) -> Option<[u8; 2]> {
     }
 }
 
-/// A moment in the presence of a gauge.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Moment(u64);
 
-/// What is known of the gauge's presence.
 #[derive(Debug, Default)]
 pub(super) struct Presence {
     /// How often it was broken.
@@ -46,7 +43,6 @@ pub(super) struct Presence {
 }
 
 impl Presence {
-    /// Something has happened behind which the gauge could have been exchanged.
     pub(super) fn doubt(&mut self) {
         self.in_doubt = true;
     }
@@ -56,7 +52,6 @@ impl Presence {
         self.in_doubt |= self.attended && time >= PAUSE;
     }
 
-    /// Bytes are about to be sent.
     pub(super) fn sends(&mut self, touches: &[(Touch, u8)]) {
         if let (Some([first, second]), true) = (selection(touches), self.attended) {
             let half: Vec<_> = self.selected.iter().map(|&[_, other]| [first, other]).collect();
@@ -75,7 +70,6 @@ impl Presence {
         }
     }
 
-    /// It may be another gauge from now on.
     pub(super) fn end(&mut self) {
         self.breaks += 1;
         (self.in_doubt, self.failed) = (false, 0);
@@ -102,7 +96,6 @@ impl Presence {
         self.in_doubt || paused && self.attended
     }
 
-    /// Whether the gauge has been told something by which it is known again.
     pub(super) fn is_marked(&self) -> bool {
         !self.selected.is_empty()
     }
@@ -118,7 +111,6 @@ impl Presence {
         self.selected = vec![seen];
     }
 
-    /// Begins a look at the selection, which may itself come to be in doubt.
     pub(super) fn look(&mut self) {
         self.in_doubt = false;
     }

@@ -12,23 +12,18 @@ use crate::chip::{SealStatus, Source};
 use crate::error::{Cause, Error, Result, Step};
 use gauge_bus::BusError;
 
-/// Between two looks at CONTROL_STATUS when no earlier one counts: what disturbs the bus for a moment must not make
-/// both wrong.
+/// Between two looks at CONTROL_STATUS without an earlier one: a disturbance must not make both wrong.
 const APART: Duration = Duration::from_millis(5);
 
-/// How late CONTROL_STATUS may show a new seal state, and the pause between looks at it. Drivers wait 40 ms
-/// and try again (bq35100), or 100 ms after a key.
+/// How late CONTROL_STATUS may show a new state. Drivers wait 40 ms and try again (bq35100), or 100 ms after a key.
 pub(crate) const SEAL_LAG: Duration = Duration::from_millis(240);
 pub(super) const SEAL_POLL: Duration = Duration::from_millis(80);
 
-/// What the looks at CONTROL_STATUS have shown, and what is to be expected of the next one.
 pub(super) struct Looks {
-    /// The seal state that the last look has shown; the next look counts if it agrees. `None` once something was sent
-    /// that may change the state.
+    /// The last state shown, with which the next look has to agree; `None` once something was sent that may change it.
     seen: Option<Seal>,
     /// The seal state that a command of ours leads to, and until when CONTROL_STATUS may show the one before it.
     commanded: Option<(Seal, Duration)>,
-    /// When the seal state was last agreed on.
     agreed: Option<Moment>,
     /// The last look, and which rows each look reads along with CONTROL_STATUS.
     look: Look,
@@ -45,7 +40,6 @@ impl Looks {
         (self.seen, self.commanded, self.also) = (None, None, Vec::new());
     }
 
-    /// When the seal state was last agreed on.
     pub(super) fn agreed(&self) -> Option<Moment> {
         self.agreed
     }
@@ -75,10 +69,9 @@ impl Gauge {
 
     /// Reads the seal state and the CONTROL_STATUS word.
     ///
-    /// I2C has no error detection, and a gauge whose state was misread would be left in that state, or open. So a
-    /// state counts only if the look before has shown it too. What we have sent is no look: after a command that
-    /// changes the state it takes two looks to know what came of it, and while the gauge may still show the state
-    /// from before the command, that one does not count.
+    /// I2C has no error detection, and a gauge whose state was misread would be left in it, or open. A state counts only if
+    /// the look before has shown it too, and after a command that changes it two looks have to: while the gauge may still
+    /// show the state from before the command, that one does not count.
     pub fn control_status(&mut self) -> Result<(Seal, u32)> {
         let look = self.look_at_status()?;
         Ok((look.seal, look.status))
@@ -118,7 +111,6 @@ impl Gauge {
         self.looks.also = rows;
     }
 
-    /// The last look at CONTROL_STATUS.
     pub(crate) fn last_look(&self) -> Look {
         self.looks.look
     }

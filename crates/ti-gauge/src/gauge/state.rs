@@ -25,7 +25,6 @@ pub(crate) struct Rows([Option<(Source, u32)>; ALONG]);
 impl Rows {
     const NONE: Self = Self([None; ALONG]);
 
-    /// The rows with a value.
     pub(super) fn of(rows: &[Source], value: impl Fn(&Source) -> Option<u16>) -> Self {
         let mut found = Self::NONE;
         let values = rows.iter().filter_map(|row| Some((*row, value(row)?.into())));
@@ -36,11 +35,9 @@ impl Rows {
     }
 }
 
-/// A look at CONTROL_STATUS.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Look {
     pub(crate) seal: Seal,
-    /// The word.
     pub(crate) status: u32,
     /// What was read along with it.
     pub(super) rows: Rows,
@@ -61,7 +58,6 @@ impl Look {
 /// What a read shows of the window of data flash.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Shown<'a> {
-    /// Which block is selected.
     pub(crate) selection: Option<[u8; 2]>,
     /// The bytes from there on; what follows the window may be among them.
     pub(crate) at: usize,

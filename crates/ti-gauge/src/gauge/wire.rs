@@ -18,8 +18,7 @@ use gauge_bus::{Bus, BusError, Reach, wire_bytes};
 mod pace;
 mod recognise;
 
-/// Pauses before each further attempt at an idempotent transfer. A gauge that programs a row of its flash stretches
-/// the clock or does not answer, for up to 250 ms, and it programs rows of its own at any time.
+/// Pauses before further attempts. A gauge that programs a row, at any time, may not answer for up to 250 ms.
 const PAUSES: [Duration; 5] = [
     Duration::from_millis(25),
     Duration::from_millis(25),
@@ -31,7 +30,6 @@ const PAUSES: [Duration; 5] = [
 /// The least time between two transfers (SLUSBZ5D 6.14, SLUSBH1C 9.5.4.3).
 const BUS_FREE: Duration = Duration::from_micros(66);
 
-/// The bus, and what is known of the transfers on it.
 pub(super) struct Wire {
     bus: Box<dyn Bus>,
     /// What the gauge takes, whatever its bus carries.
@@ -40,9 +38,7 @@ pub(super) struct Wire {
     secrets: u32,
     /// The transfers since [`Gauge::record`].
     recording: Option<Vec<Event>>,
-    /// Transfers that failed.
     failures: u64,
-    /// When the last transfer ended.
     stopped: Option<Duration>,
     /// When the gauge last answered, and the longest silence since [`Gauge::watch`].
     answered: Duration,
@@ -55,7 +51,6 @@ pub(super) struct Wire {
     limit: Option<Limit>,
 }
 
-/// A limit of time, and what was counted when it began.
 #[derive(Clone, Copy)]
 struct Limit {
     since: Duration,
@@ -110,7 +105,6 @@ impl Gauge {
         self.late().is_some()
     }
 
-    /// What is said of a transfer for which no time is left.
     fn late(&self) -> Option<BusError> {
         let Limit { since, transfers, failures, deadline } = self.wire.limit?;
         let now = self.clock.now();
@@ -159,7 +153,6 @@ impl Gauge {
         self.pass(write, read)
     }
 
-    /// Whatever comes before a transfer.
     pub(super) fn make_ready(&mut self) -> Result<(), BusError> {
         if let Some(late) = self.late() {
             return Err(late);
@@ -209,8 +202,7 @@ impl Gauge {
         self.wire.recording = Some(Vec::new());
     }
 
-    /// Stops recording, and returns what was transferred since [`Self::record`]. Keys are left out; serial numbers are
-    /// not, see [`anonymous`](crate::dataflash::anonymous).
+    /// Stops recording. Keys are left out; serial numbers are not, see [`anonymous`](crate::dataflash::anonymous).
     pub fn recorded(&mut self) -> Vec<Event> {
         self.wire.recording.take().unwrap_or_default()
     }
@@ -253,7 +245,6 @@ impl Gauge {
         outcome
     }
 
-    /// Why nothing is written to a gauge without a table.
     pub(super) fn refuse_without_table(&self) -> Result<()> {
         if self.chip.has_table() {
             return Ok(());
@@ -286,7 +277,6 @@ impl Gauge {
         self.carried().narrowed(self.wire.takes)
     }
 
-    /// Whether the gauge takes one byte a write.
     pub(super) fn takes_bytes(&self) -> bool {
         self.wire.takes.write <= Reach::ONE_BYTE_A_WRITE.write
     }
@@ -301,7 +291,6 @@ impl Gauge {
         self.wire.bus.release_if_gone();
     }
 
-    /// How many transfers have failed.
     pub(crate) fn failures(&self) -> u64 {
         self.wire.failures
     }

@@ -76,8 +76,7 @@ pub struct Changes<'a> {
 }
 
 impl Image {
-    /// Compares with another image of the same chip, except for some groups. A file may be incomplete: parameters of
-    /// only one image are no differences.
+    /// Compares with another image of the chip, except for some groups. Parameters of only one are no differences.
     pub fn compare<'a>(&'a self, new: &'a Image, exclude: &[Group]) -> Result<Comparison<'a>> {
         if !std::ptr::eq(self.chip, new.chip) {
             let why = format!("one is for a {}, the other for a {}", self.chip.model, new.chip.model);
@@ -134,15 +133,13 @@ impl Image {
         }
     }
 
-    /// The known bytes of a subclass in this image, and their lines, by offset.
     fn bytes_of(&self, subclass: &Subclass) -> BTreeMap<u16, (u8, usize)> {
         let of_it = self.raw.iter().filter(|raw| raw.subclass == subclass.id);
         let bytes = of_it.flat_map(|raw| (raw.offset..).zip(raw.bytes.iter().map(|byte| (*byte, raw.line))));
         bytes.filter(|(offset, _)| *offset < subclass.length).collect()
     }
 
-    /// The writes that give this gauge a file's values, and what of the file is passed over. A value that may not be
-    /// written is an error.
+    /// The writes that give this gauge a file's values, and what is passed over. A forbidden value is an error.
     pub fn changes<'a>(
         &'a self,
         file: &'a Image,
@@ -172,8 +169,7 @@ impl Image {
         Ok(Changes { changes, passed_over })
     }
 
-    /// The changes that a file's undocumented bytes would make. `stored` returns a whole subclass of the gauge, by id.
-    /// The first change is an error unless `allowed`, or of the chemistry for this part and firmware.
+    /// What undocumented bytes would change; an error unless `allowed` or this part's chemistry. `stored` reads by id.
     pub fn raw_changes(
         &self,
         stored: impl Fn(u8) -> Result<Vec<u8>>,
@@ -227,8 +223,7 @@ impl Image {
         Ok((!found.is_empty()).then(|| listed(&found)))
     }
 
-    /// Gives this file's reserved bits the values of a gauge: no document describes them, and a gauge may differ from
-    /// the manual. The file's values for them are dropped.
+    /// Gives reserved bits a gauge's values: no document describes them, and a gauge may differ from the manual.
     pub fn keep_reserved(&mut self, gauge: &Image) {
         for entry in &mut self.entries {
             let Some(Safe::Keep(mask, why)) = entry.parameter.safe else { continue };

@@ -40,13 +40,11 @@ impl Faults {
         self.add(line, at_line(line, why));
     }
 
-    /// Adds a mistake that prevents reading the rest.
     pub(super) fn stop<T>(&mut self, line: usize, error: Error) -> Option<T> {
         self.add(line, error);
         None
     }
 
-    /// The result, or its error as a mistake.
     pub(super) fn keep<T>(&mut self, line: usize, outcome: Result<T>) -> Option<T> {
         outcome.map_err(|error| self.add(line, error)).ok()
     }

@@ -2,8 +2,7 @@
 
 //! An image as FlashStream: a host's transfers to a gauge.
 //!
-//! A file is never replayed. It is interpreted as the gauge would do it, which yields the parameters that it would
-//! change; anything else that it would do to a gauge is refused, with the line.
+//! A file is never replayed but interpreted: what a gauge would change becomes parameters, all else is refused by line.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -17,7 +16,6 @@ use crate::error::{Cause, Error, Result};
 
 /// The gauge's address in FlashStream: shifted left by one.
 pub(crate) const GAUGE: u8 = 0xaa;
-/// The address of a gauge in ROM mode, shifted left by one.
 pub(crate) const ROM: u8 = 0x16;
 /// Control(ROM_MODE) of every gauge of the family.
 pub(super) const ROM_MODE: u16 = 0x0f00;
@@ -34,7 +32,6 @@ const EXIT_CFG_UPDATE_REINIT: u16 = 0x0091;
 const EXIT_CFG_UPDATE: u16 = 0x0092;
 /// The source of data memory in RAM on such parts: one-time programmable memory, at addresses that are no subcommands.
 const ONE_TIME: std::ops::RangeInclusive<u16> = 0x4000..=0x4fff;
-/// Control().
 const CONTROL: u8 = 0x00;
 /// DataFlashClass() and DataFlashBlock(), or ManufacturerAccessControl().
 const SELECT: u8 = 0x3e;
@@ -76,7 +73,6 @@ pub(crate) enum Command {
     Unread,
 }
 
-/// The commands with their line numbers.
 pub(crate) fn commands(text: &str) -> Result<Vec<(usize, Command)>> {
     let mut commands = Vec::new();
     for_each_line(text, |number, command| {
@@ -86,7 +82,6 @@ pub(crate) fn commands(text: &str) -> Result<Vec<(usize, Command)>> {
     Ok(commands)
 }
 
-/// Visits each line that is no comment.
 fn for_each_line(
     text: &str,
     mut act: impl FnMut(usize, Result<Command, String>) -> Result<()>,
@@ -203,7 +198,6 @@ pub fn parse(text: &str, told: Option<&'static Chip>) -> Result<Image> {
     Reading { image, faults }.whole()
 }
 
-/// Reads a FlashStream as far as possible, and lists all its mistakes.
 pub(super) fn read(text: &str, told: Option<&'static Chip>, faults: &mut Faults) -> Option<Image> {
     let (mut commands, mut count) = (Vec::new(), 0);
     let read = for_each_line(text, |number, command| {
@@ -265,14 +259,12 @@ pub(super) fn read(text: &str, told: Option<&'static Chip>, faults: &mut Faults)
     Some(image)
 }
 
-/// Whether a command sets MACDataLen(), as in files for a flat address space.
 fn sets_length(command: &Command) -> bool {
     let Command::Write { address: GAUGE, register, bytes } = command else { return false };
     let at = usize::from(LENGTH).checked_sub((*register).into());
     *register >= DATA && at.and_then(|at| bytes.get(at)).is_some_and(|byte| *byte != 0)
 }
 
-/// Whether a command sets a checksum, as in all files that write anything.
 fn sets_sum(command: &Command) -> bool {
     matches!(command, Command::Write { address: GAUGE, register: SUM, .. })
 }
@@ -330,10 +322,8 @@ fn check_addresses(
     Some(())
 }
 
-/// An expected word, and its line.
 pub(super) type Expected = Option<(usize, u16)>;
 
-/// The expected device type and firmware.
 pub(crate) fn identity(commands: &[(usize, Command)]) -> (Expected, Expected) {
     let word = |bytes: &[u8]| u16::from_le_bytes([bytes[0], bytes[1]]);
     let told = |(line, word): (usize, u16)| Some((line, word)).filter(|_| word != NOT_READ);
@@ -369,7 +359,6 @@ fn answer(commands: &[(usize, Command)], code: u16) -> Option<(usize, &[u8])> {
     }
 }
 
-/// The state of a gauge under a FlashStream: selection, window, and committed bytes.
 struct Stream {
     chip: &'static Chip,
     class: Option<u8>,
@@ -424,7 +413,6 @@ impl Stream {
         }
     }
 
-    /// Carries out all commands as a gauge would.
     fn run(&mut self, commands: &[(usize, Command)], faults: &mut Faults) {
         for (at, (number, command)) in commands.iter().enumerate() {
             let outcome = match command {
@@ -880,8 +868,7 @@ pub fn write(image: &Image, raw: impl Fn(u8) -> Result<Vec<u8>>) -> Result<Strin
     ))
 }
 
-/// The subcommand that begins CONFIG UPDATE, and those that end it, the first for writing; `None` for a part with
-/// flash.
+/// The subcommand that begins CONFIG UPDATE, and those that end it; `None` for a part with flash.
 fn config_update(scheme: Scheme) -> Option<(u16, &'static [u16])> {
     match scheme {
         Scheme::Block | Scheme::Mac | Scheme::None => None,

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! An image as bqStudio's gg.csv: header lines with `*`, with the columns' names in the last one, then a line per
-//! parameter.
+//! An image as bqStudio's gg.csv: header lines with `*`, the last one with columns, then a line per parameter.
 
 mod rows;
 mod spreadsheet;
@@ -14,7 +13,6 @@ use crate::notation;
 use crate::text;
 use crate::value::{Type, Value};
 
-/// The columns in bqStudio's order.
 const COLUMNS: [&str; 18] = [
     "Class name",
     "SubClass name",
@@ -115,15 +113,13 @@ fn row(layout: Layout, entry: &Entry) -> [String; 18] {
     ]
 }
 
-/// Reads an image. Unknown parameters and keys are left out with a note: bqStudio and the manual do not always use the
-/// same names.
+/// Reads an image. Unknown parameters and keys are left out with a note: bqStudio and manuals differ in names.
 pub fn parse(text: &str, told: Option<&'static Chip>) -> Result<Image> {
     let mut faults = Faults::default();
     let image = read(text, told, &mut faults);
     Reading { image, faults }.whole()
 }
 
-/// The facts in the header lines.
 #[derive(Default)]
 struct Header {
     named: Option<&'static Chip>,
@@ -182,7 +178,6 @@ impl Header {
     }
 }
 
-/// Reads a gg.csv as far as possible, and lists all its mistakes.
 pub(super) fn read(text: &str, told: Option<&'static Chip>, faults: &mut Faults) -> Option<Image> {
     let mut header = Header::default();
     let mut rows = Vec::new();
@@ -385,8 +380,7 @@ fn plain_number(kind: Type, shown: &str, format: &str, decimals: usize) -> Resul
     }
 }
 
-/// A string as it was written: from the row's bytes if they match the shown text, otherwise the text, which somebody
-/// has edited. A spreadsheet has not edited it.
+/// A string from the row's bytes if they match the shown text, else the text, edited by somebody but a spreadsheet.
 fn string(parameter: &Parameter, shown: &str, raw: Option<Value>) -> Result<Value> {
     let bad = |why: &'static str| Err(Error::new(parameter.name, Cause::Invalid, why));
     if let Some(Value::Text(stored)) = raw {
@@ -414,8 +408,7 @@ fn decimals(format: &str) -> usize {
     format.split_once('.').map_or(0, |(_, after)| after.len())
 }
 
-/// Decimals of a value in a file without formats, by its unit; `None` if it shows another quantity than the stored one,
-/// such as a resistance for a gain.
+/// Decimals of a value without format, by its unit; `None` if it shows another quantity, such as a resistance.
 fn short_form(parameter: &Parameter, unit: &str) -> Option<usize> {
     let plain = |unit: &str| unit.to_lowercase().replace([' ', '\u{fffd}'], "").replace('°', "deg");
     // A cell's voltage may lack the words.

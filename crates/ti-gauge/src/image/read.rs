@@ -91,8 +91,7 @@ impl Image {
     }
 }
 
-/// The text of a file. Tools use other encodings in comments and units, which do not matter; spreadsheets also save
-/// UTF-16.
+/// The text of a file. Other encodings, in comments and units, do not matter; spreadsheets also save UTF-16.
 fn decoded(bytes: &[u8]) -> Cow<'_, str> {
     let units = |word: fn([u8; 2]) -> u16| -> Vec<u16> {
         bytes[2..].chunks_exact(2).map(|pair| word([pair[0], pair[1]])).collect()
@@ -110,7 +109,6 @@ fn is_binary(bytes: &[u8]) -> bool {
     !is_utf16 && bytes.contains(&0)
 }
 
-/// The format of a text, by its first line that is not blank.
 fn format_of(text: &str) -> Format {
     let first = text.split(['\r', '\n']).map(str::trim).find(|line| !line.is_empty()).unwrap_or_default();
     let mut letters = first.chars();

@@ -61,7 +61,6 @@ fn quoted(string: &[u8]) -> String {
     format!("\"{}\"", letters.collect::<String>())
 }
 
-/// Whether a broken text was meant as TOML: it has a table, a comment or a chip.
 fn is_meant(text: &str) -> bool {
     let begins = |line: &str| line.starts_with(['[', '#']) || line.starts_with("chip");
     text.lines().map(str::trim_start).any(begins)
@@ -77,7 +76,6 @@ pub fn parse(text: &str, told: Option<&'static Chip>) -> Result<Image> {
 /// In a longer text only the first syntax error is reported; there could be one per character.
 const LONGEST: usize = 256 << 10;
 
-/// Reads a TOML as far as possible, and lists all its mistakes.
 pub(super) fn read(text: &str, told: Option<&'static Chip>, faults: &mut Faults) -> Option<Image> {
     let ends: Vec<usize> = text.match_indices('\n').map(|(at, _)| at).collect();
     let line = |at: usize| 1 + ends.partition_point(|end| *end < at);
@@ -171,13 +169,9 @@ type Key<'a> = Spanned<Cow<'a, str>>;
 
 struct File<'a> {
     faults: &'a mut Faults,
-    /// Broken lines.
     broken: BTreeSet<usize>,
-    /// The line of a place in the text.
     line: &'a dyn Fn(usize) -> usize,
-    /// Number of keys in tables.
     count: usize,
-    /// Number of unknown keys.
     unknown: usize,
 }
 

@@ -6,8 +6,7 @@ use super::{Format, Image, flashstream, ggcsv, is_written, listed, toml};
 use crate::error::Result;
 
 impl Image {
-    /// The image in a format. A FlashStream also needs the bytes between parameters: `stored` returns a whole subclass,
-    /// by id.
+    /// The image in a format. A FlashStream also needs the bytes between parameters: `stored` reads a subclass.
     pub fn write(&self, format: Format, stored: impl Fn(u8) -> Result<Vec<u8>>) -> Result<String> {
         match format {
             Format::Toml => Ok(toml::write(self)),

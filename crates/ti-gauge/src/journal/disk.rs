@@ -42,8 +42,7 @@ pub trait Disk: Debug + Send + Sync {
     fn is_locked(&self, _path: &Path) -> io::Result<bool> {
         Ok(false)
     }
-    /// Checks that a file or folder belongs to this account, to root or to a trusted one, and that nobody else may
-    /// write to it.
+    /// Checks that a file or folder is this account's, root's or a trusted one's, and that no other may write to it.
     fn check(&self, _path: &Path, _trusted: Option<u32>) -> io::Result<()> {
         Ok(())
     }
@@ -80,8 +79,7 @@ pub(super) enum How {
     Journal { is_new: bool, room: usize },
 }
 
-/// Stores a file as a whole: it gets its name when its content is on disk. On return everything is on disk, with the
-/// folders above it.
+/// Stores a file as a whole, named when its content is on disk. On return all is on disk, with the folders above.
 pub(super) fn store(
     disk: &dyn Disk,
     path: &Path,
@@ -126,13 +124,12 @@ fn create_folder(disk: &dyn Disk, folder: &Path) -> io::Result<()> {
     disk.sync(above)
 }
 
-/// Stores a file as a whole on the host's disk, through a temporary name in the same folder. On return it is on disk.
-/// Only its owner can read it; root's files belong to the folder's owner.
+/// [`save_on`] for the host's disk. Only its owner can read the file; root's files get the folder's owner.
 pub fn save(path: &Path, temporary: &Path, text: &str) -> io::Result<()> {
     save_on(&Host, path, temporary, text)
 }
 
-/// Stores a file as a whole on any disk, as [`save`] does.
+/// Stores a file as a whole, through a temporary name in the same folder. On return it is on disk.
 pub fn save_on(disk: &dyn Disk, path: &Path, temporary: &Path, text: &str) -> io::Result<()> {
     store(disk, path, temporary, text, How::Plain).map(drop)
 }

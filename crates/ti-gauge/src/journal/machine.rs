@@ -78,7 +78,6 @@ impl Machine {
     }
 }
 
-/// One word for a line of a journal.
 fn word(text: &str) -> String {
     let word: String = text.chars().filter(|letter| letter.is_ascii_graphic()).take(64).collect();
     if word.is_empty() { UNKNOWN.into() } else { word }

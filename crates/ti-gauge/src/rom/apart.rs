@@ -8,8 +8,7 @@
 //! - A boot loader has a byte at each register, in a buffer from 0x00 on: drivers read a row at 0x04 at once, or its bytes
 //!   one by one at 0x04 to 0x63. So the words at two registers in a row share a byte.
 //!
-//! The same byte everywhere proves neither: it may also be a stuck line, or a Smart Battery that does not answer to a
-//! repeated START.
+//! The same byte everywhere proves neither: a stuck line, or a Smart Battery that ignores a repeated START.
 
 use std::collections::BTreeMap;
 use std::ops::RangeInclusive;

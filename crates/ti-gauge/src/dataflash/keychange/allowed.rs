@@ -8,7 +8,6 @@ use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::Gauge;
 use crate::keys::{KeyChange, Name};
 
-/// The block of keys with one of that name, or why it cannot be changed.
 pub(super) fn block_of(chip: &'static Chip, name: Name) -> Result<&'static KeyBlock> {
     let refuse = |why: &str| {
         let why = format!("cannot be changed here: {why}");
@@ -28,8 +27,7 @@ pub(super) fn block_of(chip: &'static Chip, name: Name) -> Result<&'static KeyBl
     }
 }
 
-/// Refuses keys that would leave a gauge open or be taken for something else. The manual's defaults are
-/// allowed, so that a pack can be handed on with them.
+/// Refuses keys that leave a gauge open or mean something else. The manual's defaults are allowed, to hand a pack on.
 pub(super) fn check_new(gauge: &Gauge, change: &KeyChange) -> Result<()> {
     let refuse =
         |why: &str| Err(Error::new("", Cause::OutOfRange, format!("the new key {why}")).at(Step::Check));

@@ -19,10 +19,8 @@ use crate::keys::{KeyChange, Name, Secret};
 
 /// After a start Voltage() is valid about 1 s later (E2E 1059347).
 const MEASURED: Duration = Duration::from_secs(1);
-/// Time between attempts while a gauge does not answer or did not follow a command.
 const POLL_INTERVAL: Duration = Duration::from_millis(200);
 
-/// What a gauge does that may have one key or another.
 #[derive(Clone, Copy)]
 enum Keyhole {
     /// It is in FULL ACCESS, and this was the key.
@@ -42,8 +40,7 @@ enum Worked {
 }
 
 impl Task<'_> {
-    /// After a failure following the commit: finds out which keys open the gauge, puts the old block back and
-    /// tries it. Always an error, which says what is known.
+    /// Finds out which keys open the gauge, puts the old block back and tries it. The error says what is known.
     pub(super) fn back(&mut self, gauge: &mut Gauge, unfinished: &Unfinished, error: &Error) -> Error {
         let (mut state, mut known) = (Keyhole::Silent, Worked::Neither);
         for _ in 0..RESTORES {
@@ -101,7 +98,6 @@ impl Task<'_> {
         self.is_unknown && gauge.seal() == Ok(Seal::FullAccess)
     }
 
-    /// Puts the old keys back and tries them.
     fn put_back(&mut self, gauge: &mut Gauge, unfinished: &Unfinished, touched: &mut usize) -> Result<()> {
         sequence(gauge).enable(gauge)?;
         self.write(gauge, &unfinished.before, touched)?;

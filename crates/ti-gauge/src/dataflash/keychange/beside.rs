@@ -12,7 +12,6 @@ use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::Gauge;
 use crate::journal::{Identity, Plan};
 
-/// Whether the gauge, whose data flash is open, is the one of a plan.
 pub(super) fn same_pack(gauge: &mut Gauge, [then, now]: [&Identity; 2], plan: &Plan) -> Result<Match> {
     compare(gauge.chip, then, now, plan, |place| sequence(gauge).load(gauge, place, Care::Sure))
 }
@@ -21,7 +20,6 @@ pub(super) fn another(name: &str) -> String {
     format!("{name} is not what it was when a change of keys was cut short: this is another pack")
 }
 
-/// Restores what a loss of power has erased beside the keys.
 pub(super) fn restore_rows(gauge: &mut Gauge, session: &mut Session, plan: &Plan) -> Result<()> {
     if plan.blocks.is_empty() {
         return Ok(());

@@ -32,8 +32,7 @@ enum Has {
     Unknown,
 }
 
-/// Finds out which keys a gauge has on which another process has begun a change, with the keys of this one. Only reads,
-/// but for what was erased beside the keys of what is certainly the same pack.
+/// Finds out with the mount's keys what another process's change left. Writes only what was erased beside the keys.
 #[expect(clippy::too_many_arguments, reason = "all that is known of an interrupted change")]
 pub(super) fn probe(
     gauge: &mut Gauge,
@@ -138,7 +137,6 @@ impl<'a> Row<'a> {
         Ok(Self { block, window, start })
     }
 
-    /// Which key of two words is stored there.
     fn seal_key(&self, gauge: &Gauge, key: &KeyPlan, name: Name) -> Has {
         let at = self.start + offset(self.block, name).unwrap_or_default();
         let stored = unstored(&self.window[at..at + 4], self.block.order);
@@ -163,7 +161,6 @@ impl<'a> Row<'a> {
     }
 }
 
-/// What a person is told of the keys.
 fn told(block: &KeyBlock, has: [Has; 2], lost: Option<Has>) -> String {
     let tell = |(name, has): (Name, Has)| {
         let what = match has {

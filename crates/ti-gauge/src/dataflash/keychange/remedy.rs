@@ -5,7 +5,6 @@
 use super::ring::LENGTH_OF_KEY;
 use crate::keys::Name;
 
-/// What a person does about a change that was cut short.
 pub(in crate::dataflash) fn way_out(names: &[Name]) -> String {
     let commands: Vec<String> = names
         .iter()

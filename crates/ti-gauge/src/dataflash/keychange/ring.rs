@@ -9,15 +9,11 @@ use crate::keys::{Name, Secret};
 
 /// Words below this are, or may become, subcommands of any part.
 pub(super) const SUBCOMMANDS: u16 = 0x0100;
-/// Content of erased flash.
 pub(super) const ERASED: u16 = 0xffff;
-/// Bytes of an authentication key.
 pub(super) const LENGTH_OF_KEY: usize = 16;
 
-/// The keys that lead from SEALED up.
 pub(super) const SEALS: [Name; 2] = [Name::Unseal, Name::FullAccess];
 
-/// The keys of a gauge, from SEALED up.
 #[derive(Clone)]
 pub(super) struct Ring {
     pub(super) unseal: Secret,
@@ -64,7 +60,6 @@ pub(super) fn is_harmless(gauge: &Gauge, key: &Secret) -> bool {
     !key.words().iter().any(is_command)
 }
 
-/// The key that a gauge stores as these bytes.
 pub(super) fn unstored(bytes: &[u8], order: KeyOrder) -> Secret {
     Secret::of_bytes(&stored(&Secret::of_bytes(bytes), order))
 }

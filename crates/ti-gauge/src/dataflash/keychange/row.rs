@@ -18,7 +18,6 @@ use crate::gauge::Gauge;
 use crate::journal::KeyPlan;
 use crate::keys::{KeyChange, Name, Secret};
 
-/// Where the row of keys has that one; `None` if it has none.
 pub(super) fn offset(block: &KeyBlock, name: Name) -> Option<usize> {
     match name {
         Name::Unseal => Some(block.unseal),
@@ -28,7 +27,6 @@ pub(super) fn offset(block: &KeyBlock, name: Name) -> Option<usize> {
 }
 
 impl Task<'_> {
-    /// Position of a key in the row.
     pub(super) fn at(&self, name: Name) -> usize {
         self.start + offset(self.block, name).unwrap_or_default()
     }
@@ -82,8 +80,7 @@ impl Task<'_> {
         Ok(Ring { unseal: of(Name::Unseal, unseal)?, full_access: of(Name::FullAccess, full_access)? })
     }
 
-    /// The authentication key that the gauge has: the old one, the new one, or what a change left behind that was cut
-    /// short.
+    /// The gauge's authentication key: the old one, the new one, or what a change left that was cut short.
     pub(super) fn held_authentication(&self, gauge: &mut Gauge, window: &[u8; WINDOW]) -> Result<Secret> {
         let KeyChange { name, old, new } = self.change;
         for key in [old, new] {
@@ -104,8 +101,7 @@ impl Task<'_> {
         Err(neither())
     }
 
-    /// Puts back what a loss of power has taken of the keys that are not changed. Returns the authentication key that
-    /// has to be proven then, and notes what cannot be put back.
+    /// Puts back what a loss of power took of other keys. Returns the authentication key to prove; notes what is lost.
     pub(super) fn complete(
         &mut self,
         dataflash: &DataFlash,
@@ -142,9 +138,8 @@ impl Task<'_> {
         }
     }
 
-    /// Checks that the keys the gauge accepted are stored where, and in the byte order, the table says, and that
-    /// at least one of them would look different in another order. Where all keys are erased none does. Then the change
-    /// that was cut short has checked it, or the new key is written and tried, and found again in whatever order.
+    /// Checks that accepted keys are stored where, and in the byte order, the table says, and that one of them would look
+    /// different in another order. If all are erased, an earlier change has checked it, or the new key is tried and found.
     pub(super) fn compare_with(
         &mut self,
         gauge: &Gauge,

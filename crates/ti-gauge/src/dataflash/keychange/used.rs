@@ -11,8 +11,7 @@ use crate::gauge::{Gauge, Seal};
 use crate::keys::{Name, Secret};
 
 impl Task<'_> {
-    /// Goes to FULL ACCESS from the seal state in which the gauge was found, with the keys that it has. Returns those
-    /// that were needed.
+    /// Goes to FULL ACCESS from the state in which the gauge was found. Returns the keys that were needed.
     pub(super) fn enter(&mut self, gauge: &mut Gauge) -> Result<[Option<Secret>; 2]> {
         let ring = self.ring(gauge)?;
         let mut taken = [None, None];
@@ -39,7 +38,6 @@ impl Task<'_> {
         Ok(taken)
     }
 
-    /// Goes from a seal state to FULL ACCESS with these keys.
     pub(super) fn climb(&mut self, gauge: &mut Gauge, ring: &Ring, from: Seal) -> Result<()> {
         for (name, key, goal, above) in ring.rungs(from) {
             if above {
@@ -55,13 +53,11 @@ impl Task<'_> {
         Ok(())
     }
 
-    /// Whether the gauge answers a random challenge as only this key does. An error is one of the bus, and says nothing
-    /// about the key.
+    /// Whether the gauge answers a random challenge as only this key does. A bus error says nothing about the key.
     pub(super) fn challenge(&self, gauge: &mut Gauge, key: &Secret) -> Result<bool> {
         answers(gauge, key, self.order)
     }
 
-    /// Whether the gauge takes the keys, found out by using them. Sealed and opened again.
     pub(super) fn prove(
         &mut self,
         gauge: &mut Gauge,
@@ -103,8 +99,7 @@ impl Task<'_> {
         Ok(None)
     }
 
-    /// What may be in place of a key, the likelier first. Flash is programmed word by word, in ascending order, after the
-    /// row was erased.
+    /// What may be in place of a key, the likelier first: a row is erased, then programmed word by word, ascending.
     fn candidates(&self, name: Name, key: &Secret) -> Vec<Secret> {
         let erased = Secret::from([ERASED; 2]);
         let is_changed = name == self.change.name;
@@ -150,7 +145,6 @@ impl Task<'_> {
     }
 }
 
-/// Whether the gauge answers a random challenge as only this key does.
 fn answers(gauge: &mut Gauge, key: &Secret, order: Order) -> Result<bool> {
     let mut challenge = [0; LENGTH];
     getrandom::fill(&mut challenge).map_err(|error| {

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! What only an open gauge shows before a write: whether the table's addresses are this firmware's, and whether the
-//! flash-voltage gate is open and stays so.
+//! What only an open gauge shows before a write: whether the table's addresses fit, and whether the gate stays open.
 
 use super::Knowledge;
 use crate::chip::{Role, Scheme};
@@ -16,8 +15,7 @@ use crate::gauge::Gauge;
 use crate::value::Value;
 
 impl Knowledge {
-    /// Checks, before the first write, rows with known content, which show whether this firmware keeps its
-    /// data flash at the addresses in the table.
+    /// Before the first write, rows of known content show whether this firmware has the table's addresses.
     pub(in crate::dataflash) fn check_signature(&mut self, gauge: &mut Gauge) -> Result<()> {
         if self.signed.is_known(self.now.pack) {
             return Ok(());
@@ -57,7 +55,6 @@ impl Knowledge {
         Ok(())
     }
 
-    /// A word of a block whose checksum was verified.
     fn word(&mut self, gauge: &mut Gauge, row: (u8, u16)) -> Result<u16> {
         let (place, at) = place_of(row);
         let window = sequence(gauge).load(gauge, place, Care::Sure)?;
@@ -65,7 +62,6 @@ impl Knowledge {
         Ok(gauge.chip.layout.word([window[at], window[at + 1]]))
     }
 
-    /// Checks that the gate is open now.
     pub(in crate::dataflash) fn check_gate(&mut self, gauge: &mut Gauge, voltage_mv: u16) -> Result<()> {
         self.learn_gate(gauge)?;
         let (Some(gate), Some(&(limit, divider))) = (&gauge.chip.gate, self.gate.get(self.now.values)) else {
@@ -82,8 +78,7 @@ impl Knowledge {
         Err(Error::of("", shut).at_place(gate.limit).at(Step::Check))
     }
 
-    /// Checks that the gate stays open with all changes of the transaction, and after each of their blocks, and
-    /// puts these in the order in which it does. Returns whether another block was loaded into the window.
+    /// Orders the blocks so that the gate stays open after each. Returns whether the window was loaded with another one.
     pub(in crate::dataflash) fn check_gate_after(
         &mut self,
         gauge: &mut Gauge,
@@ -135,8 +130,7 @@ impl Knowledge {
             Err(Error::new(subject, Cause::OutOfRange, why).at(Step::Check))
         };
         let after = setting(planned.len());
-        // No source says that Voltage() follows a new divider before somebody calibrates, so with the limit as it is
-        // flash has to stay open if it does not.
+        // No source says that Voltage() follows a new divider before a calibration, so flash has to stay open if it does not.
         let only_divider = before.limit == after.limit && before.external == after.external;
         let shut = |now: &Setting| now.shut(gate, low.into(), String::new).map(|shut| shut.to_string());
         let stays = (only_divider && before.divider != after.divider).then(|| shut(&after)).flatten();

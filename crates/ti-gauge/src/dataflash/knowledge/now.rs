@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! For how long what is known of a gauge holds. Whatever happens to the gauge begins the next epoch of what it may have
-//! changed, and with that all facts of that kind are forgotten.
+//! How long facts hold: whatever happens to the gauge begins the next epoch of what it may have changed.
 
 use crate::epoch::Epoch;
 
@@ -17,7 +16,6 @@ pub(super) enum Name {}
 /// While no access may have changed the values that permit a write.
 pub(super) enum Values {}
 
-/// The present epochs.
 #[derive(Debug, Default)]
 pub(super) struct Now {
     pub(super) arrival: Epoch<Arrival>,

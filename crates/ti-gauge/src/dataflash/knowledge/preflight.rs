@@ -1,9 +1,8 @@
 // SPDX-License-Identifier: MIT
 
-//! Checks before a write unseals the gauge: whether it is still the gauge whose values were read, whether
-//! another master is using it, and whether the write would interrupt a calibration or a learning cycle.
-//!
-//! I2C has no error detection, so what blocks a write is what two looks agree on, and so is what permits it.
+//! Checks before a write unseals the gauge: is it still the gauge whose values were read, is another master using it,
+//! would the write interrupt a calibration or a learning cycle. I2C has no error detection, so two looks have to agree
+//! on what blocks a write, and on what permits it.
 
 use super::Knowledge;
 use crate::chip::{Chip, Kind, Learning, Mode, Role, Source};
@@ -19,7 +18,6 @@ use crate::journal::Identity;
 /// Control(ROM_MODE), after which a gauge is a flash programmer at another address.
 const ROM_MODE: u16 = 0x0F00;
 
-/// The gauge whose values were read.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::dataflash) struct KnownPack {
     pub(in crate::dataflash) firmware_version: u16,
@@ -43,7 +41,6 @@ impl KnownPack {
     }
 }
 
-/// The registers that distinguish packs.
 struct Distinct {
     pack: Option<u16>,
     cycles: Option<u16>,
@@ -70,9 +67,7 @@ const LOOKS: u32 = 4;
 #[derive(Clone, Copy)]
 pub(in crate::dataflash) struct Found {
     pub(in crate::dataflash) seal: Seal,
-    /// CONTROL_STATUS.
     pub(in crate::dataflash) status: u32,
-    /// Voltage().
     pub(in crate::dataflash) voltage_mv: u16,
     /// The gauge's data memory is RAM and has been lost.
     pub(in crate::dataflash) lost: bool,
@@ -82,7 +77,6 @@ pub(in crate::dataflash) struct Found {
 }
 
 impl Knowledge {
-    /// Notes a gauge that was connected, or has returned, with its answers; its values are read again.
     pub(in crate::dataflash) fn meet(&mut self, chip: &Chip, answers: &Answers) {
         self.now.arrives();
         let pack = match chip.preflight.pack.as_ref().map(|pack| pack.word) {
@@ -94,18 +88,14 @@ impl Knowledge {
         self.known_pack = Some(KnownPack { pack, ..KnownPack::new(firmware_version) });
     }
 
-    /// Whether another gauge has answered instead of the one whose values were read.
     pub(in crate::dataflash) fn doubts(&self) -> bool {
         self.doubts.is_known(self.now.arrival)
     }
 
-    /// The gauge has answered otherwise than when it was identified.
     pub(in crate::dataflash) fn doubt_pack(&mut self) {
         self.doubts.learn(self.now.arrival, ());
     }
 
-    /// Whether the registers of a poll have to be read again before they are believed: they show another pack, or another
-    /// count of cycles, by which later polls are judged. I2C has no error detection.
     pub(in crate::dataflash) fn needs_second_poll(
         &self,
         chip: &Chip,
@@ -115,8 +105,6 @@ impl Knowledge {
         cycles.is_some_and(|(then, now)| then != now) || self.contradicted(chip, value).is_some()
     }
 
-    /// Whether the flags of a poll show a loss of data memory that was not known, or no longer show one, and the gauge does
-    /// not say the same once more. The profile is written for a loss.
     pub(in crate::dataflash) fn misreads_loss(
         &self,
         gauge: &mut Gauge,
@@ -133,8 +121,6 @@ impl Knowledge {
         Ok((again & lost != 0) != shown)
     }
 
-    /// The register of a poll that contradicts what is known of the pack, by its name; `value` returns a register by
-    /// its source.
     pub(in crate::dataflash) fn contradicted(
         &self,
         chip: &Chip,
@@ -154,7 +140,6 @@ impl Knowledge {
         rows.into_iter().find(|(contradicts, _)| *contradicts).map(|(_, name)| name)
     }
 
-    /// Notes a poll; `value` returns a register by its source. Returns whether another pack answers now.
     pub(in crate::dataflash) fn polled(
         &mut self,
         chip: &Chip,
@@ -175,14 +160,12 @@ impl Knowledge {
         self.doubts()
     }
 
-    /// Runs the checks that do not need an unsealed gauge.
     pub(in crate::dataflash) fn preflight(&mut self, gauge: &mut Gauge, changes: &[Change]) -> Result<Found> {
         let first = self.first_look(gauge, changes)?;
         self.next_look(gauge, &first, changes)
     }
 
-    /// Runs the checks with one look. What it permits is permitted when a second one agrees:
-    /// [`Self::look_while_opening`], or [`Self::next_look`].
+    /// One look. What it permits is permitted when [`Self::look_while_opening`] or [`Self::next_look`] agrees.
     pub(in crate::dataflash) fn first_look(
         &mut self,
         gauge: &mut Gauge,
@@ -219,7 +202,6 @@ impl Knowledge {
         self.agree(gauge, first, second, changes)
     }
 
-    /// Looks at the state of a gauge once more.
     pub(in crate::dataflash) fn next_look(
         &mut self,
         gauge: &mut Gauge,
@@ -254,9 +236,8 @@ impl Knowledge {
         Err(Error::new(gauge.chip.model, Cause::NotNow, why).at(Step::Check))
     }
 
-    /// Makes sure that the gauge is the one whose values were read: type, firmware, and the word that
-    /// distinguishes packs. If that word is a register the type is not read: another part would have to
-    /// report this firmware and hold this number at an address where it has something else.
+    /// Makes sure that the gauge is the one whose values were read: type, firmware, and the distinguishing word. With a
+    /// register as that word the type is not read: another part has something else at that address.
     pub(in crate::dataflash) fn confirm(&mut self, gauge: &mut Gauge) -> Result<()> {
         let chip = gauge.chip;
         let pack = chip.preflight.pack.as_ref();
@@ -310,7 +291,6 @@ impl Knowledge {
         }
     }
 
-    /// Whether the state found allows a write.
     fn check(&self, chip: &Chip, found: &Found, changes: &[Change]) -> Result<()> {
         let flags = chip.volatile.zip(chip.register(Role::Flags));
         if let Some((bit, flags)) = flags
@@ -369,8 +349,7 @@ impl Knowledge {
     }
 }
 
-/// Returns why these changes, if they need a reset, must wait for the end of a learning cycle. Called
-/// before any block is read because reading Update Status may use the window.
+/// Why changes that need a reset must wait for a learning cycle. Before any block: Update Status may use the window.
 pub(in crate::dataflash) fn learning(
     gauge: &mut Gauge,
     status: u32,
@@ -414,8 +393,7 @@ impl Found {
         self.look.word(source)
     }
 
-    /// Whether a later look shows all that decides about a write as this one does. A voltage moves; one with a wrong bit
-    /// that matters is further off.
+    /// Whether a later look decides the same. A voltage moves; one with a wrong bit that matters is further off.
     fn is_like(&self, later: &Self, chip: &Chip) -> bool {
         let decides = |found: &Self| {
             let modes = chip.preflight.modes.iter();
@@ -454,7 +432,6 @@ fn differs(gauge: &mut Gauge, ask: impl Fn(&mut Gauge) -> Result<u16>, expected:
     Ok(Some(ask(gauge)?).filter(|&again| again != expected))
 }
 
-/// The source of Voltage().
 fn voltage(chip: &Chip) -> Source {
     chip.register(Role::VoltageNow).expect("the tables' tests ask for Voltage()").source
 }
@@ -467,13 +444,11 @@ fn along(chip: &Chip) -> Vec<Source> {
     all.filter(|source| source.command().is_some()).collect()
 }
 
-/// Whether the voltage decides about a write. Restoring a saved configuration to a gauge with RAM that lost power is
-/// harmless at any.
+/// Whether the voltage decides about a write. Restoring RAM that lost its power is harmless at any.
 fn needs_voltage(chip: &Chip, changes: &[Change]) -> bool {
     chip.preflight.voltage_mv.is_none() || !changes.iter().all(|change| change.saved)
 }
 
-/// Seal, voltage and flags, in the one read that the seal needs.
 fn read_state(gauge: &mut Gauge) -> Result<Found> {
     gauge.also_read(along(gauge.chip));
     let moment = gauge.moment();

@@ -14,9 +14,7 @@ use crate::gauge::{Gauge, Statistics};
 const DATA_FLASH_CLASS: u8 = 0x3e;
 /// First byte of the window BlockData().
 const BLOCK_DATA: u8 = 0x40;
-/// BlockDataChecksum().
 const CHECKSUM: u8 = 0x60;
-/// BlockDataControl().
 const BLOCK_DATA_CONTROL: u8 = 0x61;
 /// BlockDataControl() value that selects the blocks a sealed gauge shows.
 const MANUFACTURER_BLOCKS: u8 = 1;
@@ -59,8 +57,7 @@ impl Sequence for Block {
             }
             Statistics::count(&gauge.statistics.retries);
         }
-        // A bit error in the selection loads another block, or one that does not exist, which reads as zeros; two bit
-        // errors may load two of those. A gauge that echoes no selection shows the same each time, its echo too.
+        // A bit error in the selection loads another block, or zeros. A gauge without echo shows the same each time.
         if let [first, rest @ ..] = &others[..]
             && rest.iter().all(|shown| shown == first)
         {
@@ -157,8 +154,7 @@ struct Shown {
     window: [u8; WINDOW],
 }
 
-/// What the window shows instead of a block that is about to be loaded. If it is that block already, another one is loaded
-/// first: otherwise no look would show that it was loaded again.
+/// What the window shows before a load. If that is the block already, another one goes first, so that the load shows.
 fn another_window(gauge: &mut Gauge, place: Window) -> Result<Option<[u8; WINDOW]>> {
     let Ok((shown, _)) = read_window(gauge, place) else { return Ok(None) };
     if shown.echo != [place.subclass, block_of(place)?] {
@@ -183,7 +179,6 @@ fn load_after(gauge: &mut Gauge, before: &[u8; WINDOW], place: Window) -> Result
     }))
 }
 
-/// Selects a block and reads it until two looks agree.
 fn load_once(gauge: &mut Gauge, place: Window) -> Result<Shown> {
     select(gauge, place)?;
     let sum = |gauge: &mut Gauge| {
@@ -193,9 +188,7 @@ fn load_once(gauge: &mut Gauge, place: Window) -> Result<Shown> {
     look_twice(gauge, sum, |gauge| read_window(gauge, place)).map_err(|error| error.within(&place.name(0)))
 }
 
-/// Reads the block and verifies its checksum, which is returned too.
-/// BlockDataControl() is read too: a bit error can set it to 1, and the window then does not show data
-/// flash although everything else looks valid.
+/// BlockDataControl() is read too: a bit error may set it to 1, and the window, looking valid, is not data flash.
 fn read_window(gauge: &mut Gauge, place: Window) -> Result<(Shown, u8)> {
     let mut bytes = [0; 2 + WINDOW + 2];
     gauge.read(DATA_FLASH_CLASS, &mut bytes).map_err(|error| error.at(Step::ReadBlock))?;

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! CONFIG UPDATE (SLUUAC9A 3.1, SLUUBD4A 6.1): the access of the flash parts, between a subcommand that begins the
-//! mode and one that ends it. Data memory is RAM. The gauge does not gauge in this mode, so every exit ends it.
+//! CONFIG UPDATE (SLUUAC9A 3.1, SLUUBD4A 6.1) of parts with RAM. Nothing is gauged meanwhile, so every exit ends it.
 
 use std::time::Duration;
 
@@ -13,8 +12,7 @@ use crate::dataflash::window::{Planned, Window};
 use crate::error::{Error, Reason, Result, Step};
 use crate::gauge::{Gauge, Seal, Statistics, agreed};
 
-/// Time between two reads of the flag of the mode, which takes up to a second to come or go. The kernel's driver and
-/// Zephyr's wait as long.
+/// Time between two reads of the mode's flag, which takes up to a second; the kernel's driver and Zephyr's wait as long.
 const POLL_INTERVAL: Duration = Duration::from_millis(25);
 
 /// An access to data memory, and the mode in which it can be written.
@@ -112,8 +110,7 @@ impl Sequence for CfgUpdate {
     }
 
     fn leave(&self, gauge: &mut Gauge) -> Result<Duration> {
-        // The way out is ignored before the mode is on, and the mode is then entered anyway. After a loss of
-        // power it is never entered.
+        // The way out is ignored before the mode is on, which it enters later; after a loss of power it never does.
         self.reaches(gauge, true, gauge.chip.access.enter_limit).map_err(|error| error.at(Step::Reset))?;
         Statistics::count(&gauge.statistics.resets);
         gauge.command(self.leave).map_err(|error| error.at(Step::Reset))?;
@@ -138,8 +135,7 @@ impl CfgUpdate {
         Ok(u16::from_le_bytes(word) & self.mask != 0)
     }
 
-    /// Waits until the mode is on, or off. I2C has no error detection, and a misread flag would leave the mode
-    /// on, so two reads must agree.
+    /// I2C has no error detection, and a misread flag would leave the mode on, so two reads must agree.
     fn wait_for(&self, gauge: &mut Gauge, on: bool, limit: Duration) -> Result<()> {
         if self.reaches(gauge, on, limit)? {
             return Ok(());

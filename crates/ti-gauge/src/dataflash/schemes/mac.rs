@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! ManufacturerAccessControl (SLUUBH1C 12.1.3, SLUA790 section 3): a flat address, up to 32 bytes of data,
-//! MACDataSum and MACDataLen. The gauge echoes the address, and the echo is checked.
+//! ManufacturerAccessControl (SLUUBH1C 12.1.3, SLUA790 3): a flat address, echoed, up to 32 bytes, MACDataSum, MACDataLen.
 
 use super::{Care, Sequence, look_early, look_twice, settle};
 use crate::chip::FLAT;
@@ -13,7 +12,6 @@ use crate::gauge::{Gauge, Statistics};
 
 /// ManufacturerAccessControl(); MACData() follows it.
 const MAC: u8 = 0x3e;
-/// MACData().
 const MAC_DATA: u8 = 0x40;
 /// MACDataSum(); MACDataLen() follows it.
 const MAC_DATA_SUM: u8 = 0x60;
@@ -129,7 +127,6 @@ fn load_once(gauge: &mut Gauge, place: Window) -> Result<[u8; WINDOW]> {
     look_twice(gauge, sum, |gauge| read_answer(gauge, place)).map_err(|error| error.within(&place.name(0)))
 }
 
-/// Reads the answer to a request, and checks its echo, length and sum.
 fn read_answer(gauge: &mut Gauge, place: Window) -> Result<([u8; WINDOW], u8)> {
     let address = place.base;
     let at = |error: Error| error.at(Step::ReadBlock);

@@ -9,10 +9,8 @@ use crate::gauge::Gauge;
 
 /// DataFlashBlock(); the window and its checksum follow it.
 const DATA_FLASH_BLOCK: u8 = 0x3f;
-/// BlockDataChecksum().
 const CHECKSUM: u8 = 0x60;
 
-/// Reads the block of that number.
 pub(in crate::dataflash) fn shown_sealed(gauge: &mut Gauge, block: u8) -> Result<[u8; WINDOW]> {
     gauge.write(DATA_FLASH_BLOCK, &[block])?;
     let sum = |gauge: &mut Gauge| {

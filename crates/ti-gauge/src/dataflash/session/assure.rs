@@ -2,10 +2,9 @@
 
 //! Whether the gauge that answers is still the pack of the session. Nothing is programmed, reset or sealed otherwise.
 //!
-//! While the presence of the gauge is unbroken it is the same one. After a break its marks are compared: a calibration
-//! or serial number of its own shows the pack. Packs as they left the factory cannot be told apart by that; of these
-//! only a block that holds a part of what this very write was about to store is a sign. Without one flash is left as it
-//! is, and a person has to decide.
+//! While the presence of the gauge is unbroken it is the same one. After a break its marks are compared: a calibration or
+//! serial number of its own shows the pack. Packs as from the factory cannot be told apart by that; of these only a block
+//! with a part of what this write was about to store is a sign. Without one flash is left alone, and a person decides.
 
 use std::time::Duration;
 
@@ -23,30 +22,24 @@ use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::{Gauge, Moment, SEAL_LAG, Seal};
 use crate::journal::{Entry, Identity, Plan};
 
-/// Attempts to send SEALED between two moments in which the gauge does not answer, and the time between them: half of
-/// what a row takes.
+/// Attempts to send SEALED between two moments without an answer, and their interval: half of what a row takes.
 const SEALS: u32 = 6;
 const BUSY: Duration = Duration::from_millis(100);
 
-/// What the pack of a session is compared with.
 pub(in crate::dataflash) struct Reference {
     pub(in crate::dataflash) identity: Identity,
-    /// Its marks, and the blocks that are about to change.
     pub(in crate::dataflash) plan: Plan,
 }
 
 impl Reference {
-    /// What a journal knows of its pack.
     pub(in crate::dataflash) fn of(entry: &Entry) -> Self {
         let nothing = || Plan::of_marks(Vec::new());
         Self { identity: entry.identity.clone(), plan: entry.plan.clone().unwrap_or_else(nothing) }
     }
 }
 
-/// What is known of the gauge that answers.
 #[derive(Default)]
 pub(in crate::dataflash) struct Assurance {
-    /// What its pack is compared with.
     pub(in crate::dataflash) pack: Option<Reference>,
     /// When it was certain that the gauge is the one of the session.
     since: Option<Moment>,
@@ -56,7 +49,6 @@ pub(in crate::dataflash) struct Assurance {
     anew: bool,
     /// That was certain once before.
     was_broken: bool,
-    /// Another pack answers.
     pub(in crate::dataflash) is_another: bool,
     /// It cannot be told whose pack answers.
     is_unsure: bool,
@@ -67,7 +59,6 @@ pub(in crate::dataflash) struct Assurance {
 }
 
 impl Assurance {
-    /// The gauge that is there is the one of the session.
     pub(in crate::dataflash) fn begin(&mut self, gauge: &Gauge) {
         self.was_broken |= self.since.is_some() && !self.is_unbroken(gauge);
         self.since = Some(gauge.moment());
@@ -78,12 +69,10 @@ impl Assurance {
         self.is_another && (self.was_broken || !self.is_unbroken(gauge))
     }
 
-    /// It was certain then that the gauge is the one of the session.
     pub(in crate::dataflash) fn certain_since(&mut self, moment: Moment) {
         self.since = Some(moment);
     }
 
-    /// When that was certain.
     pub(in crate::dataflash) fn since(&self) -> Option<Moment> {
         self.since
     }
@@ -93,7 +82,6 @@ impl Assurance {
         self.is_another = true;
     }
 
-    /// Whether trying again does not help.
     pub(in crate::dataflash) fn is_lost(&self) -> bool {
         self.is_another || self.is_unsure
     }
@@ -104,15 +92,13 @@ impl Assurance {
 }
 
 impl Session {
-    /// Looks at the pack before the first byte goes back, whatever has happened: what has failed may be that it is
-    /// another one.
+    /// Looks at the pack before the first byte goes back: what has failed may be that it is another one.
     pub(in crate::dataflash) fn assure_anew(&mut self, gauge: &mut Gauge) {
         self.pack.anew = true;
         gauge.doubt();
     }
 
-    /// Makes sure that the gauge, which is open, is still the pack of the session. Whatever is sent to change it is
-    /// bound to the moment that this returns.
+    /// Makes sure that the open gauge is still the session's pack. What changes it is bound to the moment returned.
     pub(in crate::dataflash) fn assure(&mut self, gauge: &mut Gauge) -> Result<Moment> {
         if !self.pack.anew
             && let Some(moment) = self.pack.since
@@ -164,12 +150,10 @@ impl Session {
         }
     }
 
-    /// Compares the gauge, which is open, with the pack of the session.
     fn compare(&mut self, gauge: &mut Gauge) -> Result<Match> {
         self.compare_since(gauge).map(|(compared, _)| compared)
     }
 
-    /// Compares the gauge, and returns the moment from which on it was compared.
     fn compare_since(&mut self, gauge: &mut Gauge) -> Result<(Match, Moment)> {
         self.pack.compared += 1;
         let mut moment = gauge.moment();
@@ -221,8 +205,7 @@ impl Session {
         self.pack.is_another
     }
 
-    /// Seals the gauge, if it is the one of the session or is known to open again. Otherwise it is left as it is:
-    /// its owner may not be able to open it.
+    /// Seals the gauge, if it is the session's or is known to open again: else its owner may not be able to open it.
     pub(in crate::dataflash) fn seal(&mut self, gauge: &mut Gauge) -> Result<()> {
         let mut outcome = Ok(());
         for attempt in 0..SEALS {
@@ -360,7 +343,6 @@ impl Session {
         self.patience.is_some() || self.entry.as_ref().is_some_and(Entry::changes_keys)
     }
 
-    /// Whether part, firmware and serial number are those of the session's pack.
     fn is_alike(&self, gauge: &mut Gauge) -> bool {
         let pack = self.pack.pack.as_ref();
         pack.is_some_and(|pack| identify(gauge).is_ok_and(|now| now == pack.identity))

@@ -39,8 +39,7 @@ impl Confidence for ByKeys {
     }
 }
 
-/// Writes one block, commits it and reads it back, as [`store_patiently`] does. What a gauge does not store because its
-/// voltage is too low is told as that.
+/// As [`store_patiently`], with a failure explained by the voltage if that is too low to store anything.
 pub(in crate::dataflash) fn store(
     gauge: &mut Gauge,
     confidence: &mut impl Confidence,
@@ -53,9 +52,8 @@ pub(in crate::dataflash) fn store(
     })
 }
 
-/// Writes one block, commits it and reads it back. `touched` counts the blocks that may have been
-/// committed, whose content must be read back rather than assumed. A commit that the gauge did not acknowledge,
-/// and that has changed nothing, is repeated: it was busy with a row of its own.
+/// Writes one block, commits it and reads it back. `touched` counts blocks that may have been committed, to be read back.
+/// A commit without acknowledgement that changed nothing is repeated: the gauge was busy with a row of its own.
 fn store_patiently(
     gauge: &mut Gauge,
     confidence: &mut impl Confidence,
@@ -82,7 +80,6 @@ fn store_patiently(
     confidence.assure(gauge).map(drop)
 }
 
-/// Makes sure that it is still the same pack, with the block in the window.
 fn assure_loaded(gauge: &mut Gauge, confidence: &mut impl Confidence, block: &mut Planned) -> Result<Moment> {
     let compared = confidence.compared();
     let moment = confidence.assure(gauge)?;
@@ -92,8 +89,7 @@ fn assure_loaded(gauge: &mut Gauge, confidence: &mut impl Confidence, block: &mu
     Ok(moment)
 }
 
-/// Returns the outcome of the commit, and whether the block reads as it should. A checksum may take effect even if
-/// its acknowledgement was lost. It is not sent to a gauge that may have been exchanged since `moment`.
+/// The outcome of the commit, which may take effect unacknowledged, and of reading back. It is bound to `moment`.
 fn store_once(
     gauge: &mut Gauge,
     block: &Planned,
@@ -110,7 +106,6 @@ fn store_once(
     (committed, verify(gauge, block))
 }
 
-/// Fills the window, which shows the block, and commits it.
 pub(in crate::dataflash) fn put(
     gauge: &mut Gauge,
     block: &Planned,

@@ -21,7 +21,6 @@ use crate::gauge::{Gauge, Seal};
 use crate::journal::{Entry, Identity};
 use crate::notation;
 
-/// Shows what is known of an interrupted write, for a person who has to decide. Nothing is written.
 pub(super) fn examine(flash: &mut DataFlash, gauge: &mut Gauge, waited: Duration) -> Result<String> {
     let seal = flash.find_seal().map_or(String::new(), |seal| format!("{}\n", seal.why));
     let Some(pending) = flash.find_pending() else {
@@ -80,7 +79,6 @@ pub(super) fn examine(flash: &mut DataFlash, gauge: &mut Gauge, waited: Duration
     })
 }
 
-/// The journals of this place that wait for their packs, which may never come back, or be this one.
 fn waiting(flash: &DataFlash) -> String {
     let waiting = flash.records.journal().and_then(|journal| journal.waiting().ok()).unwrap_or_default();
     let line = |(path, entry): &(PathBuf, Entry)| {
@@ -96,7 +94,7 @@ fn waiting(flash: &DataFlash) -> String {
     }
 }
 
-/// Gives up the journals of this place that wait for their packs. Returns a message for the log, empty without one.
+/// Returns a message for the log, empty without such journals.
 fn dismiss_waiting(flash: &DataFlash) -> Result<String> {
     let Some(journal) = flash.records.journal() else { return Ok(String::new()) };
     let mut kept = Vec::new();
@@ -107,7 +105,6 @@ fn dismiss_waiting(flash: &DataFlash) -> Result<String> {
     Ok(if kept.is_empty() { String::new() } else { format!("{what} {}", kept.join(" and ")) })
 }
 
-/// Settles an interrupted write as a person has decided. Returns a message for the log.
 pub(super) fn decide(
     flash: &mut DataFlash,
     gauge: &mut Gauge,
@@ -172,8 +169,7 @@ fn give_up(flash: &mut DataFlash, gauge: &mut Gauge, entry: Option<Entry>, waite
     entry.map_or(Ok(()), |entry| leave_as_it_is(flash, gauge, entry, waited))
 }
 
-/// Ends the modes that an interrupted write may have left on and seals a gauge that was found sealed, whatever it
-/// holds.
+/// Ends the modes that an interrupted write may have left on and seals a gauge that was found sealed.
 fn leave_as_it_is(flash: &mut DataFlash, gauge: &mut Gauge, entry: Entry, waited: Duration) -> Result<()> {
     // A gauge whose keys nobody may know stays open, if it is.
     let of_keys = entry.plan.as_ref().and_then(|plan| plan.key.as_ref()).is_some_and(|key| !key.is_over());
@@ -207,7 +203,6 @@ fn leave_as_it_is(flash: &mut DataFlash, gauge: &mut Gauge, entry: Entry, waited
     ended
 }
 
-/// What to type.
 const DISCARD: &str =
     "  gaugefs settle GAUGE --discard   leave data flash as it is, and put the journal aside\n";
 
@@ -218,8 +213,7 @@ fn to_write(serial: &str) -> String {
     )
 }
 
-/// The changed parameters of a plan, and others that are not what they were, one a line: place, name, old, new, and
-/// what the gauge has. A person who decides sees everything that the decision may change.
+/// All that a decision may change, one parameter a line: place, name, old, new, and what the gauge has.
 fn table(chip: &Chip, seen: &[Seen]) -> String {
     let mut table = String::from("parameter\tname\told\tnew\tgauge\n");
     for Seen { block, stored, .. } in seen {

@@ -22,8 +22,7 @@ use crate::error::{Cause, Result};
 use crate::gauge::{Gauge, Seal};
 use crate::journal::{Content, Entry, Found, Identity};
 
-/// Settles what was begun on this gauge at another place, or was set aside because it was not certain that the pack
-/// was the one.
+/// Settles what was begun on this gauge elsewhere, or set aside because the pack was not certain.
 pub(super) fn search(
     flash: &mut DataFlash,
     gauge: &mut Gauge,
@@ -59,8 +58,7 @@ pub(super) fn search(
     Ok(told)
 }
 
-/// The journals that show nothing of this gauge. After a while a folder may have those of many packs, so what they
-/// have to be compared with is read once for all of them.
+/// The journals that show nothing of this gauge. There may be many, so what they are compared with is read once.
 fn rule_out(
     flash: &mut DataFlash,
     gauge: &mut Gauge,
@@ -109,8 +107,7 @@ fn rule_out(
     }
 }
 
-/// Looks for a journal that waits for this pack, before data flash is read for the first time. What keeps it from
-/// that is no reason not to read: a write looks again.
+/// Looks for a journal that waits for this pack, before the first read. A failure does not prevent that.
 pub(in crate::dataflash) fn search_waiting(flash: &mut DataFlash, gauge: &mut Gauge, waited: Duration) {
     if flash.find_pending().is_some() {
         return;

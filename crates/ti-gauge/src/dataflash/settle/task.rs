@@ -20,7 +20,6 @@ use crate::error::Result;
 use crate::gauge::{Gauge, Moment};
 use crate::journal::{Identity, Plan};
 
-/// One interrupted write.
 pub(super) struct Task<'a> {
     pub(super) plan: &'a Plan,
     /// What it is, for a message.
@@ -31,7 +30,6 @@ pub(super) struct Task<'a> {
     /// See [`Pending::certain`].
     pub(super) certain: Option<Moment>,
     pub(super) decision: Option<Decision>,
-    /// What was shown of it.
     pub(super) shown: Option<&'a Shown>,
     /// It was begun at another place, or waits for its pack.
     pub(super) elsewhere: bool,
@@ -104,8 +102,7 @@ impl Task<'_> {
         Ok(whose.settled(format!("{message}{keys}")))
     }
 
-    /// Whose pack this is, if something may be done to it: it is certain, a person has decided, or data flash need not be
-    /// touched.
+    /// Whose pack this is, if it is certain, a person has decided, or data flash need not be touched.
     fn whose(
         &self,
         gauge: &mut Gauge,
@@ -196,7 +193,6 @@ impl Task<'_> {
         })
     }
 
-    /// Why nothing may be written without being told to.
     fn doubt(&self, gauge: &mut Gauge, seen: &[Seen]) -> Result<Doubt> {
         let same = compare_seen(gauge, [self.then, self.now], self.plan, seen)?;
         if self.elsewhere && same != Match::Certain {
@@ -233,7 +229,6 @@ impl Task<'_> {
         Ok(if certain { Doubt::None } else { Doubt::Weak })
     }
 
-    /// What the pack that is there now is compared with later.
     fn present(&self, gauge: &mut Gauge) -> Result<Reference> {
         let mut known = Known::default();
         for place in mark_windows(gauge.chip) {
@@ -244,7 +239,6 @@ impl Task<'_> {
     }
 }
 
-/// On whose pack an interrupted write is settled.
 enum Whose {
     /// On the one on which it was begun.
     Certain,
@@ -276,7 +270,6 @@ enum Doubt {
     Because(String, Match),
 }
 
-/// Which gauge somebody has decided about.
 enum Chosen {
     Itself,
     /// Another one, named for the message.
@@ -293,7 +286,6 @@ pub(super) fn shows(seen: &[Seen], same: &Match) -> bool {
     *same == Match::Weak && (erased || explained && !all(Held::Old) && !all(Held::New))
 }
 
-/// Compares a gauge with the one of a plan, whose blocks have been looked at.
 pub(super) fn compare_seen(
     gauge: &mut Gauge,
     [then, now]: [&Identity; 2],
@@ -306,7 +298,6 @@ pub(super) fn compare_seen(
     })
 }
 
-/// The serial number of a gauge, if it has one, as it is shown.
 pub(super) fn number_of(chip: &Chip, identity: &Identity) -> Option<String> {
     chip.serial_register().map(|_| format!("0x{:04x}", identity.serial))
 }

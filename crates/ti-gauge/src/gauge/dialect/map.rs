@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! A map of registers, least significant byte first: Control() at 0x00, the selection and the window of data flash from
-//! 0x3E to 0x61 (SLUSBZ5D 7.3.1, SLUUBH1C 12.1).
+//! A map of little-endian registers: Control() at 0x00, data flash from 0x3E to 0x61 (SLUSBZ5D 7.3.1, SLUUBH1C 12.1).
 
 use std::collections::BTreeSet;
 use std::ops::Range;
@@ -18,7 +17,6 @@ use gauge_bus::replay::Touch;
 
 /// Control(), whose word is a subcommand.
 pub(in crate::gauge) const CONTROL: u8 = 0x00;
-/// The end of that word.
 const CONTROL_END: u8 = 0x02;
 /// DataFlashClass() and DataFlashBlock(), or ManufacturerAccessControl(): what is in the window.
 const SELECTION: Range<u8> = 0x3e..0x40;
@@ -28,7 +26,6 @@ const DATA: Range<u8> = 0x40..0x60;
 const SUM: u8 = 0x60;
 /// BlockDataControl(), or MACDataLen(), which commits what was written to MACData().
 const LENGTH: u8 = 0x61;
-/// All of them.
 const ACCESS: Range<u8> = 0x3e..0x62;
 
 /// What MACDataLen() counts besides the data, and the longest answer to FW_VERSION that any part is known to have.
@@ -36,11 +33,9 @@ const MAC_OVERHEAD: usize = 4;
 const LONGEST_VERSION: usize = 12;
 /// From a subcommand until MACData() must show its answer; the blocks of data flash take as long.
 const ANSWER: Duration = Duration::from_millis(55);
-/// What Control() of a part that answers in MACData() reads once after DEVICE_TYPE or FW_VERSION, in place
-/// of CONTROL_STATUS.
+/// Control() of a part with answers in MACData() reads this once after DEVICE_TYPE or FW_VERSION, not CONTROL_STATUS.
 const ANSWERED_ELSEWHERE: u16 = 0xffa5;
 
-/// AuthenticateData(), AuthenticateChecksum() and what selects them.
 static CHALLENGE: Challenge = Challenge { select: 0x3f, data: 0x40, sum: 0x54, view: 0x61 };
 
 pub(super) struct Map {
@@ -133,8 +128,7 @@ impl Dialect for Map {
 
     fn look(&self, gauge: &mut Gauge, also: &[Source]) -> Result<(u16, Rows)> {
         gauge.command(CONTROL_STATUS)?;
-        // One transfer reads all from Control() to the last of the rows, if the bus carries that; a transfer for each piece
-        // of it would read much that is not asked for.
+        // One transfer reads all, if the bus carries that; one for each piece would read much that is not asked for.
         let last = also.iter().filter_map(|row| row.command()).max().unwrap_or(CONTROL);
         let mut behind = vec![0; usize::from(last)];
         let is_carried = gauge.reach().carries(1, usize::from(CONTROL_END) + behind.len());
@@ -183,8 +177,7 @@ impl Dialect for Map {
 }
 
 impl Map {
-    /// How many of these bytes are read as one: as far as a register ends within what one message carries; all of a longer
-    /// register, and all that is read of the window.
+    /// How many bytes are read as one: up to the end of a register within one message; all of a longer one or the window.
     fn part(&self, chip: &Chip, code: u8, length: usize, most: usize) -> usize {
         if length <= most || self.is_of_window(code, length) {
             return length;
@@ -202,7 +195,6 @@ impl Map {
         within.or_else(|| (most..length).find(is_between)).unwrap_or(length)
     }
 
-    /// What a byte touches that is written to a register.
     fn touch(&self, register: u8) -> Option<Touch> {
         let index = |start: u8| usize::from(register - start);
         match register {
@@ -217,8 +209,7 @@ impl Map {
     }
 }
 
-/// Reads what belongs together in several messages, until two readings in a row agree: a bit error in the register of one
-/// message moves its bytes, and a block's checksum, the sum of all bytes, may still fit.
+/// Reads pieces until two readings agree: a bit error in a register moves bytes, and the sum may still fit.
 fn in_pieces(gauge: &mut Gauge, code: u8, into: &mut [u8], most: usize) -> Result<(), BusError> {
     let most = most & !1;
     let mut before = None;
@@ -234,11 +225,9 @@ fn in_pieces(gauge: &mut Gauge, code: u8, into: &mut [u8], most: usize) -> Resul
     Err(BusError::Unsteady)
 }
 
-/// How many bytes of a write one message has. Only what fills the window is cut: all else must not arrive in part, except
-/// at a gauge that is known to take single bytes.
+/// How many bytes one message has. Only what fills the window is cut, unless the gauge is known to take single bytes.
 fn piece(gauge: &mut Gauge, code: u8, length: usize) -> Result<usize, BusError> {
-    // Where the manual has the rule it is for Control() as well (SLUSBH1C 9.5.4.3); elsewhere Control()
-    // is only ever written as a word.
+    // The manual's rule applies to Control() too (SLUSBH1C 9.5.4.3); elsewhere Control() is only written as a word.
     let by_manual = gauge.chip.byte_writes_above_hz.is_some();
     let is_word = code == CONTROL && !by_manual;
     let reach = if is_word { gauge.carried() } else { gauge.reach() };
@@ -266,7 +255,6 @@ fn firmware(gauge: &mut Gauge, at: u8) -> Result<u16> {
     Ok(word)
 }
 
-/// Reads the answer to CONTROL_STATUS, and with it the registers following Control().
 fn status(gauge: &mut Gauge, behind: &mut [u8]) -> Result<u16> {
     match answer(gauge, CONTROL_STATUS, CONTROL, behind)? {
         ANSWERED_ELSEWHERE if gauge.chip.identity.answer != CONTROL => {
@@ -276,7 +264,6 @@ fn status(gauge: &mut Gauge, behind: &mut [u8]) -> Result<u16> {
     }
 }
 
-/// Reads the answer to a subcommand and the bytes that follow it.
 fn answer(gauge: &mut Gauge, code: u16, at: u8, behind: &mut [u8]) -> Result<u16> {
     // MACData() shows the previous answer until the gauge has stored the new one.
     if at != CONTROL {

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! How often a standard command is read. A host must not issue one more than twice a second, or the gauge's watchdog may
-//! reset it (SLUSBH1C 9.5.4.3, SLUS914A 7.3). Control() and block access are not limited.
+//! A standard command read more than twice a second may make the watchdog reset the gauge (SLUSBH1C 9.5.4.3, SLUS914A 7.3).
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -11,11 +10,9 @@ use std::time::Duration;
 pub(super) const COMMANDS: Range<u8> = 0x02..0x3a;
 /// In this time a command may be read twice.
 const PERIOD: Duration = Duration::from_secs(1);
-/// So long may a flag be awaited faster than that: the kernel's driver reads that of CONFIG UPDATE every 25 ms, up to 100
-/// times.
+/// So long a flag may be awaited faster: the kernel's driver reads that of CONFIG UPDATE every 25 ms, up to 100 times.
 const BURST: Duration = Duration::from_millis(2500);
-/// After that long without a command that was read too often, a flag may be awaited so again: a whole second of the gauge's
-/// is within it.
+/// After that long without an excess the next burst may come: a whole second of the gauge's is within it.
 const CALM: Duration = Duration::from_secs(2);
 
 #[derive(Default)]

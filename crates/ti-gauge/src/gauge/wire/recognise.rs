@@ -6,7 +6,6 @@ use crate::gauge::Gauge;
 use crate::gauge::presence::{Moment, PAUSE};
 use gauge_bus::BusError;
 
-/// Looks at the selection before another one counts.
 const LOOKS: u32 = 2;
 
 impl Gauge {
@@ -54,7 +53,6 @@ impl Gauge {
         self.presence.end();
     }
 
-    /// A pause begins now.
     pub(in crate::gauge) fn rest(&self) {
         self.wire.rested.set(self.clock.now());
     }

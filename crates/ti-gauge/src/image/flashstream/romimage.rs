@@ -2,9 +2,8 @@
 
 //! An image for ROM mode, `.df.fs` or `.bq.fs`, as its parameters.
 //!
-//! TI's tools export one for parts such as the bq34z100-G1. Its commands erase flash and write it row by row, past the
-//! gauge's firmware; interrupted, they leave a gauge that answers at another address only. So the file is interpreted
-//! here, and never sent: its rows of data flash become parameters, which are written like any others.
+//! TI's tools export one for parts such as the bq34z100-G1. Its commands erase and write flash past the firmware;
+//! interrupted, they leave a gauge in ROM mode. So it is never sent: its rows of data flash become parameters.
 
 use super::{Command, DEVICE_TYPE, FW_VERSION, GAUGE, ROM, ROM_MODE, identity};
 use crate::chip::{CHIPS, Chip, Kind, RomImage, Subclass};
@@ -17,25 +16,20 @@ use crate::value::{Type, Value};
 
 const ROW: usize = 32;
 const ROWS: usize = 32;
-/// Rows of instruction flash with the vectors and the firmware's version. A file for data flash only erases them first
-/// and writes them back at its end, so that an interrupted gauge stays in ROM mode.
+/// Rows with the vectors and the firmware's version. A file of data flash erases them first and writes them last.
 const BOOT_ROWS: usize = 2;
 /// Bytes of a command for a row of instruction flash.
 const INSTRUCTION_ROW: usize = 100;
 /// Index of the firmware's version in the command for row 0 of instruction flash, low byte first.
 const VERSION: usize = 52;
-/// Register for a command.
 const COMMAND: u8 = 0x00;
 /// Register for an answer of four or two bytes.
 const ANSWER: u8 = 0x04;
 /// Register for the sum of a command's bytes, which executes it.
 const EXECUTE: u8 = 0x64;
-/// Register for the outcome.
 const STATUS: u8 = 0x66;
-/// Control().
 const CONTROL: u8 = 0x00;
 const DATA_ROW: u8 = 0x0a;
-/// Data of the erase commands.
 const ERASE: [u8; 5] = [0x00, 0x00, 0x00, 0x83, 0xde];
 /// Lifetime data: the history of the image's original pack.
 const LIFETIME: [u8; 2] = [59, 60];
@@ -48,7 +42,6 @@ pub(super) fn is_one(commands: &[(usize, Command)]) -> bool {
     commands.iter().any(|(_, command)| writes(command))
 }
 
-/// Reads an image's data flash. `told` is its chip if the user names it.
 pub(super) fn read(
     commands: &[(usize, Command)],
     told: Option<&'static Chip>,
@@ -92,7 +85,6 @@ fn content(rom: Rom, commands: &[(usize, Command)], told: Option<&'static Chip>)
 struct Rom {
     /// The bytes of a command before its execution, and its line.
     buffer: Vec<u8>,
-    /// The last executed command.
     last: Vec<u8>,
     /// The last line of an unexecuted command.
     pending: Option<usize>,
@@ -271,7 +263,6 @@ impl Rom {
         Ok(self)
     }
 
-    /// The file's chip, by its firmware and layout.
     fn chip(
         &self,
         told: Option<&'static Chip>,
@@ -334,7 +325,6 @@ impl Rom {
         u16::from_be_bytes([bytes[at], bytes[at + 1]])
     }
 
-    /// The line of a byte's row.
     fn line(&self, at: usize) -> usize {
         self.rows[at / ROW].0
     }
@@ -425,7 +415,6 @@ impl Rom {
     }
 }
 
-/// The subclasses of a layout, with the index of each one's first byte.
 fn places(chip: &'static Chip, layout: &RomImage) -> impl Iterator<Item = (&'static Subclass, u16)> {
     layout.subclasses.iter().filter_map(|&(id, start)| Some((chip.subclass(id)?, start)))
 }

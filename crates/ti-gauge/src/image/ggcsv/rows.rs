@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! Rows of a gg.csv, with or without quotes. The crate `csv` would also accept an open quote, text behind a closing
-//! quote, and a blank before a quote as a part of the field.
+//! Rows of a gg.csv. The crate `csv` would accept an open quote, text after a quote, and a blank before one.
 
 /// A row: its first line, and its fields or why they are unreadable.
 #[derive(Debug, PartialEq, Eq)]
@@ -21,8 +20,7 @@ pub(super) fn separator(names: &str) -> char {
     names.chars().find(|letter| [',', ';', '\t'].contains(letter)).unwrap_or(',')
 }
 
-/// All rows with content. A row that begins with `*` without a quote ends with its line: it is a comment, whose text
-/// closes no quote.
+/// All rows with content. A comment, `*` without a quote, ends with its line: its text closes no quote.
 pub(super) fn rows(text: &str, comma: char) -> Vec<Row> {
     let (mut rows, mut rest, mut number) = (Vec::new(), text, 1);
     while !rest.is_empty() {
@@ -47,12 +45,10 @@ pub(super) fn quoted(field: &str) -> String {
     if field.contains(QUOTE) { format!("\"{}\"", field.replace(QUOTE, "\"\"")) } else { field.into() }
 }
 
-/// Number of line ends in a text.
 fn lines_in(text: &str) -> usize {
     text.matches(ENDS).count() - text.matches("\r\n").count()
 }
 
-/// The fields of a text's first row, and the number of bytes up to the end of its line.
 fn row(text: &str, comma: char) -> (Result<Vec<String>, &'static str>, usize) {
     let (mut fields, mut rest) = (Vec::new(), text);
     loop {

@@ -2,8 +2,7 @@
 
 //! Traces of a spreadsheet, which saves texts that look like numbers or dates as it shows them.
 
-/// Why a value needs the bytes beside it to be believed: it has a spreadsheet's form of a number or a date, or is in
-/// quotes.
+/// Why a value needs the bytes beside it: it is quoted, or has a spreadsheet's form of a number or a date.
 pub(super) fn trace(shown: &str) -> Option<&'static str> {
     let is_in = |quote: char| shown.len() > 1 && shown.starts_with(quote) && shown.ends_with(quote);
     if is_in('"') || is_in('\'') {
