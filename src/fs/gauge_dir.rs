@@ -15,7 +15,7 @@ use super::caller::Caller;
 use super::supply::Supply;
 use super::{Content, Item, Mode, Node, Operations, Shape, find, not_writable};
 use crate::report;
-use gauge_owner::{Answers, Done, Failure, Operation, Spoken, operations as op};
+use gauge_owner::{Answers, Done, Failure, FileOperation, Operation, operations as op};
 use ti_gauge::authentication;
 use ti_gauge::chip::{Bit, Register, Role, Tier, snake_case};
 
@@ -24,7 +24,7 @@ struct File {
     mode: Mode,
     show: Show,
     /// The operation that a write to it requests.
-    operation: Option<&'static dyn Spoken>,
+    operation: Option<&'static dyn FileOperation>,
 }
 
 /// Text of a file; `None` while the file does not exist, and empty if it is only written.

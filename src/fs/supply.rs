@@ -9,7 +9,7 @@ use super::transaction::Transaction;
 use super::{
     Content, DfItem, GaugeItem, Item, Knobs, Node, Operations, SUBSYSTEM, Scales, Shape, SimItem, find,
 };
-use gauge_owner::{Context, Done, Handle, Published, Snapshot, Spoken};
+use gauge_owner::{Context, Done, FileOperation, Handle, Published, Snapshot};
 use ti_gauge::chip::Chip;
 
 /// A mounted gauge, whose folder is below the mount point, with the tree's facts about it.
@@ -128,7 +128,7 @@ impl Supply {
     }
 
     /// Requests what was written to an operation's file.
-    pub(super) fn ask(&self, operation: &'static dyn Spoken, text: &[u8], done: Done<()>) {
+    pub(super) fn ask(&self, operation: &'static dyn FileOperation, text: &[u8], done: Done<()>) {
         let snapshot = self.fresh();
         let reading = self.reading(snapshot.as_deref());
         let context = Context {

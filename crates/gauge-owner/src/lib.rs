@@ -69,8 +69,8 @@ pub use options::{GaugeOptions, SimKey};
 #[cfg(any(test, feature = "rig"))]
 pub use owner::rig;
 pub use owner::{
-    Answers, Attempt, Backup, Context, Direct, Done, Effect, Failure, Handle, Learned, Operation, Origin,
-    Presence, Published, Report, Run, Seal, Signal, Snapshot, Spoken, Times, Version, Wish, operations,
-    readable, spawn, start,
+    Answers, Attempt, Backup, Context, Direct, Done, Effect, Failure, FileOperation, Handle, Learned,
+    Operation, Origin, Presence, Published, Report, Run, Seal, Signal, Snapshot, Times, Version, Wish,
+    operations, readable, spawn, start,
 };
 pub use source::{Opened, Script, Source, may_come, recorded};

@@ -85,7 +85,7 @@ use learning::Learning;
 use memory::Memory;
 pub use now::Presence;
 use operation::Request;
-pub use operation::{Context, Spoken};
+pub use operation::{Context, FileOperation};
 pub use operation::{Done, Operation};
 use profile::Profile;
 use readings::Readings;

@@ -171,7 +171,7 @@ pub enum Fact {
 }
 
 /// A reason's field, for programs.
-trait Told {
+trait AsFact {
     /// `None` if it is unknown.
     fn fact(&self) -> Option<Fact>;
 
@@ -181,55 +181,55 @@ trait Told {
     }
 }
 
-impl Told for u16 {
+impl AsFact for u16 {
     fn fact(&self) -> Option<Fact> {
         Some(Fact::Number((*self).into()))
     }
 }
 
-impl Told for u32 {
+impl AsFact for u32 {
     fn fact(&self) -> Option<Fact> {
         Some(Fact::Number((*self).into()))
     }
 }
 
-impl Told for i64 {
+impl AsFact for i64 {
     fn fact(&self) -> Option<Fact> {
         Some(Fact::Number(*self))
     }
 }
 
-impl Told for Cow<'static, str> {
+impl AsFact for Cow<'static, str> {
     fn fact(&self) -> Option<Fact> {
         Some(Fact::Text(self.clone()))
     }
 }
 
-impl Told for String {
+impl AsFact for String {
     fn fact(&self) -> Option<Fact> {
         Some(Fact::Text(self.clone().into()))
     }
 }
 
-impl Told for &'static str {
+impl AsFact for &'static str {
     fn fact(&self) -> Option<Fact> {
         Some(Fact::Text((*self).into()))
     }
 }
 
-impl Told for bool {
+impl AsFact for bool {
     fn fact(&self) -> Option<Fact> {
         self.then_some(Fact::Yes)
     }
 }
 
-impl<T: Told> Told for Option<T> {
+impl<T: AsFact> AsFact for Option<T> {
     fn fact(&self) -> Option<Fact> {
-        self.as_ref().and_then(Told::fact)
+        self.as_ref().and_then(AsFact::fact)
     }
 }
 
-impl Told for Error {
+impl AsFact for Error {
     fn fact(&self) -> Option<Fact> {
         Some(Fact::Failure(self.clone()))
     }

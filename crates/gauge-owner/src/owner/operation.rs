@@ -134,12 +134,12 @@ impl<A, T> Operation<A, T> {
 }
 
 /// An operation with a file, whatever its argument is.
-pub trait Spoken: Sync {
+pub trait FileOperation: Sync {
     /// Queues a request with the argument that was written, or refuses the text.
     fn ask(&'static self, handle: &Handle, context: &Context, text: &[u8], done: Done<()>);
 }
 
-impl<A: Send> Spoken for Operation<A> {
+impl<A: Send> FileOperation for Operation<A> {
     fn ask(&'static self, handle: &Handle, context: &Context, text: &[u8], done: Done<()>) {
         let Some(parse) = self.parse.filter(|_| !(self.ignores_blank && text.trim_ascii().is_empty())) else {
             return done(Ok(()));
