@@ -2,9 +2,8 @@
 
 //! A [`Bus`] that gives up waiting for a transfer after a limited time.
 //!
-//! A transfer is a system call, and the driver of an adapter may hang in it for good; no signal ends such a call. So
-//! each bus has a thread of its own for its transfers, and its caller can give up waiting. Until the transfer has
-//! returned, nothing else is sent on that adapter, for this target or another one.
+//! A driver may hang in a transfer for good; no signal ends such a call. So each bus has a thread for its transfers, and
+//! its caller can give up. Until the transfer has returned, nothing else is sent on that adapter.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::panic::{self, AssertUnwindSafe};
@@ -35,20 +34,17 @@ fn names() -> MutexGuard<'static, BTreeMap<u64, String>> {
     NAMES.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// What an adapter is called in messages.
 pub(crate) fn name(adapter: u64) -> String {
     names().get(&adapter).cloned().unwrap_or_else(|| format!("/dev/i2c-{adapter}"))
 }
 
-/// A task for the thread.
 enum Job {
     Transfer { write: Vec<u8>, read: usize },
     Claim,
     Release,
 }
 
-/// The outcome of a job, the bytes that were read, and the reach of the bus, which has changed if the adapter has; or the
-/// panic of the job.
+/// The outcome of a job, the bytes read, and the reach of the bus, which may be another adapter's; or its panic.
 type Outcome = thread::Result<(Result<(), BusError>, Vec<u8>, Reach)>;
 
 /// A bus, the thread that transfers on it, and the time that it may take.
@@ -64,7 +60,6 @@ pub struct Bounded {
     overdue: bool,
     /// See [`Bus::limit`].
     latest: Option<Duration>,
-    /// That of the bus when it was last asked.
     reach: Reach,
 }
 
@@ -90,7 +85,6 @@ impl Bounded {
         Self { adapter, patience, clock, jobs, outcomes, thread, overdue: false, latest: None, reach }
     }
 
-    /// Takes note of a transfer that has returned after all.
     fn catch_up(&mut self) -> Result<(), BusError> {
         if self.overdue {
             match self.outcomes.try_recv() {

@@ -1,9 +1,7 @@
 // SPDX-License-Identifier: MIT
 
-//! The time that the code above a bus measures and waits for: a [`Clock`] to read and to sleep on.
-//!
-//! The daemon uses [`RealClock`]. Tests use [`SimClock`], where a sleep takes no real time and the simulated
-//! bus adds the duration of its transfers. This is the only place that calls `thread::sleep`.
+//! A [`Clock`] to read and to sleep on. On a [`SimClock`] a sleep takes no real time, and the simulated bus adds the
+//! duration of its transfers. This is the only place that calls `thread::sleep`.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
@@ -16,13 +14,11 @@ pub trait Clock: Send + Sync {
     fn now(&self) -> Duration;
     /// Returns when at least `time` has passed.
     fn sleep(&self, time: Duration);
-    /// Adds time that a bus has taken. Only a simulated clock needs this; a real one advances by
-    /// itself.
+    /// Adds time that a bus has taken; a real clock advances by itself.
     fn spend(&self, _time: Duration) {}
 }
 
-/// The machine's monotonic clock. It goes on while the machine is asleep, in which time a pack may be exchanged, and
-/// values grow old; a sleep on it does not end earlier for that.
+/// The machine's monotonic clock. It goes on while the machine is asleep, when a pack may be exchanged.
 #[derive(Debug)]
 pub struct RealClock(Duration);
 
@@ -81,8 +77,7 @@ impl Clock for SimClock {
     }
 }
 
-/// Real time, except that a sleep ends at once and counts as slept: a write takes seconds of a simulated gauge and
-/// microseconds of the caller.
+/// Real time, except that a sleep ends at once and counts as slept, for writes to simulated gauges.
 #[derive(Debug, Default)]
 pub struct HurriedClock {
     real: RealClock,

@@ -111,7 +111,6 @@ impl Error {
         Self::new(subject, ErrorKind::Io(error.kind()), format!("{what}: {}", reason(error)))
     }
 
-    /// Puts a larger subject in front, such as the file that contains the line.
     pub(crate) fn within(mut self, subject: &str) -> Self {
         self.subject = format!("{subject}: {}", self.subject);
         self

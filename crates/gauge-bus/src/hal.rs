@@ -2,9 +2,7 @@
 
 //! Adapters to and from `embedded-hal`: any blocking [`I2c`] as a [`Bus`], and any [`Bus`] as an [`I2c`].
 //!
-//! With the first, code that uses a [`Bus`] runs on the I2C of a microcontroller or of any other
-//! `embedded-hal` driver. With the second, published driver crates run against a simulated gauge, a recording, or a
-//! Linux adapter.
+//! Published driver crates run against a simulated gauge, a recording, or a Linux adapter, as an [`I2c`].
 
 use embedded_hal::i2c::{Error as _, ErrorKind, ErrorType, I2c, NoAcknowledgeSource, Operation};
 
@@ -94,8 +92,7 @@ impl<B> ErrorType for AsHal<B> {
 }
 
 impl<B: Bus> I2c for AsHal<B> {
-    /// A transfer of a [`Bus`] has one write and one read, so each pair of them becomes one transfer.
-    /// Consecutive writes are merged into one message, as `embedded-hal` requires, and so are reads.
+    /// Each write and read becomes one transfer. Consecutive ones are merged, as `embedded-hal` requires.
     fn transaction(&mut self, address: u8, operations: &mut [Operation<'_>]) -> Result<(), BusError> {
         if address != self.address {
             return Err(BusError::NoAck);
@@ -115,7 +112,6 @@ impl<B: Bus> I2c for AsHal<B> {
 }
 
 impl<B: Bus> AsHal<B> {
-    /// Performs one transfer: first the write, then the read.
     fn transfer(&mut self, operations: &mut [Operation<'_>]) -> Result<(), BusError> {
         let (mut write, mut length) = (Vec::new(), 0);
         for operation in operations.iter() {

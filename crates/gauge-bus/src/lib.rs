@@ -2,13 +2,11 @@
 
 //! One START...STOP transfer to one I2C target, on real adapters, recordings and other buses.
 //!
-//! A [`Bus`] addresses one target with a 7-bit address. It is implemented by a real adapter ([`linux`]), a
-//! recorded gauge ([`replay`]), any `embedded-hal` I2C ([`hal`]), a simulated gauge (the crate `gauge-sim`), and
-//! a recorder around another bus ([`trace`]), or a bus that gives up on a driver that hangs ([`bounded`]). The layers
-//! above measure time and wait with [`clock`], so that tests need not wait.
+//! A [`Bus`] addresses one target with a 7-bit address: a real adapter ([`linux`]), a recorded gauge ([`replay`]), any
+//! `embedded-hal` I2C ([`hal`]), a simulated gauge (the crate `gauge-sim`), a recorder around another bus ([`trace`]), or
+//! one that gives up on a driver that hangs ([`bounded`]). The layers above measure time with [`clock`].
 //!
-//! The only thing that this crate knows of fuel gauges is their address: no registers, no keys, no data flash. What
-//! [`replay`] has to know, which writes select the answer to a read, it is told.
+//! Of fuel gauges this crate knows the address only; [`replay`] is told which writes select the answer to a read.
 //!
 //! ```
 //! use gauge_bus::{Bus, BusError};
@@ -64,8 +62,7 @@ pub const GAUGE_ADDRESS: u8 = 0x55;
 pub enum BusError {
     /// The address or a byte after it was not acknowledged.
     NoAck,
-    /// Not acknowledged, or something else for which the adapter's driver has the same error number. Neither that nothing
-    /// answers at the address nor that nothing was sent follows from it.
+    /// Not acknowledged, or something else with that errno: an answer at the address or an effect is not excluded.
     MaybeNoAck(i32),
     /// Another controller won arbitration.
     ArbitrationLost,
@@ -109,8 +106,7 @@ pub enum BusError {
     Other(i32),
 }
 
-/// The errnos of a disturbed transfer, other than those that have a variant of `BusError`. The kernel's
-/// `Documentation/i2c/fault-codes.rst` leaves adapters much choice.
+/// The errnos of a disturbed transfer without a variant. The kernel's `fault-codes.rst` leaves adapters much choice.
 const DISTURBED: [Errno; 7] = [
     // i2c-gpio: a byte after the address was not acknowledged. Adapters behind USB: any failure.
     Errno::IO,
@@ -127,7 +123,6 @@ const DISTURBED: [Errno; 7] = [
 ];
 
 impl BusError {
-    /// Its text, the errno of an operation that fails with it, and whether the same transfer may succeed when it is sent again.
     fn row(self) -> (Cow<'static, str>, i32, bool) {
         let (text, errno, is_transient) = match self {
             BusError::NoAck => ("not acknowledged; is the gauge powered and connected?", Errno::NXIO, true),
@@ -212,15 +207,13 @@ impl BusError {
         self.row().2
     }
 
-    /// Whether the target may have refused the transfer by not acknowledging it. Adapters that cannot report
-    /// this as such report an input/output error.
+    /// Whether the target may not have acknowledged. Some adapters report an input/output error instead.
     pub fn may_be_no_ack(self) -> bool {
         matches!(self, BusError::NoAck | BusError::MaybeNoAck(_))
             || self == BusError::Other(Errno::IO.raw_os_error())
     }
 
-    /// The error whose `Display` is `text`, for reading recordings. An unknown text becomes an input/output
-    /// error of the adapter.
+    /// The error whose `Display` is `text`, for recordings; else an input/output error.
     pub fn by_text(text: &str) -> Self {
         let known = [
             BusError::NoAck,
@@ -259,8 +252,7 @@ pub trait Bus: Send {
     /// After an error, it may be unknown whether the transfer had its effect on the target.
     fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), BusError>;
 
-    /// The bus that this one hands its transfers to, if it is a layer around another. Whatever else a bus is told goes
-    /// there by itself: a layer that forgot to pass on `set_secret` would leave keys in a recording below it.
+    /// The bus below a layer. What else a bus is told goes there by itself: `set_secret` must reach a recorder.
     fn inner(&mut self) -> Option<&mut dyn Bus> {
         None
     }
@@ -275,8 +267,7 @@ pub trait Bus: Send {
         self.inner().map_or(Ok(()), |bus| bus.claim())
     }
 
-    /// Announces the time of the clock after which no further transfer is started. A transfer that is under way then
-    /// is not waited for much longer. `None` ends the limit.
+    /// Announces when the last transfer may start; one that is under way is not waited for much longer. `None`: no limit.
     fn limit(&mut self, latest: Option<Duration>) {
         if let Some(bus) = self.inner() {
             bus.limit(latest);
@@ -290,8 +281,7 @@ pub trait Bus: Send {
         }
     }
 
-    /// Announces that the transfers from now on carry keys or security data (`true`), or no longer do (`false`).
-    /// A bus that records transfers must hide those in between.
+    /// Announces that transfers carry keys or security data from now on, or no longer do: recorders must hide those.
     fn set_secret(&mut self, secret: bool) {
         if let Some(bus) = self.inner() {
             bus.set_secret(secret);

@@ -2,11 +2,10 @@
 
 //! A target behind `/dev/i2c-N`, or behind a FUSE file or a device of CUSE that answers like one, as `gaugefs sim` serves it.
 //!
-//! Transfers use I2C_RDWR, so that a pointer write and the read after it are one transfer with a repeated
-//! START. The address is claimed with I2C_SLAVE first, because I2C_RDWR does not report that a kernel driver
-//! is bound to it. When the adapter is unplugged, its file is closed: the kernel keeps an unplugged adapter
-//! until its last user has closed it. When the adapter is back, the next transfer opens it again. A driver that
-//! hangs is given up after a while ([`bounded`](crate::bounded)).
+//! Transfers use I2C_RDWR: a pointer write and the read after it are one transfer with a repeated START. I2C_SLAVE claims
+//! the address first, because I2C_RDWR does not report a kernel driver that is bound to it. The file of an unplugged
+//! adapter is closed, for which the kernel waits; the next transfer opens it again. A driver that hangs is given up after
+//! a while ([`bounded`](crate::bounded)).
 //!
 //! All `unsafe` code of this crate is here; it makes calls for which the crate `i2cdev` has no function.
 
@@ -56,8 +55,7 @@ pub struct Adapter {
     device: u64,
 }
 
-/// The device behind a path, if it may be an adapter: a node of i2c-dev or CUSE, or a file that is a FUSE mount by itself.
-/// Others are not even opened, because that has effects on many devices.
+/// The device behind a path that may be an adapter: i2c-dev, CUSE, a FUSE mount of one file. To open others has effects.
 fn device(path: &Path, status: &fs::Metadata) -> Option<u64> {
     /// `FUSE_SUPER_MAGIC` of `linux/magic.h`.
     const FUSE: i64 = 0x6573_5546;
@@ -121,8 +119,7 @@ impl Adapter {
         }
     }
 
-    /// The adapter's number: N in `i2c-N`, whatever the name of the node. That of a FUSE file or a
-    /// device of CUSE is larger than any of these.
+    /// The adapter's number: N in `i2c-N`, whatever the node's name. A FUSE file's or CUSE device's is larger.
     pub fn number(&self) -> u64 {
         if self.device & (FILE | CUSE) != 0 { self.device } else { minor(self.device) }
     }
@@ -146,13 +143,11 @@ impl Adapter {
         clock(Path::new("/"), self.number()).map(|clock| clock.hz)
     }
 
-    /// What is known of its driver.
     fn row(&self) -> Option<&'static Row> {
         Row::of(Path::new("/"), self.number())
     }
 
-    /// Whether it is known how long messages it sends as one: it is in the table of drivers, or a program serves it, which
-    /// gets messages as they are.
+    /// Whether it is known what it sends as one message: by the table of drivers, or because a program serves it.
     pub fn is_known(&self) -> bool {
         self.device & (FILE | CUSE) != 0 || self.row().is_some()
     }
@@ -172,7 +167,6 @@ impl Adapter {
         mux::path(Path::new("/"), self.number())
     }
 
-    /// The adapters in front of the muxes that lead to it.
     fn above(&self) -> Vec<u64> {
         mux::above(Path::new("/"), self.number())
     }
@@ -197,7 +191,6 @@ impl Adapter {
         }
     }
 
-    /// Whether the node still belongs to the same adapter.
     fn is_there(&self) -> bool {
         fs::metadata(&self.path).is_ok_and(|status| device(&self.path, &status) == Some(self.device))
     }
@@ -221,8 +214,7 @@ fn refusal_of_mux(subject: &str, number: u64, muxes: &[Mux]) -> Option<Error> {
     Some(Error::new(subject, ErrorKind::HasMux, why))
 }
 
-/// The kernel driver that is bound to an address of an adapter of the system below `root`, or of one in front of it or
-/// behind it: the kernel refuses the address on all of them.
+/// The kernel driver of an address, below `root`, also in front of a mux or behind it: the kernel refuses all of them.
 pub fn driver_near(root: &Path, number: u64, address: u8) -> Option<Driver> {
     let near = [vec![number], mux::above(root, number), mux::below(root, number)].concat();
     near.into_iter().find_map(|number| driver(root, number, address))
@@ -258,8 +250,7 @@ fn functions(device: &impl AsRawFd) -> nix::Result<libc::c_ulong> {
     Ok(functions)
 }
 
-/// Locks one byte of the node, at the offset of the address, for as long as the node is open. Unlike a lock
-/// file, this works between different accounts, and it needs no further file.
+/// Locks the address's byte of the node while it is open. Unlike a lock file, this works between accounts.
 fn hold(node: &impl AsRawFd, address: u8, kind: libc::c_int) -> nix::Result<()> {
     let lock = libc::flock {
         l_type: kind as libc::c_short,

@@ -2,9 +2,8 @@
 
 //! What a bus can carry.
 //!
-//! The limits are those of the kernel's adapters: `struct i2c_adapter_quirks` of `linux/i2c.h`, and the bits of I2C_FUNCS. A
-//! [`Bus`](crate::Bus) combines nothing but a write and the read after it, so adapters that refuse any other combination
-//! (`I2C_AQ_COMB_WRITE_THEN_READ`) have no limit here.
+//! The limits are those of `struct i2c_adapter_quirks` of `linux/i2c.h`, and the bits of I2C_FUNCS. Only a write and the
+//! read after it are combined, so `I2C_AQ_COMB_WRITE_THEN_READ` is no limit here.
 
 /// The limits of a bus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -1,12 +1,8 @@
 // SPDX-License-Identifier: MIT
 
-//! Files of the host: those that gaugefs keeps (its log, traces, journals, backups, locks), those that it is told to
-//! write, and those that it is told to read.
-//!
-//! Where another user can create files in the same folder, such as `/tmp`, the name may already be a symbolic
-//! link to some other file, or a FIFO, whose open waits for the other end. gaugefs keeps and writes no such
-//! files. It reads only regular files of a sensible length, also inside a mount, whose files may be whatever its owner
-//! likes. `clippy.toml` allows no other way to read a whole file.
+//! Files of the host that gaugefs keeps, writes or reads. Where another user can create files, such as in `/tmp`, a name
+//! may be a symbolic link, or a FIFO, whose open waits: gaugefs keeps and writes no such files. It reads only regular
+//! files of a sensible length, also inside a mount. `clippy.toml` allows no other way to read a whole file.
 
 use std::fs::{self, File, Metadata, OpenOptions, Permissions};
 use std::io::{self, BufRead, ErrorKind, Read, Write};
@@ -24,8 +20,7 @@ use rustix::process::geteuid;
 /// Largest size of a file that the system keeps: in `/proc`, `/sys`, and the tables of `/etc`.
 pub const SYSTEM: u64 = 16 << 20;
 
-/// Opens a regular file. The last component of the path is not followed if it is a symbolic link, and the call
-/// never waits. The folders above it are trusted.
+/// Opens a regular file, without waiting. A symbolic link as the last component is not followed.
 pub fn open(options: &OpenOptions, path: &Path) -> io::Result<File> {
     let flags = OFlags::NOFOLLOW | OFlags::NONBLOCK | OFlags::NOCTTY;
     let file = options.clone().custom_flags(flags.bits() as i32).open(path).map_err(|error| {
@@ -39,8 +34,7 @@ pub fn open(options: &OpenOptions, path: &Path) -> io::Result<File> {
     if file.metadata()?.is_file() { Ok(file) } else { Err(irregular()) }
 }
 
-/// Reads a regular file of at most `limit` bytes. Symbolic links are followed. Anything else is not even
-/// opened, except a pipe that this process has inherited, such as a shell's `<(command)`.
+/// Reads a regular file of at most `limit` bytes, behind links, or a pipe that is inherited, as `<(command)`.
 pub fn read(path: &Path, limit: u64) -> io::Result<Vec<u8>> {
     read_file(follow(File::options().read(true), path, is_inherited(path))?, limit)
 }
@@ -55,7 +49,6 @@ pub fn open_linked(options: &OpenOptions, path: &Path) -> io::Result<File> {
     follow(options, path, false)
 }
 
-/// Opens a regular file, or a pipe where that is allowed, behind any symbolic links.
 fn follow(options: &OpenOptions, path: &Path, pipe: bool) -> io::Result<File> {
     let check = |mode: u32| match FileType::from_raw_mode(mode) {
         FileType::RegularFile => Ok(()),
@@ -91,8 +84,7 @@ pub fn read_from(from: impl Read, limit: u64) -> io::Result<Vec<u8>> {
     if bytes.len() as u64 > limit { Err(too_long(limit)) } else { Ok(bytes) }
 }
 
-/// The lines of a source that may have no end, each of at most `limit` bytes. A longer line is an error, and so is one
-/// that is not text.
+/// The lines of a source that may have no end, of at most `limit` bytes each; more, or no text, is an error.
 pub fn lines(mut from: impl BufRead, limit: u64) -> impl Iterator<Item = io::Result<String>> {
     std::iter::from_fn(move || {
         let mut line = Vec::new();
@@ -133,12 +125,10 @@ pub enum Replace {
     Never,
 }
 
-/// Writes a file as a whole: under its name is the old content or the new one, whenever this process or the machine
-/// ends, and the new one is on disk when the call returns. It is written under a temporary name in the same folder, so
-/// that folder must be writable.
+/// Writes a file as a whole: it has the old content or the new one, whenever this process or the machine ends, and the
+/// new one is on disk when the call returns. Its folder must be writable.
 ///
-/// A symbolic link is refused. A target that takes text and keeps none (`/dev/null`, a terminal, a pipe with a reader)
-/// is written to. Every other device is refused: it may be a disk or a bus.
+/// A symbolic link is refused. `/dev/null`, a terminal or a pipe is written to; other devices may be a disk or a bus.
 pub fn replace(path: &Path, bytes: &[u8], how: Replace) -> io::Result<()> {
     let old = match target(path)? {
         Target::Stream(mut stream) => return stream.write_all(bytes),
@@ -166,8 +156,7 @@ pub fn replace(path: &Path, bytes: &[u8], how: Replace) -> io::Result<()> {
     }
 }
 
-/// Opens a file to add to it, which is created if it is missing. Targets that keep no text are opened as for
-/// [`replace`].
+/// Opens a file to add to it, created if it is missing. Targets that keep no text are as for [`replace`].
 pub fn append(path: &Path) -> io::Result<File> {
     match target(path)? {
         Target::Stream(stream) => Ok(stream),
@@ -198,7 +187,6 @@ pub fn check_open(options: &OpenOptions, path: &Path) -> io::Result<()> {
     }
 }
 
-/// Whether a file can be created in the folder of that path.
 fn may_create(path: &Path) -> io::Result<()> {
     use rustix::fs::{Access, AtFlags, accessat};
     if path.file_name().is_none() {
@@ -211,7 +199,6 @@ fn may_create(path: &Path) -> io::Result<()> {
     Ok(accessat(CWD, folder, Access::WRITE_OK | Access::EXEC_OK, AtFlags::EACCESS)?)
 }
 
-/// The object at the path of a file to write.
 enum Target {
     New,
     File(Metadata),
@@ -254,7 +241,6 @@ fn target(path: &Path) -> io::Result<Target> {
     Ok(Target::Stream(file))
 }
 
-/// The folder of a path.
 fn folder(path: &Path) -> &Path {
     path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
@@ -292,7 +278,6 @@ fn like(file: &File, old: &Metadata) -> io::Result<()> {
     file.set_permissions(Permissions::from_mode(mode))
 }
 
-/// Renames a file unless there is one of the new name.
 fn rename_new(from: &Path, to: &Path) -> io::Result<()> {
     match renameat_with(CWD, from, CWD, to, RenameFlags::NOREPLACE) {
         // A file system without that.

@@ -1,12 +1,9 @@
 // SPDX-License-Identifier: MIT
 
-//! A [`Bus`] that answers from a file that [`super::trace`] wrote: a recorded gauge that can be read.
-//!
-//! The answer of a target at a register depends on what was written before: the subcommand for its answer, the
-//! selected block for the data window, and the seal state for both. So a read gets the answers that were recorded
-//! at the same register after the same writes, in their order; after the last one, the last that was not a
-//! failure is repeated. Writes that only select an answer are accepted, because they change nothing. All other
-//! writes are refused. If the recorded gauge was unsealed, any key is accepted.
+//! A [`Bus`] that answers from a file of [`super::trace`]. An answer depends on what was written before: subcommand,
+//! selected block, seal state. So a read gets what was recorded at its register after the same writes, in their order;
+//! after the last one, the last that was not a failure is repeated. Writes that only select an answer are accepted, all
+//! others refused. If the recorded gauge was unsealed, any key is accepted.
 
 use std::collections::HashMap;
 use std::path::Path;
@@ -108,8 +105,7 @@ impl Recording {
     }
 }
 
-/// The bytes written and the number of bytes to read if the line is a transfer; the inner `None` if the
-/// transfer is malformed.
+/// What the line writes, and how many bytes it reads; the inner `None` if it is a malformed transfer.
 fn command(line: &str) -> Option<Option<(Vec<u8>, usize)>> {
     let (line, is_comment) = line.strip_prefix("; ").map_or((line, false), |line| (line, true));
     if let Some(rest) = line.strip_prefix("W:") {
@@ -124,7 +120,6 @@ fn command(line: &str) -> Option<Option<(Vec<u8>, usize)>> {
     Some(bytes.zip(number(count)).map(without_address))
 }
 
-/// A number of bytes.
 fn number(text: &str) -> Option<usize> {
     text.parse().ok().filter(|number: &usize| number.to_string() == text)
 }
@@ -142,7 +137,6 @@ fn hex(text: &str) -> Option<Vec<u8>> {
     text.split_ascii_whitespace().map(byte).collect()
 }
 
-/// The result of a transfer, from the line below it.
 fn outcome(line: &str) -> Option<Answer> {
     let (time, rest) = line.strip_prefix(';')?.trim_start().split_once(' ')?;
     time.parse::<f64>().ok()?;
@@ -155,7 +149,6 @@ fn outcome(line: &str) -> Option<Answer> {
     }
 }
 
-/// The state on which an answer depends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 struct Context {
     /// Keys were sent since the gauge was last sealed.
@@ -164,7 +157,6 @@ struct Context {
     about: Option<(bool, [u8; 2])>,
 }
 
-/// The writes on which later answers depend.
 struct Written {
     seals: Seals,
     touches: Touches,
@@ -211,8 +203,7 @@ impl Written {
         (self.touches)(&[register, 0]).first().map(|(touch, _)| *touch)
     }
 
-    /// The value last written to a register that selects a block, which a gauge shows there; `None` for other
-    /// registers.
+    /// What was last written to a register that selects, and so shows it; `None` for others.
     fn selected(&self, register: u8) -> Option<u8> {
         if let Some(Touch::Selects(at)) = self.touch(register) { Some(self.selection[at]) } else { None }
     }
@@ -227,7 +218,6 @@ impl Written {
     }
 }
 
-/// The recorded answers to one read, in their order.
 #[derive(Default)]
 struct Series {
     answers: Vec<Answer>,

@@ -2,8 +2,7 @@
 
 //! A [`Bus`] that records every transfer in a file similar to a FlashStream.
 //!
-//! Commands are `W:` and `R:` lines; times and answers are in comments. Transfers that carry keys or security
-//! data are replaced by a line `; hidden`.
+//! Commands are `W:` and `R:` lines; times and answers are comments. Keys and security data become `; hidden`.
 
 use std::fmt::Write as _;
 use std::fs::File;
@@ -36,7 +35,6 @@ pub enum Event {
 }
 
 impl Event {
-    /// Its lines in a trace of the gauge at that address.
     fn lines(&self, address: u8) -> String {
         match self {
             Event::Hidden => "; hidden\n".to_string(),
@@ -50,8 +48,7 @@ impl Event {
 /// The line above the transfers.
 const FORM: &str = "; Below each transfer: seconds since the start, and the result.\n";
 
-/// The text of a trace: which gauge it is of, as for [`Trace::new`], then lines about it, which [`replay`] skips, and
-/// the recorded transfers of the gauge at that address.
+/// The text of a trace: which gauge, lines about it, which [`replay`] skips, and its recorded transfers.
 ///
 /// [`replay`]: crate::replay
 pub fn text(head: &str, about: &[String], address: u8, events: &[Event]) -> String {
@@ -65,8 +62,7 @@ pub fn text(head: &str, about: &[String], address: u8, events: &[Event]) -> Stri
         .collect()
 }
 
-/// Whether a trace can be recorded in a file, as far as that can be seen without a change. A file that has something in
-/// it is refused, unless it is to be replaced.
+/// Whether a trace can be recorded in a file. One with something in it is refused, unless it is to be replaced.
 pub fn check(path: &Path, replace: bool) -> std::io::Result<()> {
     regular::check_open(File::options().append(true), path)?;
     if !replace && path.metadata().is_ok_and(|status| status.len() > 0) {
@@ -86,8 +82,7 @@ pub struct Trace {
 }
 
 impl Trace {
-    /// Records the transfers of `bus` in a file that only its owner can read. A file that has something in it is an
-    /// error, unless it is to be replaced.
+    /// Records `bus` in a file that only its owner can read; one with something in it is an error without `replace`.
     pub fn new(
         bus: Box<dyn Bus>,
         address: u8,

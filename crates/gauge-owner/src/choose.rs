@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! Chooses a gauge's profile. Rules are tried in order, and the first match wins. They look at what the gauge answers, at a
-//! file, such as that of a converter which measures a resistor in the pack, or at what a program prints.
+//! Chooses a gauge's profile. Rules are tried in order; the first match wins. They look at answers, a file or a program.
 
 use std::io::{self, ErrorKind};
 use std::path::PathBuf;
@@ -52,7 +51,6 @@ pub(crate) struct Chosen<'a> {
     pub(crate) why: String,
 }
 
-/// Why nothing was chosen.
 #[derive(Debug)]
 pub(crate) struct Undecided {
     pub(crate) why: String,
@@ -66,8 +64,7 @@ impl From<String> for Undecided {
     }
 }
 
-/// The first choice that fits a gauge with these answers. An error says why nothing was chosen: no rule fits, or one cannot
-/// be decided, after which a later one must not count.
+/// The first choice that fits these answers. An error: no rule fits, or one is undecided, and later ones must not count.
 pub(crate) fn choose<'a>(
     choices: &'a [Choice],
     answers: &Answers,
@@ -128,7 +125,6 @@ pub(crate) fn choose<'a>(
 }
 
 impl Rule {
-    /// Whether it accepts what was found.
     fn accepts(&self, found: &str) -> Result<bool, String> {
         let is_text = self.text.as_ref().is_none_or(|text| text == found);
         if self.from.is_none() && self.to.is_none() {

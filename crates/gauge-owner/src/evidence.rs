@@ -2,8 +2,7 @@
 
 //! Where a pack shows what it is, besides its gauge: in a file, or in what a program prints.
 //!
-//! Neither is gaugefs's own, and either may hang. Not even SIGKILL ends a process that waits for a file system without an
-//! answer, so a child process looks, a thread waits for the child, and the caller waits for the thread for a moment only.
+//! Either may hang, and SIGKILL does not end a process that waits for a file system: a child looks, a thread waits for it.
 
 use std::fmt;
 use std::io::{self, ErrorKind, PipeReader, Read as _};
@@ -73,8 +72,7 @@ impl fmt::Display for Evidence {
     }
 }
 
-/// The looks for one gauge, at most one at each piece of evidence: a look that cannot be ended is left behind, and none is
-/// started beside it.
+/// The looks for one gauge, at most one at each piece: one that cannot be ended is left behind, without another one.
 #[derive(Debug)]
 pub(crate) struct Looks {
     begun: Vec<Look>,
@@ -93,7 +91,6 @@ struct Look {
     group: Arc<Mutex<Group>>,
 }
 
-/// The process group of a look.
 #[derive(Debug, Default)]
 struct Group {
     /// While it has not been waited for, so that its number is its own.
@@ -119,8 +116,7 @@ impl Looks {
         self.begun.iter_mut().for_each(|look| look.is_stale = true);
     }
 
-    /// What a piece of evidence shows, as often as it is looked at. `WouldBlock` says that the look goes on, to be asked for
-    /// again.
+    /// What a piece of evidence shows, as often as it is looked at. `WouldBlock`: the look goes on, to be asked for again.
     pub(crate) fn at(
         &mut self,
         evidence: &Evidence,
@@ -191,7 +187,6 @@ fn lock(group: &Mutex<Group>) -> MutexGuard<'_, Group> {
     group.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Looks, by a child process.
 struct Looker {
     end: Instant,
     group: Arc<Mutex<Group>>,
@@ -224,7 +219,6 @@ impl Looker {
         }
     }
 
-    /// The content of a file.
     fn read(&mut self, path: &Path) -> io::Result<Vec<u8>> {
         let mut command = command("/bin/sh");
         command.args(["-c", READ, "sh"]).arg(path);
@@ -238,8 +232,7 @@ impl Looker {
         Err(io::Error::other(why.to_string()))
     }
 
-    /// What a program prints, and how it has ended. One that takes too long, or prints too much, is killed with what it has
-    /// started.
+    /// What a program prints, and how it ends. Too much time or text kills it, with what it has started.
     fn printed(&mut self, mut command: Command) -> io::Result<(Vec<u8>, ExitStatus)> {
         let (out, into) = io::pipe()?;
         command.stdout(into);
@@ -259,7 +252,6 @@ impl Looker {
         })
     }
 
-    /// Waits for a program that has closed its output.
     fn end_of(&self, child: &mut Child) -> io::Result<ExitStatus> {
         loop {
             let mut group = lock(&self.group);
@@ -283,7 +275,6 @@ fn command(program: &str) -> Command {
     command
 }
 
-/// The only line of a text.
 fn word(bytes: Vec<u8>) -> io::Result<String> {
     let text = regular::text(bytes)?.trim().to_string();
     match text.len() {

@@ -24,8 +24,7 @@ pub fn check(folder: &Path) -> Result<()> {
     access(there, AccessFlags::W_OK | AccessFlags::X_OK).map_err(|errno| failed(&errno.into()))
 }
 
-/// The folder, and the name of the gauge in it. A gauge that ends with this process has no name, since there is
-/// nothing to settle later; it has one only if a folder was given.
+/// The folder, and the gauge's name in it. A gauge that ends with this process has one only if a folder was given.
 pub fn place(folder: Option<&Path>, key: Option<String>) -> Result<Option<(PathBuf, String)>> {
     let key = match (key, folder) {
         (Some(key), _) => key,

@@ -28,8 +28,7 @@ pub fn from_file(path: &Path, gauge: &str) -> Result<Keys> {
     Keys::parse(&name, &read(file, &name)?, gauge)
 }
 
-/// Checks, for root, the file that systemd copies to a service's credential: the copy does not show who may read
-/// the original. A missing file counts as private.
+/// Checks, for root, the original of a service's credential, which does not show who may read it. No file is private.
 pub fn check(path: &Path) -> Result<()> {
     let name = path.display().to_string();
     match open(path, &name) {
@@ -39,7 +38,6 @@ pub fn check(path: &Path) -> Result<()> {
     }
 }
 
-/// Refuses a key file that belongs to another user, or that others may read.
 fn private(status: &Metadata, name: &str) -> Result<()> {
     let me = nix::unistd::geteuid().as_raw();
     let refuse = |why: String| Err(Error::new(name, Cause::NotPermitted, why));
@@ -53,8 +51,7 @@ fn private(status: &Metadata, name: &str) -> Result<()> {
     Ok(())
 }
 
-/// The keys that systemd hands to the service for the gauge of that name, where it does. The unit has checked
-/// the original with [`check`].
+/// The keys that systemd hands to the service for that gauge, if any. The unit has checked the original with [`check`].
 pub fn from_credential(gauge: &str) -> Result<Option<Keys>> {
     let Some(path) = credential().filter(|path| path.exists()) else { return Ok(None) };
     let name = of_credential().unwrap_or_else(|| path.display().to_string());

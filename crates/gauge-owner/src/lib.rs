@@ -1,12 +1,10 @@
 // SPDX-License-Identifier: MIT
 
-//! The owner of a Texas Instruments fuel gauge, in a thread whenever it has something to do: it identifies the gauge, polls
-//! its registers, carries out requests one after the other, and pays what a failed access has left, such as a seal or an
-//! interrupted write. Nothing else touches the gauge's bus.
+//! The owner of a Texas Instruments fuel gauge: it identifies the gauge, polls its registers, carries out requests one
+//! after the other, and pays what a failed access has left. Nothing else touches the gauge's bus.
 //!
-//! An [`Opening`] finds the gauge that [`GaugeOptions`] name, locks it, and starts its owner, which has a [`Run`]. A
-//! [`Handle`] is what everybody else sees of it: the values of the last poll, which cost no transfer, and the way to ask for
-//! one of the [`operations`].
+//! An [`Opening`] starts the owner of the gauge that [`GaugeOptions`] name, which has a [`Run`]. A [`Handle`] shows the
+//! values of the last poll, which cost no transfer, and asks for one of the [`operations`].
 //!
 //! ```
 //! use std::sync::Arc;
@@ -35,11 +33,9 @@
 //! # Ok::<(), gauge_owner::error::Error>(())
 //! ```
 //!
-//! A program that needs the gauge for one piece of work at a time has no use for threads: a [`Direct`] is an owner that
-//! the caller drives.
+//! A [`Direct`] is an owner that the caller drives, for a program that needs the gauge for one piece of work at a time.
 //!
-//! What belongs to an owner is here as well: the [`lock`] of a gauge, its [`key_file`], and the [folder of its
-//! journals](journal_dir).
+//! Here as well: the [`lock`] of a gauge, its [`key_file`], and the [folder of its journals](journal_dir).
 //!
 //! # Features
 //!

@@ -2,14 +2,11 @@
 
 //! A lock for each gauge, so that a second gaugefs is refused, with the process of the first.
 //!
-//! The lock is a file that only its owner can open, in `/run/gaugefs` or in a folder of the user's own. It is
-//! named after the adapter's number and the address, so that two paths of one adapter are the same gauge; behind a mux
-//! after the path of channels that leads to it (`related`), because a gauge in front of a mux is reached through every
-//! channel. The kernel releases the lock when its holder ends, for whatever reason; the holder removes the file, and one that
-//! is left behind has no effect.
+//! The lock is a file that only its owner can open, in `/run/gaugefs` or in a folder of the user's own. It is named after
+//! the adapter's number and the address; behind a mux after the path of channels (`related`), because a gauge in front of
+//! a mux is reached through every channel. The kernel releases it when its holder ends; a file left behind has no effect.
 //!
-//! Users of different accounts are kept apart by the lock on the bus itself, in `bus::linux`, for which write
-//! access to the bus is needed. Before that, the locks of root and of the services are looked up, to name them.
+//! Other accounts are kept out by the lock on the bus itself, in `bus::linux`. Locks of root and services are named.
 //!
 //! The holder of a lock is the process in the kernel's list, `/proc/locks`, whatever the file says.
 
@@ -38,11 +35,9 @@ mod related;
 
 use related::Name;
 
-/// Looks at the kernel's list of locks before a lock counts as free: the list is passed on in pieces, and leaves out a lock
-/// whose neighbours are taken or released meanwhile.
+/// Looks at the kernel's list before a lock counts as free: it comes in pieces, and may leave out a neighbour.
 const LOOKS: u32 = 3;
-/// Time to wait for a holder that may or may not be about to end; for one that is about to end, which may have to pay first
-/// what it owes to its gauges; and between two attempts.
+/// Time to wait for a holder that may end; for one that is ending, which may pay its debts first; between attempts.
 const PATIENCE: Duration = Duration::from_secs(3);
 const ENDS: Duration = Duration::from_secs(60);
 const STEP: Duration = Duration::from_millis(50);
@@ -70,10 +65,7 @@ pub struct Holder {
 }
 
 impl Lock {
-    /// Locks the gauge at an address of an adapter, to be mounted at `mountpoint`.
-    ///
-    /// If the lock is held, `ending` decides from its holder's mount point whether the holder is about to end
-    /// and is waited for.
+    /// Locks the gauge at an address. `ending` says by its mount point whether a holder is ending, to be waited for.
     pub fn gauge(
         adapter: &Adapter,
         address: u8,
@@ -147,8 +139,7 @@ impl Lock {
         }
     }
 
-    /// The lock, or else its holder if that is known: of this lock, or of one in front of a mux or behind it. Of two that
-    /// are taken at the same time, at least one sees the other.
+    /// The lock, or its holder if known, also in front of a mux or behind. Of two at a time, at least one sees the other.
     fn attempt(key: &str, mountpoint: &Path) -> Result<Result<Self, Option<Holder>>> {
         let taken = Self::attempt_alone(key, mountpoint)?;
         let Some(name) = Name::parse(key).filter(|_| taken.is_ok()) else { return Ok(taken) };
@@ -222,8 +213,7 @@ impl Drop for Lock {
     }
 }
 
-/// Removes the files of all locks that this process holds. To be called right before it exits; the locks are
-/// released then.
+/// Removes the files of all locks of this process, right before it exits; the locks are released then.
 pub fn remove_all() {
     for path in held().drain(..) {
         let _ = remove(&path);
@@ -245,7 +235,6 @@ fn held() -> std::sync::MutexGuard<'static, Vec<PathBuf>> {
     HELD.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Removes a file that may be gone already.
 fn remove(path: &Path) -> io::Result<()> {
     fs::remove_file(path).or_else(|error| match error.kind() {
         io::ErrorKind::NotFound => Ok(()),
@@ -277,8 +266,7 @@ pub fn process(root: &Path, pid: i32) -> String {
     format!("process {pid} ({} of {user})", program.trim_end_matches('\n').escape_debug())
 }
 
-/// A name for the records of the gauge at an address of an adapter, unique at any one time. It is the same before the
-/// adapter is there.
+/// A name for the gauge's records, unique at any one time, and the same before the adapter is there.
 pub fn key_of_gauge(adapter: &Adapter, address: u8) -> String {
     format!("i2c-{}-{address:02x}", adapter.number())
 }
@@ -324,7 +312,6 @@ pub fn mountpoint_of(file: &mut File, pid: i32) -> Option<PathBuf> {
     (writer == pid && !path.is_empty()).then(|| PathBuf::from(OsStr::from_bytes(path)))
 }
 
-/// The locks of all processes.
 fn listed() -> String {
     regular::read_text(Path::new("/proc/locks"), regular::SYSTEM).unwrap_or_default()
 }

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! Opening gauges and starting their owners: one gauge, which has to answer, or many at the same time, where some may be
-//! silent.
+//! Opening gauges and starting their owners: one, which has to answer, or many at a time, where some may be silent.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -62,16 +61,13 @@ pub struct Ready {
     pub node: Option<PathBuf>,
 }
 
-/// The result of a gauge's first poll.
 type Begun = Receiver<Result<()>>;
 
-/// What is heard of a gauge while it is opened.
 enum News {
     Opened(Result<Ready>),
     Polled(Result<()>),
 }
 
-/// A gauge that is being opened.
 struct Slot {
     name: String,
     /// It has a folder also while it does not answer.
@@ -147,8 +143,7 @@ impl Opening {
         Ok(ready)
     }
 
-    /// Opens many gauges at the same time. Those that do not answer are waited for in the background if their
-    /// chip is known, and left out otherwise: a line says so of each.
+    /// Opens many gauges at the same time. Silent ones of a known chip are waited for, others left out; a line tells.
     pub fn many(&self, gauges: Vec<(String, GaugeOptions)>) -> Result<(Vec<Ready>, Vec<String>)> {
         // A key file that cannot be used is an error of the configuration, so the mount fails.
         let gauges = gauges.into_iter().map(|(name, options)| {

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! The options of a gauge, as somebody has typed them. They are passed on as one value: an option is read where it is
-//! used, and nowhere else.
+//! The options of a gauge as typed, passed on as one value: an option is read where it is used, and nowhere else.
 
 use std::fmt;
 use std::path::PathBuf;

@@ -2,22 +2,20 @@
 
 //! The owner of a gauge.
 //!
-//! It reads the registers that are due, publishes each poll as a whole new [`Snapshot`], and carries out
-//! the requests of the file system one after the other. Nothing else touches the gauge's bus, so bus
-//! traffic does not grow with the number of readers. It renders no text and knows no file names.
+//! It reads the registers that are due, publishes each poll as a whole new [`Snapshot`], and carries out requests one
+//! after the other. Bus traffic does not grow with the number of readers. It renders no text and knows no file names.
 //!
-//! An [`Owner`] has rooms, whose fields nobody else sets: `access` is the gauge with its data flash, the `debt` that an
-//! access has left, and the `schedule` of polls; `identity` is which part it is; `readings` is what polls read; `memory` keeps
-//! a gauge with RAM configured by its `profile`, and what that has learned (`learning`, in the files of `learned`, with a
+//! An [`Owner`] has rooms, whose fields nobody else sets: `access` is the gauge with its data flash, what it owes (`debt`)
+//! and when it is polled (`schedule`); `identity` is which part it is; `readings` is what polls read; `memory` keeps a
+//! gauge with RAM configured by its `profile`, and what that has learned (`learning`, in the files of `learned`, with a
 //! `claim` on the pack's name); `backup` saves the configuration before the first write; `turn` says when the owner works.
 //!
-//! What needs several rooms is a method of the owner: here the turns, in `arrival` a gauge that comes or comes back, in
-//! `poll` its polls, and in `operations` what the owner can be asked to do, each a row of what `operation` is.
+//! What needs several rooms is a method of the owner: turns here, `arrival`, `poll`, and in `operations` what it can be
+//! asked to do, each a row of what `operation` is.
 //!
-//! The other files: `handle` is what everything else sees of a gauge, `crew` has the threads in which owners work, `direct` is
-//! an owner without a thread, `words` reads the arguments of operations, `attempt` says which failure is shown, `calibrate`
-//! calibrates the gauge, `report` records it for a bug report, `amiss` says what is wrong with a gauge that answers,
-//! `written` logs what writes have changed, and `signed` says on which host a file was saved.
+//! Other files: `handle` is what everything else sees, `crew` has the threads, `direct` is an owner without one, `words`
+//! reads arguments, `attempt` says which failure is shown; `calibrate`, `report`; `amiss` says what is wrong with a gauge
+//! that answers, `written` logs what writes have changed, `signed` says on which host a file was saved.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
@@ -122,8 +120,7 @@ pub struct Run {
     pub name: String,
     /// How much earlier than the interval the third poll comes, which spreads the polls of many gauges.
     pub phase: Duration,
-    /// The device at the address may be no gauge: nothing that writes is sent until its registers have been
-    /// read and checked.
+    /// The device may be no gauge: nothing that writes is sent until its registers have been read and checked.
     pub unverified: bool,
     /// The reason why the gauge cannot be reached yet.
     pub missing: Option<Error>,
@@ -167,10 +164,7 @@ pub fn spawn(
     opened.recv().unwrap_or_else(|_| ended()).map(|()| handle)
 }
 
-/// Starts the owner of a gauge.
-///
-/// The receiver gets one message: whether the gauge was identified and polled. After a failure the handle
-/// is that of a gauge that is gone, and the owner goes on trying.
+/// Starts the owner. The receiver gets one message: whether the gauge was polled; after a failure it goes on trying.
 #[inline(never)] // Its locals would otherwise be on the stack while the caller opens the gauge.
 pub fn start(
     chip: &'static Chip,
@@ -186,7 +180,6 @@ pub fn start(
     Ok((Handle::new(shared, Queue::Crew(member)), opened))
 }
 
-/// The owner: it alone has the gauge.
 struct Owner {
     access: Access,
     identity: Identity,
@@ -239,8 +232,7 @@ impl Owner {
         })
     }
 
-    /// Opens the gauge, carries out a request, or does what is due. Returns how long nothing is due then; `None` if it was
-    /// asked to end.
+    /// Opens the gauge, carries out a request, or does what is due. Returns how long nothing is due; `None` at the end.
     fn take_turn(&mut self, request: Option<(Duration, Request)>) -> Option<Duration> {
         if let Some(opening) = self.turn.take_opening() {
             let outcome = self.first_poll();
@@ -262,9 +254,8 @@ impl Owner {
         self.turn.end(self.access.now(), due, is_watched)
     }
 
-    /// Does some work. A panic in it is a failure of this gauge only: what is known of the gauge is thrown away, and it
-    /// is gone until the next poll has identified it. A write that was cut short is then settled from its journal, as
-    /// after the end of a daemon.
+    /// Does some work. After a panic the gauge is gone until the next poll has identified it; a write that was cut short is
+    /// settled from its journal, as after the end of a daemon.
     fn survive<T>(&mut self, attempt: Attempt, work: impl FnOnce(&mut Self) -> T) -> Result<T> {
         let panic = match catch_unwind(AssertUnwindSafe(|| work(self))) {
             Ok(done) => return Ok(done),

@@ -105,8 +105,7 @@ impl GaugeOptions {
         self.poll.unwrap_or_else(|| source.interval())
     }
 
-    /// How the owner of this gauge, a `chip`, runs it. `place` is the folder of its journals and backups, and its name
-    /// there.
+    /// How the owner of a gauge, a `chip`, runs it. `place`: the folder of journals and backups, and its name there.
     pub fn run(
         &self,
         keys: Keys,

@@ -184,8 +184,7 @@ impl Source {
         }
     }
 
-    /// What [`open`](Self::open) would find, as far as that can be seen without a change and without a transfer. The
-    /// gauge is locked for a moment.
+    /// What [`open`](Self::open) would find without a change or a transfer. The gauge is locked for a moment.
     pub fn check(&self, mountpoint: &Path, clock: &Arc<dyn Clock>) -> Result<()> {
         match self {
             Self::Sim { chip, state, seal, scenario, knobs, .. } => {
@@ -252,7 +251,6 @@ fn is_ending(mountpoint: &Path) -> bool {
     !mounts::is_gaugefs(mountpoint)
 }
 
-/// Turns knobs of a simulated gauge.
 fn turn(sim: &Sim, knobs: &[(String, String)]) -> Result<()> {
     knobs
         .iter()
@@ -260,7 +258,6 @@ fn turn(sim: &Sim, knobs: &[(String, String)]) -> Result<()> {
         .map_err(|error| Error::from(error).within("sim-set"))
 }
 
-/// A simulated gauge that answers.
 #[inline(never)] // A gauge as a value is large; it is not to be on the stack with all else that opens one.
 fn power_up(
     chip: &'static Chip,

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! Requests to a file of `gauge/` that several programs may make at once. A request's name tells its answer from those
-//! of others.
+//! Requests to a file of `gauge/` that several programs may make: a name tells each answer.
 
 use std::hash::{BuildHasher, Hasher, RandomState};
 use std::thread;

@@ -2,9 +2,8 @@
 
 //! Conditions on the files of a gauge's folder, such as `capacity<20 && status==Discharging`.
 //!
-//! A condition is parsed strictly: unknown names are refused, because a misspelt one would never come true. Nor would
-//! `voltage_now<3.9`, because the file is in microvolts: a number needs the unit of its file. The texts of one poll
-//! decide. A missing value makes no condition true.
+//! A condition is parsed strictly: a misspelt name would never come true, nor would `voltage_now<3.9`, because the file
+//! is in microvolts. The texts of one poll decide; a missing value makes no condition true.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -90,8 +89,7 @@ impl Condition {
         })
     }
 
-    /// Whether the condition is true for a gauge with these files; `None` as files means that the gauge is missing. The
-    /// result is `None` where a missing value leaves it open.
+    /// Whether it is true for these files, or without any for a missing gauge; `None` if a missing value leaves it open.
     pub fn holds(&self, texts: Option<&Texts>) -> Option<bool> {
         let mut all = Some(true);
         for term in &self.terms {
@@ -240,8 +238,7 @@ fn of_gauge((name, sign): (&str, &str), file: &str, by: Operator, value: &str) -
     }
 }
 
-/// The number of a term in the unit of its file. A number without a unit is refused if the file has one, because people
-/// usually mean another unit; percent are the exception.
+/// The number in the unit of its file. Without a unit it is refused, as people mean another one; percent are not.
 fn measured(name: &str, sign: &str, value: &str, own: &str) -> Result<f64, String> {
     let shown = value.escape_debug();
     let (has_unit, bare) = (unit::is_known(own), number(value));

@@ -59,7 +59,6 @@ impl Error {
         Self::new(subject, Why::Host { text: text.into(), error: errno.into() })
     }
 
-    /// The host's error for the attempt to `what`.
     pub(crate) fn io(subject: impl Into<String>, what: &str, error: io::Error) -> Self {
         let mut failed = Self::new(subject, Why::Failed(error));
         failed.0.what = what.into();
@@ -78,8 +77,7 @@ impl Error {
         self
     }
 
-    /// The errno of the file operation; `None` where a name, a value or a unit is refused before any file is
-    /// touched, or where a file's content is unexpected.
+    /// The errno of the file operation; `None` for a name, a value or a unit, and for unexpected content.
     pub fn errno(&self) -> Option<i32> {
         self.io_error().and_then(io::Error::raw_os_error)
     }

@@ -2,9 +2,7 @@
 
 //! A file of a mounted gauge's folder, and why a request to it failed.
 //!
-//! An error of opening is the caller's own, because the daemon has not heard of the request. `gauge/last_error`
-//! explains what the daemon refuses. It is quoted only if it is about this request: an older failure would be taken for
-//! the cause.
+//! The daemon has not heard of a failed open. `gauge/last_error` is quoted only if it is about this request.
 
 use std::fs::File;
 use std::io::{self, Write};
@@ -66,7 +64,6 @@ impl GaugeFile {
         regular::read_from(&self.file, LONGEST).and_then(regular::text).map_err(|error| self.refused(error))
     }
 
-    /// The daemon's explanation of its error.
     fn refused(&self, error: io::Error) -> Error {
         if is_dead(&error) {
             return not_a_gauge(&self.gauge);
@@ -95,12 +92,10 @@ const FACTS: &str = "gauge/last_error_facts";
 /// Contains 1 while a seal is owed, or a write that is neither done nor undone.
 pub(crate) const OWED: &str = "gauge/owed";
 
-/// Whether a flag file contains 1.
 pub(crate) fn is_set(flag: &str) -> bool {
     flag.trim() == "1"
 }
 
-/// Whether the daemon of the mount has ended.
 pub(crate) fn is_dead(error: &io::Error) -> bool {
     [Errno::ENOTCONN, Errno::ECONNABORTED].iter().any(|dead| error.raw_os_error() == Some(*dead as i32))
 }

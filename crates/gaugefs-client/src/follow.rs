@@ -2,8 +2,7 @@
 
 //! Files of a gauge, read after each poll.
 //!
-//! If a daemon hangs, a read blocks, perhaps for ever. So a separate thread reads, and its receiver learns that the
-//! daemon is silent.
+//! If a daemon hangs, a read blocks. So a separate thread reads, and its receiver learns that the daemon is silent.
 
 use std::fs::File;
 use std::io::{self, Read};
@@ -49,8 +48,7 @@ pub fn all(folder: &Path, names: &[String]) -> io::Result<Texts> {
     Ok(texts)
 }
 
-/// The line of a file in an open folder, for three messages to the daemon. A whole path, the file's length and a second
-/// read would each cost one more, and there may be a thousand gauges.
+/// The line of a file in an open folder, for three messages: a thousand gauges would notice more.
 fn text_in(folder: &File, name: &str) -> io::Result<String> {
     let file = openat(folder, name, OFlag::O_RDONLY | OFlag::O_CLOEXEC, Mode::empty())?;
     // Longer than any one-line text.
@@ -67,16 +65,15 @@ pub struct Follow {
 }
 
 impl Follow {
-    /// Starts to follow the attributes of a folder and these other files. Files are read in this order; those of one
-    /// folder should be neighbours.
+    /// Starts to follow attributes and these files, read in this order; those of one folder should be neighbours.
     pub fn start(folder: &Path, names: Vec<String>) -> Result<Self> {
         let (sender, seen) = mpsc::channel::<Seen>();
         let calling = to_channel(0, folder.to_path_buf(), names, sender)?;
         Ok(Self { seen, calling })
     }
 
-    /// Waits for the next poll, and returns the attributes and followed files. An error says why there are none: the
-    /// gauge is gone, the mount has ended, or its daemon does not answer; the last comes repeatedly while it lasts.
+    /// Waits for the next poll. An error: the gauge is gone, the mount has ended, or its daemon is silent, said repeatedly.
+    /// `None` after the time limit.
     /// `None` after the time limit.
     pub fn next(&mut self, limit: Option<Duration>) -> Option<Result<Texts, String>> {
         let end = limit.map(|limit| Instant::now() + limit);

@@ -28,9 +28,8 @@ use ti_gauge::notation;
 
 /// A mounted gauge, by its folder.
 ///
-/// Each method calls files of the folder, and the daemon of the mount answers. If the daemon hangs, so does the method:
-/// a program that must go on uses [`within`](crate::within), or [`follow`](Self::follow) and
-/// [`Watch`](crate::watch::Watch), which have threads of their own.
+/// A daemon that hangs hangs each method: a program that must go on uses [`within`](crate::within), or
+/// [`follow`](Self::follow) and [`Watch`](crate::watch::Watch), which have threads of their own.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Gauge {
     folder: PathBuf,
@@ -48,8 +47,7 @@ pub enum Decision {
 }
 
 impl Gauge {
-    /// The mounted gauge at a path: its folder, a mount point with one gauge, or a name such as `BAT0` that only one
-    /// mounted gauge has.
+    /// The gauge at a path: its folder, a mount point with one gauge, or a name such as `BAT0` of only one gauge.
     pub fn open(path: impl AsRef<Path>) -> Result<Self> {
         let path = &Self::named(path.as_ref())?;
         let Err(error) = fs::metadata(path.join(EVERY)) else { return Ok(Self::of(path)) };
@@ -72,8 +70,7 @@ impl Gauge {
         }
     }
 
-    /// The folder of a gauge named without a path, such as `BAT0`. Any other path, an existing file's name and an
-    /// unknown name stay as they are.
+    /// The folder of a gauge named without a path. Any other path, an existing file and an unknown name stay.
     pub fn named(path: &Path) -> Result<PathBuf> {
         let mut parts = path.components();
         let is_name = matches!((parts.next(), parts.next()), (Some(Component::Normal(_)), None));
@@ -128,7 +125,6 @@ impl Gauge {
         place::is_gauge(path)
     }
 
-    /// The gauge of a folder, without a check that it exists.
     pub(crate) fn of(folder: &Path) -> Self {
         Self { folder: folder.into() }
     }
@@ -148,8 +144,7 @@ impl Gauge {
         file::text(&self.folder, file)
     }
 
-    /// Value of a file with its unit: an attribute such as `voltage_now`, or a file of `gauge/` such as
-    /// `gauge/registers/voltage`.
+    /// Value of an attribute such as `voltage_now`, or of a file such as `gauge/registers/voltage`, with its unit.
     pub fn value(&self, file: &str) -> Result<Value> {
         let own = || match file.strip_prefix("gauge/registers/") {
             // Parts differ in a register's unit.
@@ -171,8 +166,7 @@ impl Gauge {
         })
     }
 
-    /// The interrupted write that waits for a decision: its parameters with old, new and present values; `None` without
-    /// one. The daemon first tries to settle it.
+    /// The interrupted write that waits for a decision, with its values; the daemon first tries to settle it.
     pub fn unsettled(&self) -> Result<Option<String>> {
         self.examine().map(|(told, owed)| Some(told).filter(|_| owed))
     }
@@ -189,9 +183,8 @@ impl Gauge {
         Ok(with_path(self.text(EVERY)?.trim(), &self.folder))
     }
 
-    /// Carries out a decision about the interrupted write, and returns what was done. [`unsettled`](Self::unsettled)
-    /// has shown the values that it writes. `serial` is the present pack's serial number, if the write was begun on
-    /// another pack.
+    /// Carries out a decision about what [`unsettled`](Self::unsettled) has shown, and returns what was done. `serial` is
+    /// the present pack's serial number, if the write was begun on another pack.
     pub fn settle(&self, decision: Decision, serial: Option<&str>) -> Result<String> {
         let word = match decision {
             Decision::Undo => "undo",
@@ -215,8 +208,7 @@ impl Gauge {
         self.answered(FILE, wish, ["cannot be done", "cannot read what was learned"])
     }
 
-    /// Writes a request to a file, and reads its answer there. Only `show` is repeated if the answer is another
-    /// request's.
+    /// Writes a request, and reads its answer. Only `show` is repeated if the answer is another request's.
     fn answered(&self, file: &str, request: &str, failed: [&'static str; 2]) -> Result<String> {
         for _ in 0..TRIES {
             let name = Name::draw();
@@ -287,8 +279,7 @@ impl Gauge {
         error.within(&self.folder.display().to_string())
     }
 
-    /// Polls the gauge now, and drops cached data flash: the pack may have been exchanged since the last poll. A user
-    /// who may not poll gets the values of the last poll, and their age.
+    /// Polls now, and drops cached data flash. A user who may not poll gets the values of the last poll, and their age.
     pub fn poll(&self) -> Result<Polled> {
         let refused = match self.send("gauge/refresh", b"1\n") {
             Ok(()) => None,
@@ -309,12 +300,10 @@ impl Gauge {
         (model, self.part().ok().and_then(|chip| self.serial(chip)))
     }
 
-    /// The serial number in the register that distinguishes packs.
     fn serial(&self, chip: &Chip) -> Option<String> {
         names::serial(chip, |name| self.text(&format!("gauge/registers/{name}")).ok()?.trim().parse().ok())
     }
 
-    /// The part, what distinguishes the pack, and the time of the poll.
     fn identity(&self) -> String {
         let text = |name: &str| Some(self.text(name).ok()?.trim().to_string());
         let model = text("model_name").unwrap_or("unknown part".into());

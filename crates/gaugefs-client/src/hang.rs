@@ -16,8 +16,7 @@ use crate::error::{Error, Result};
 /// A daemon hangs if it does not answer for this long.
 pub const PATIENCE: Duration = Duration::from_secs(5);
 
-/// [`PATIENCE`], or as many seconds as the variable `GAUGEFS_PATIENCE` says: on a machine that is far too busy, as under test, a
-/// daemon may be slow and not hang.
+/// [`PATIENCE`], or the seconds of `GAUGEFS_PATIENCE`: on a machine that is too busy a daemon may just be slow.
 fn patience() -> Duration {
     static SET: OnceLock<Duration> = OnceLock::new();
     *SET.get_or_init(|| {
@@ -64,8 +63,7 @@ impl Calling {
     }
 }
 
-/// Looks at a mount repeatedly, from a thread that ends with its receiver. `look` returns what it sees, and the time
-/// until the next look. Meanwhile the thread checks that the daemon is there, and otherwise looks at once.
+/// Looks repeatedly from a thread. `look` returns what it sees, and the time until the next look.
 pub(crate) fn look_again<R, T: From<R> + Send + 'static>(
     mount: &Path,
     every: Duration,
@@ -88,7 +86,6 @@ pub(crate) fn look_again<R, T: From<R> + Send + 'static>(
     Ok(calling)
 }
 
-/// Waits for the next look as long as the daemon is there.
 fn rest(mount: &Path, every: Duration, next: Duration, calling: &Calling) {
     let until = Instant::now() + next;
     loop {
@@ -100,8 +97,7 @@ fn rest(mount: &Path, every: Duration, next: Duration, calling: &Calling) {
     }
 }
 
-/// Whether a mount's daemon answers. Only STATFS is never answered from the kernel's cache, which outlives a killed
-/// daemon.
+/// Whether a daemon answers. Only STATFS is never answered from the kernel's cache, which outlives a daemon.
 pub(crate) fn is_served(mount: &Path, calling: &Calling) -> bool {
     calling.begin();
     let answer = statvfs(mount);

@@ -1,10 +1,8 @@
 // SPDX-License-Identifier: MIT
 
-//! TI fuel gauges that gaugefs has mounted, for programs: values with their units, changes poll by poll, data-flash
-//! parameters by name, and what to do after an interrupted write.
+//! TI fuel gauges that gaugefs has mounted, for programs: values, changes, parameters, interrupted writes.
 //!
-//! A [`Gauge`] is the folder of a gauge. The library uses only the files there, so it needs no privilege besides
-//! theirs, and causes bus traffic only where a `cat` of the same file does. A value:
+//! A [`Gauge`] is a folder. The library uses its files only, without other privileges or bus traffic than theirs. A value:
 //!
 //! ```no_run
 //! use gaugefs_client::Gauge;
@@ -45,8 +43,7 @@
 //! # Ok::<(), gaugefs_client::Error>(())
 //! ```
 //!
-//! Several parameters, all of them or none. An [`Error`] has the errno of the file operation, and what the daemon says
-//! of it:
+//! Several parameters, all or none. An [`Error`] has the errno, and what the daemon says of it:
 //!
 //! ```no_run
 //! # let gauge = gaugefs_client::Gauge::open("/run/gauges/BAT0")?;
@@ -75,9 +72,8 @@
 //!
 //! # Daemons that hang
 //!
-//! A call into a mount waits for its daemon, and if that hangs, nothing ends the wait. A program that has to go on lets a
-//! [`Follow`](follow::Follow) or a [`Watch`](watch::Watch) read, whose threads are left behind in that case, or calls
-//! with a time limit:
+//! A call into a mount waits for its daemon. A program that has to go on lets a [`Follow`](follow::Follow) or a
+//! [`Watch`](watch::Watch) read, whose threads are left behind if it hangs, or calls with a time limit:
 //!
 //! ```no_run
 //! # let gauge = gaugefs_client::Gauge::open("/run/gauges/BAT0")?;

@@ -139,8 +139,7 @@ pub fn fixed_files() -> impl Iterator<Item = &'static str> {
     FILES.iter().map(|(name, _)| *name)
 }
 
-/// The files of `gauge/` with their own texts, for one chip or for all. A register is listed once per unit where parts
-/// differ.
+/// The files of `gauge/` with their own texts, for one chip or for all: a register is listed once per unit.
 pub fn files() -> impl Iterator<Item = File> {
     let plain = |name: String, unit| File { name, unit, bits: &[] };
     let fixed = FILES.iter().map(move |&(name, unit)| plain(name.to_string(), unit));
@@ -160,8 +159,7 @@ pub fn files() -> impl Iterator<Item = File> {
     fixed.chain(counters).chain(of_chips)
 }
 
-/// The unit of a file by its path in the gauge's folder, or an empty text. `None` for an unknown file, and for a
-/// register, where parts differ.
+/// The unit of a file, or an empty text; `None` for an unknown file, and for a register, where parts differ.
 pub(crate) fn unit(file: &str) -> Option<&'static str> {
     match file.strip_prefix("gauge/") {
         Some(name) => FILES.iter().find(|(known, _)| *known == name).map(|(_, unit)| *unit),
@@ -169,7 +167,6 @@ pub(crate) fn unit(file: &str) -> Option<&'static str> {
     }
 }
 
-/// The serial number of a pack, from the register that distinguishes packs of this part.
 pub(crate) fn serial(chip: &Chip, register: impl FnOnce(&str) -> Option<u16>) -> Option<String> {
     let row = chip.serial_register()?;
     Some(format!("0x{:04x}", register(&snake_case(row.name))?))

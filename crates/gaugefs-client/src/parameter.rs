@@ -52,7 +52,6 @@ pub fn row(chip: &'static Chip, name: &str) -> Result<Row> {
     })
 }
 
-/// Suggestions for an unknown name.
 fn meant(chip: &'static Chip, name: &str) -> String {
     const SHOWN: usize = 3;
     let file = |name: &str| format!("the file {name} of the gauge's folder");
@@ -85,8 +84,7 @@ impl Wanted {
         Self(Image::new(chip, None))
     }
 
-    /// Adds a parameter by name or place, and its value: a number in its own or another unit, or a date. Values that
-    /// cannot be stored exactly are refused.
+    /// Adds a parameter and its value, in any unit or as a date. What cannot be stored exactly is refused.
     pub fn set(&mut self, name: &str, value: &str) -> Result<()> {
         let (subclass, parameter) = row(self.0.chip, name)?;
         let name = self.0.chip.name_of((subclass, parameter));
@@ -147,8 +145,7 @@ impl<'a> Transaction<'a> {
         Ok(self)
     }
 
-    /// Writes and verifies what differs in the gauge. Returns the changes when they are in data flash. After an error
-    /// nothing has changed, unless the error says otherwise.
+    /// Writes and verifies what differs. After an error nothing has changed, unless the error says otherwise.
     pub fn commit(self) -> Result<Vec<Changed>> {
         let presence = self.gauge.presence()?;
         let stored = self.gauge.values(self.wanted.0.chip, &self.wanted.rows())?;

@@ -76,7 +76,6 @@ pub(crate) fn not_a_gauge(path: &Path) -> Error {
     Error::host(name, Errno::ENOENT, format!("{NO_GAUGE}: {why}"))
 }
 
-/// A message of the daemon with the path by which this program knows the gauge.
 pub(crate) fn with_path(text: &str, gauge: &Path) -> String {
     let path = shown(gauge);
     let is_plain = path.bytes().all(|byte| byte.is_ascii_alphanumeric() || b"/._+-".contains(&byte));

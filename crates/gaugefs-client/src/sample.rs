@@ -1,8 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! A sample of a mounted gauge: the contents of its files, all from one poll.
-//!
-//! It reads only files that cause no transfer, so no data flash.
+//! A sample of a mounted gauge: its files, all from one poll, without those that cause a transfer.
 
 use std::fs;
 use std::io::{self, ErrorKind};
@@ -217,7 +215,6 @@ pub(crate) fn of_one_poll<T>(
     }
 }
 
-/// Age of the values, and the time of their poll.
 fn age(folder: &Path) -> io::Result<Option<(Duration, Moment)>> {
     let before = Instant::now();
     let Some(age) = text(&folder.join("gauge/age_ms"))?.and_then(|text| text.parse().ok()) else {
@@ -229,7 +226,6 @@ fn age(folder: &Path) -> io::Result<Option<(Duration, Moment)>> {
     Ok(moment.map(|(earliest, latest)| (age, Moment { earliest, latest })))
 }
 
-/// A poll's time by a simulated gauge's battery, and its speed.
 fn simulated(folder: &Path, polled: Option<Moment>) -> io::Result<Option<(Timestamp, f64)>> {
     let number = |name: &str| -> io::Result<Option<f64>> {
         Ok(text(&folder.join("sim").join(name))?.and_then(|text| text.parse().ok()))
@@ -249,7 +245,6 @@ fn difference(before: &str, after: &str) -> String {
     set.chain(cleared).collect::<Vec<_>>().join(" ")
 }
 
-/// A file's line; `None` if the file is missing or not readable for this user.
 pub(crate) fn text(path: &Path) -> io::Result<Option<String>> {
     Ok(if_readable(content(path))?.map(|text| text.trim_end().to_string()))
 }

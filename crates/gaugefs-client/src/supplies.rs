@@ -2,8 +2,7 @@
 
 //! The power supplies of a mount, Mains included, look by look.
 //!
-//! If a daemon hangs, a read blocks, perhaps for ever. So a separate thread reads, and [`Calling`] says that the daemon
-//! is silent.
+//! If a daemon hangs, a read blocks. So a separate thread reads, and [`Calling`] says that the daemon is silent.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -24,8 +23,7 @@ use crate::watch::trouble;
 
 /// Shortest time between two looks. Polls are at least as far apart.
 const PAUSE: Duration = Duration::from_millis(500);
-/// Looks take at most one part in so many of a processor's time, and about as much of the daemon's: there may be a
-/// thousand gauges.
+/// Looks take one part in so many of a processor's time, as of the daemon's: there may be a thousand gauges.
 const SHARE: u32 = 20;
 
 /// A report of a thread that follows a mount.
@@ -48,7 +46,6 @@ pub fn to_channel<T: From<Look> + Send + 'static>(mountpoint: PathBuf, to: Sende
     look_again(&mount, PAUSE, look, to)
 }
 
-/// This thread's processor time.
 fn processor_time() -> Duration {
     clock_gettime(ClockId::CLOCK_THREAD_CPUTIME_ID).map(Duration::from).unwrap_or_default()
 }

@@ -2,8 +2,7 @@
 
 //! Samples mounted gauges repeatedly, with one thread per mount.
 //!
-//! If a daemon hangs, a read blocks, perhaps for ever. So only these threads read; their owner notices that a mount has
-//! stopped reporting.
+//! If a daemon hangs, a read blocks. So only these threads read; their owner notices a silent mount.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -88,8 +87,7 @@ pub struct Watch {
 }
 
 impl Watch {
-    /// Watches a mount point, or a gauge by folder or name, or every gaugefs mount. Without an interval, it takes one
-    /// sample per poll.
+    /// Watches a mount point, a gauge or every gaugefs mount. Without an interval, it takes one sample per poll.
     pub fn start(named: Option<&Path>, every: Option<Duration>) -> Result<Self> {
         let (sender, reports) = mpsc::channel();
         let (roots, orders, calls) = (Vec::new(), Vec::new(), Vec::new());
@@ -109,8 +107,7 @@ impl Watch {
         Ok(watch)
     }
 
-    /// The next report within a time limit. A mount that stays silent is reported each time
-    /// [`PATIENCE`] passes.
+    /// The next report within a time limit. A silent mount is reported each time [`PATIENCE`] passes.
     pub fn next(&self, limit: Duration) -> Option<Report> {
         let end = Instant::now() + limit;
         loop {
@@ -235,7 +232,6 @@ fn order(
     }
 }
 
-/// Why nothing can be read at a path.
 pub(crate) fn trouble(root: &Path, error: &io::Error) -> String {
     match error.raw_os_error().map(Errno::from_raw) {
         _ if is_dead(error) => dead(root),
@@ -246,8 +242,7 @@ pub(crate) fn trouble(root: &Path, error: &io::Error) -> String {
     }
 }
 
-/// The parameters that show learning: those that a gauge rewrites in TI's subclass State. Parameters with an uncertain
-/// address are left out.
+/// The parameters that show learning: of TI's subclass State, rewritten by the gauge, at a certain address.
 pub fn learned_parameters(model: &str) -> Vec<(&'static Subclass, &'static Parameter, String)> {
     let Some(chip) = Chip::by_model(model) else { return Vec::new() };
     let states = chip.subclasses.iter().filter(|subclass| subclass.name == STATE);
@@ -266,7 +261,6 @@ fn model_name(gauge: &Path) -> String {
     model.unwrap_or_default().into()
 }
 
-/// The thresholds of learning, if the gauge is unsealed already.
 fn limits(gauge: &Path) -> Option<Limits> {
     let seal = content(&gauge.join("gauge/seal")).ok()?;
     (seal.trim() != "sealed").then(|| of_flash(gauge, &model_name(gauge)))

@@ -24,7 +24,6 @@ enum Sure {
     Never,
 }
 
-/// The errno of a NACK.
 #[derive(Clone, Copy, Debug)]
 struct Nack(Errno, Sure);
 
@@ -190,7 +189,6 @@ impl Row {
     }
 }
 
-/// The folder of the adapter before all muxes.
 fn device(root: &Path, number: u64) -> PathBuf {
     mux::device(root, mux::above(root, number).pop().unwrap_or(number))
 }
@@ -232,7 +230,6 @@ fn tree_hz(device: &Path) -> Option<u32> {
     Some(u32::from_be_bytes(nodes.iter().find_map(read)?.try_into().ok()?))
 }
 
-/// The first two numbers of the kernel's version.
 fn kernel(root: &Path) -> Option<[u32; 2]> {
     let text = regular::read_text(&root.join("proc/sys/kernel/osrelease"), regular::SYSTEM).ok()?;
     let mut numbers = text.split(|letter: char| !letter.is_ascii_digit()).map(str::parse);

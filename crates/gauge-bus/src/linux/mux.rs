@@ -1,9 +1,7 @@
 // SPDX-License-Identifier: MIT
 
-//! Multiplexers, as sysfs shows them. Each channel is an adapter of its own: its folder is in that of the adapter in
-//! front of the mux, and its link `mux_device` leads to the mux.
-//!
-//! Nothing is written to a mux or to its `idle_state`.
+//! Multiplexers, as sysfs shows them: each channel is an adapter, in the folder of the one in front of the mux, and its
+//! link `mux_device` leads to the mux. Nothing is written to a mux or to its `idle_state`.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -28,7 +26,6 @@ pub struct Mux {
     pub disconnects: bool,
 }
 
-/// The folder of an adapter.
 pub(super) fn device(root: &Path, number: u64) -> PathBuf {
     root.join(format!("sys/bus/i2c/devices/i2c-{number}"))
 }
@@ -38,14 +35,12 @@ pub(super) fn above(root: &Path, number: u64) -> Vec<u64> {
     std::iter::successors(parent(root, number), |&number| parent(root, number)).collect()
 }
 
-/// The adapter whose mux has this one as a channel.
 fn parent(root: &Path, number: u64) -> Option<u64> {
     let device = device(root, number);
     fs::read_link(device.join("mux_device")).ok()?;
     fs::canonicalize(device).ok()?.parent()?.file_name()?.to_str()?.strip_prefix("i2c-")?.parse().ok()
 }
 
-/// All adapters, sorted.
 fn all(root: &Path) -> Vec<u64> {
     let devices = fs::read_dir(root.join("sys/bus/i2c/devices")).into_iter().flatten().flatten();
     let number = |name: &str| name.strip_prefix("i2c-")?.parse().ok();
@@ -74,7 +69,6 @@ pub fn muxes(root: &Path, number: u64) -> Vec<Mux> {
     muxes
 }
 
-/// The name of the device of the mux that has an adapter as a channel.
 fn mux_of(root: &Path, channel: u64) -> Option<String> {
     let link = fs::read_link(device(root, channel).join("mux_device")).ok()?;
     Some(link.file_name()?.to_str()?.to_string())
@@ -97,15 +91,13 @@ impl Mux {
     }
 }
 
-/// The address in the name of a device, such as `0-0070`.
 fn address(device: &str) -> Option<u8> {
     u8::from_str_radix(device.split_once('-')?.1, 16)
         .ok()
         .filter(|_| device.starts_with(|c: char| c.is_ascii_digit()))
 }
 
-/// The muxes of an adapter in words, with the adapters to use instead: `i2c-0 has a mux, pca9548 at 0x70: use i2c-1 to
-/// i2c-8`.
+/// The muxes in words, with what to use instead: `i2c-0 has a mux, pca9548 at 0x70: use i2c-1 to i2c-8`.
 pub fn described(number: u64, muxes: &[Mux]) -> Option<String> {
     let channels: Vec<_> = muxes.iter().map(|mux| channels(&mux.channels)).collect();
     let names = muxes.iter().map(|Mux { name, address, .. }| match address {
@@ -133,8 +125,7 @@ fn channels(numbers: &[u64]) -> String {
     }
 }
 
-/// The way to an adapter from the one before all muxes, by the muxes and their channels: `i2c-0.70.3`. Unlike its own
-/// number it shows which adapters are in front of it.
+/// The way from the adapter before all muxes, by mux and channel: `i2c-0.70.3`. It shows what is in front.
 pub(super) fn path(root: &Path, number: u64) -> String {
     let Some((parent, device)) = parent(root, number).zip(mux_of(root, number)) else {
         return format!("i2c-{number}");

@@ -32,11 +32,9 @@ pub struct LinuxBus {
     name: String,
 }
 
-/// A device, as the thread that waits for the kernel needs it.
 struct Target {
     adapter: Adapter,
     address: u8,
-    /// What is known of the adapter's driver.
     row: Option<&'static Row>,
     /// What the adapter that was there last carries.
     reach: Reach,
@@ -192,8 +190,7 @@ fn reach(device: &LinuxI2CDevice, row: Option<&Row>) -> Reach {
     Reach { pec, ..row.map_or(Reach::FULL, |row| row.reach) }
 }
 
-/// Locks the gauge on its own adapter, and on each adapter in front of a mux that leads to it; the latter together with
-/// the gauges on other channels. Returns their nodes; or the adapter that somebody else uses, if it is not its own.
+/// Locks the gauge on its own adapter, and on each in front of a mux, shared. Returns their nodes, or one in use.
 fn hold_all(device: &LinuxI2CDevice, adapter: &Adapter, address: u8) -> Result<Vec<File>, Option<u64>> {
     hold(device, address, libc::F_WRLCK).map_err(|_| None)?;
     let mut nodes = Vec::new();
@@ -237,7 +234,6 @@ fn claim_error(errno: Errno) -> BusError {
     }
 }
 
-/// The error, with the remedy, if an adapter cannot be opened or its address cannot be claimed.
 fn refusal(adapter: &Adapter, address: u8, errno: Errno) -> Error {
     match errno {
         Errno::EBUSY => busy(adapter, address, adapter.driver(address).as_ref()),

@@ -2,9 +2,8 @@
 
 //! Locks of gauges in front of a mux and behind it.
 //!
-//! A gauge in front of a mux is reached through every channel, so it excludes the gauges of the same address behind the
-//! mux. Gauges on sibling channels do not exclude each other. The name of a lock is the path to the gauge, such as
-//! `i2c-0.70.3-55`: the adapter before all muxes, each mux and its channel, and the address.
+//! A gauge in front of a mux, which every channel reaches, excludes those behind it; sibling channels do not. The name of
+//! a lock is the path, such as `i2c-0.70.3-55`: adapter before all muxes, each mux and its channel, address.
 
 use std::fmt;
 use std::fs;
@@ -12,7 +11,6 @@ use std::path::PathBuf;
 
 use super::{Holder, seen};
 
-/// The name of a gauge's lock.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Name {
     path: Vec<String>,
@@ -20,7 +18,6 @@ pub(super) struct Name {
 }
 
 impl Name {
-    /// The gauge at an address of the adapter to which that path leads.
     pub(super) fn of(path: &str, address: u8) -> Self {
         let path = path.split('.').map(String::from).collect();
         Self { path, address: format!("{address:02x}") }
@@ -32,7 +29,6 @@ impl Name {
         Some(Self::of(path, u8::from_str_radix(address, 16).ok()?))
     }
 
-    /// Whether one of the two is in front of the other one.
     fn is_related_to(&self, other: &Self) -> bool {
         let (short, long) = if self.path.len() < other.path.len() { (self, other) } else { (other, self) };
         short.path.len() < long.path.len()
@@ -40,7 +36,6 @@ impl Name {
             && self.address == other.address
     }
 
-    /// The bus in words.
     fn bus(&self) -> String {
         let places = self.path[1..].chunks(2).rev();
         let channels = places.map(|place| match place {

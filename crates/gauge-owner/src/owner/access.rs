@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! Access to the gauge, with what each access leaves. Data flash is reached through [`Access::run`] only, so that no access
-//! forgets to note what it owes: that is published, and tried again until the gauge answers.
+//! Access to the gauge. Data flash is reached through [`Access::run`] only, so that no access forgets what it owes.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -20,13 +19,11 @@ use ti_gauge::registers::Registers;
 mod debts;
 mod reads;
 
-/// The gauge, its data flash, and when either needs something.
 pub(super) struct Access {
     gauge: Gauge,
     dataflash: DataFlash,
     debt: Debt,
     schedule: Schedule,
-    /// CONTROL_STATUS when it was last read.
     control_status: u32,
     shared: Arc<Shared>,
 }
@@ -44,7 +41,6 @@ impl Access {
         self.gauge.clock.now()
     }
 
-    /// The gauge, for transfers that are no access to data flash.
     pub(super) fn gauge(&mut self) -> &mut Gauge {
         &mut self.gauge
     }
@@ -57,7 +53,6 @@ impl Access {
         &self.shared
     }
 
-    /// CONTROL_STATUS when it was last read.
     pub(super) fn control_status(&self) -> u32 {
         self.control_status
     }
@@ -67,22 +62,18 @@ impl Access {
         self.schedule.hurry();
     }
 
-    /// When the next poll is due.
     pub(super) fn next_poll(&self) -> Duration {
         self.schedule.due(self.shared.published().interval)
     }
 
-    /// The key that is sent to the gauge.
     pub(super) fn key(&self, name: Name) -> Option<Secret> {
         self.gauge.key(name)
     }
 
-    /// The manual's key, unless it must not be tried.
     pub(super) fn default_key(&self, name: Name) -> Option<Secret> {
         self.gauge.default_key(name)
     }
 
-    /// Waits until the registers may be read again.
     pub(super) fn wait_for_turn(&mut self) {
         self.gauge.wait(self.schedule.wait(self.now()));
     }
@@ -92,8 +83,7 @@ impl Access {
         self.schedule.set_gone(self.gauge.clock.now());
     }
 
-    /// Throws away what is known of the gauge, after work that was cut short by a panic. A write that it has interrupted is
-    /// found in the journal.
+    /// Throws away what is known, after a panic. A write that it has interrupted is found in the journal.
     pub(super) fn start_over(&mut self) {
         self.gauge.start_over();
         self.dataflash.start_over();
@@ -107,7 +97,6 @@ impl Access {
         });
     }
 
-    /// Notes a gauge that has come, or come back, and forgets the one before it.
     pub(super) fn meet(&mut self, answers: &Answers) {
         self.gauge.forget_refusal();
         self.dataflash.meet(self.gauge.chip, answers);
@@ -115,8 +104,7 @@ impl Access {
         self.schedule.begin_anew();
     }
 
-    /// Makes an access to data flash, and notes and publishes what it has left. The error of an access that has left
-    /// something, or has found why it is still owed, says so.
+    /// Makes an access to data flash, and notes and publishes what it has left, which its error says as well.
     pub(super) fn run<T>(
         &mut self,
         access: impl FnOnce(&mut DataFlash, &mut Gauge) -> Result<T>,
@@ -125,17 +113,14 @@ impl Access {
         self.noted(outcome)
     }
 
-    /// What is owed to the gauge, if anything is.
     pub(super) fn owed(&self) -> Option<Owed<'_>> {
         self.dataflash.owed()
     }
 
-    /// Whether another gauge has answered instead of the one whose values were read.
     pub(super) fn doubts(&self) -> bool {
         self.dataflash.doubts()
     }
 
-    /// Another pack may be there: it arrives with the next poll.
     pub(super) fn doubt_pack(&mut self) {
         self.dataflash.doubt_pack();
     }
@@ -145,18 +130,15 @@ impl Access {
         self.dataflash.suspect(self.gauge.chip);
     }
 
-    /// Compares the pack with the suspected one, if the gauge is open.
     pub(super) fn compare(&mut self) -> Result<()> {
         self.dataflash.compare(&mut self.gauge)
     }
 
-    /// The gauge has lost its data memory.
     pub(super) fn forget_memory(&mut self) {
         self.dataflash.forget();
         self.shared.forget_scales();
     }
 
-    /// Whether the registers of a poll have to be read again before they are believed.
     pub(super) fn needs_second_poll(&mut self, registers: &Registers) -> Result<bool> {
         let chip = self.gauge.chip;
         let value = |source| word(chip, registers, source);
@@ -189,8 +171,7 @@ impl Access {
         Ok(())
     }
 
-    /// Publishes the seal state and CONTROL_STATUS, which a request may have changed. If they cannot be read, neither can
-    /// the registers of the next poll, which reports it.
+    /// Publishes seal state and CONTROL_STATUS. A failure is reported by the next poll, which cannot read registers either.
     pub(super) fn publish_seal(&mut self) {
         if let Ok((seal, status)) = self.gauge.control_status() {
             self.control_status = status;
@@ -204,7 +185,6 @@ impl Access {
     }
 }
 
-/// The register of a source, as its bits.
 pub(super) fn word(chip: &Chip, registers: &Registers, source: Source) -> Option<u32> {
     registers.value(chip.register_at(source)?).map(|value| value as u32)
 }

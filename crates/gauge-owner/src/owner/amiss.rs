@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! What is amiss with a gauge that answers: it works with TI's defaults, or measures nothing. `gauge/last_error` has it for as
-//! long as it is so, because nobody waits for a write that fails.
+//! What is amiss with a gauge that answers, such as TI's defaults: `gauge/last_error` has it as long as it is so.
 
 use jiff::Timestamp;
 
@@ -64,7 +63,6 @@ fn lacks_configuration(shared: &Shared, registers: &Registers) -> Option<String>
     })
 }
 
-/// The Design Capacity that the part has by itself.
 fn default_capacity(chip: &Chip) -> Option<i64> {
     let mut rows = chip.subclasses.iter().flat_map(|subclass| subclass.parameters);
     match rows.find(|row| row.name == "Design Capacity")?.range {

@@ -6,7 +6,6 @@ use super::{Attempt, Owner, calibrate, now};
 use crate::error::Result;
 
 impl Owner {
-    /// Identifies the gauge and polls it for the first time.
     pub(super) fn open(&mut self) -> Result<()> {
         self.identity.take_missing()?;
         self.arrive()?;
@@ -15,7 +14,6 @@ impl Owner {
         Ok(())
     }
 
-    /// The steps after the first poll of a gauge.
     pub(super) fn after_first_poll(&mut self) {
         self.access.hurry();
         calibrate::report_mode(&self.access);
@@ -24,7 +22,6 @@ impl Owner {
         self.read_if_open();
     }
 
-    /// Reads what attributes and messages need of data flash, if the gauge is open: it is never unsealed for this.
     pub(super) fn read_if_open(&mut self) {
         // Values that are about to be undone or restored must not be shown.
         if self.access.owed().is_none() && !self.memory.is_waited_for() {
@@ -32,8 +29,7 @@ impl Owner {
         }
     }
 
-    /// Asks a gauge that has been there all the time what it is, and compares its pack with the one that was there
-    /// before, as far as that is possible without a key. Another one is in doubt then, and arrives with the next poll.
+    /// Compares a gauge, and its pack without a key, with the one before. Another one arrives with the next poll.
     pub(super) fn recognise(&mut self) -> Result<()> {
         if self.access.schedule().is_gone() || self.access.doubts() || !self.access.chip().has_table() {
             return Ok(());
@@ -47,7 +43,6 @@ impl Owner {
         Ok(())
     }
 
-    /// Identifies a gauge that has come, or come back, and forgets what was known of the one before it.
     pub(super) fn arrive(&mut self) -> Result<()> {
         let (answers, limited) = self.identity.meet(&mut self.access)?;
         let chip = self.access.chip();

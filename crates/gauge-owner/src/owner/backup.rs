@@ -28,12 +28,10 @@ const SUFFIX: &str = ".backup.toml";
 #[derive(Clone, Debug)]
 pub struct Backup {
     folder: PathBuf,
-    /// The place where the gauges are connected, as in the names of their journals.
     key: String,
     trusted: Option<u32>,
 }
 
-/// How a backup came to be there.
 #[derive(Debug, PartialEq, Eq)]
 enum Saved {
     /// It was written to this file.
@@ -54,7 +52,6 @@ impl Backup {
         Self { trusted: account, ..self }
     }
 
-    /// Whether nobody else can have written a backup.
     fn trusts(&self, path: &Path) -> bool {
         [&self.folder, path].into_iter().all(|path| journal::is_own(path, self.trusted).is_ok())
     }
@@ -100,14 +97,12 @@ impl Backup {
         Ok(Saved::Written(path))
     }
 
-    /// Part and serial number in the name of a backup of this place.
     fn pack_of(&self, file: &Path) -> Option<String> {
         let rest = file.file_name()?.to_str()?.strip_suffix(SUFFIX)?.strip_prefix(&self.key)?;
         Some(rest.rsplit_once('-')?.0.to_string())
     }
 
-    /// The oldest and the newest backup of a pack, whatever the place: those with its calibration or its serial number,
-    /// where these are not what every new pack has.
+    /// The oldest and the newest backup of a pack in any place, by a calibration or serial number of its own.
     fn own(
         &self,
         chip: &'static Chip,
@@ -153,9 +148,7 @@ impl Backup {
 
 /// The backups of one gauge, and whether it has one.
 pub(super) struct Backups {
-    /// See [`super::Run::backup`].
     folder: Option<Backup>,
-    /// The configuration of this gauge is saved.
     saved: Fact<(), Presence>,
 }
 
@@ -164,18 +157,15 @@ impl Backups {
         Self { folder, saved: Fact::default() }
     }
 
-    /// Whether the configuration of the gauge was saved in that presence.
     pub(super) fn is_saved(&self, presence: Epoch<Presence>) -> bool {
         self.saved.is_known(presence)
     }
 
-    /// The configuration of the gauge is saved.
     pub(super) fn note_saved(&mut self, presence: Epoch<Presence>) {
         self.saved.learn(presence, ());
     }
 
-    /// Makes sure that no row of flash is erased, or will be after these changes: by the table, and by the pack's own
-    /// backups.
+    /// Makes sure that no row of flash is erased, now or after these changes, by the table and by the pack's own backups.
     pub(super) fn check_erased(
         &self,
         access: &mut Access,
@@ -223,8 +213,7 @@ impl Backups {
         Err(dataflash::says_erased(&lost, &remedy))
     }
 
-    /// Saves the gauge's configuration, if that has not been done since the gauge came. A pack with an erased row that
-    /// these changes do not write is refused.
+    /// Saves the configuration, once after an arrival. An erased row that these changes do not write is refused.
     pub(super) fn save(&mut self, access: &mut Access, changes: &[Change], waited: Duration) -> Result<()> {
         let now = access.shared().published().presence;
         let Some(backup) = self.folder.as_ref().filter(|_| !self.is_saved(now)) else {
@@ -255,7 +244,6 @@ pub fn readable(chip: &Chip) -> Vec<usize> {
     rows.filter(|(_, row)| row.kind != Kind::Security).map(|(index, _)| index).collect()
 }
 
-/// Whether a change writes all of a parameter.
 fn covers(change: &Change, (subclass, parameter): Row) -> bool {
     let Place { subclass: id, offset: start } = change.place();
     let end = start + change.bytes().len() as u16;
@@ -284,7 +272,6 @@ fn is_own(chip: &'static Chip, image: &Image, bytes: &dyn Fn(Row) -> Option<Vec<
     certain
 }
 
-/// The register with the pack's serial number, if the part has one.
 fn serial_number(chip: &Chip) -> Option<&ti_gauge::chip::Register> {
     chip.registers.iter().find(|register| register.name == "SerialNumber")
 }

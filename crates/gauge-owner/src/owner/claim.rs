@@ -2,8 +2,7 @@
 
 //! The names of the packs that the gauges of this host have now: one pack is never in two bays.
 //!
-//! A lock on one byte of a file in the folder of what is learned says it, for as long as its holder runs. Hosts that share
-//! the folder have bytes of their own.
+//! A lock on one byte of a file beside what is learned, for as long as its holder runs; each host has its own bytes.
 
 use std::fs::{self, DirBuilder, File};
 use std::os::unix::fs::{DirBuilderExt as _, MetadataExt as _, OpenOptionsExt as _, fchown};
@@ -19,7 +18,6 @@ use ti_gauge::journal::Machine;
 const NAME: &str = "packs";
 const BYTES: u64 = 1 << 29;
 
-/// A gauge has the pack of that name.
 #[derive(Debug)]
 pub(super) struct Claim {
     file: File,
@@ -28,8 +26,7 @@ pub(super) struct Claim {
 }
 
 impl Claim {
-    /// Says so to all users of the folder; `None` without a lock. With `anywhere` the pack itself shows its name, and has it in
-    /// any place; other names belong to their places.
+    /// `None` without a lock. With `anywhere` the pack itself shows its name; other names belong to their places.
     pub(super) fn new(folder: &Path, chip: &str, pack: &str, anywhere: bool) -> Option<Self> {
         DirBuilder::new().recursive(true).mode(0o700).create(folder).ok()?;
         let mut options = File::options();
@@ -45,12 +42,10 @@ impl Claim {
         Some(claim)
     }
 
-    /// Whether it is of that pack.
     pub(super) fn is_of(&self, chip: &str, pack: &str, anywhere: bool) -> bool {
         self.pack == format!("{chip} {pack}") && self.anywhere == anywhere
     }
 
-    /// Whether another gauge has the same pack.
     pub(super) fn is_contested(&self) -> bool {
         let mut others = self.lock(libc::F_WRLCK, if self.anywhere { 0..2 } else { 1..2 });
         let asked = fcntl(&self.file, FcntlArg::F_OFD_GETLK(&mut others));

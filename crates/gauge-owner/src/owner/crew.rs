@@ -2,9 +2,8 @@
 
 //! The threads in which owners work.
 //!
-//! An owner has a thread only while it has something to do: the stack of a thread keeps the memory that it has once used,
-//! and owners mostly wait. Any thread will do. No gauge waits for another: a thread that begins to work makes sure that one
-//! waits for what is due next, and starts one if all are at work.
+//! An owner has a thread only while it has something to do: a thread keeps the stack that it has once used, and owners
+//! mostly wait. A thread that begins to work makes sure that another one waits for what is due next.
 
 use std::collections::VecDeque;
 use std::io;
@@ -35,12 +34,10 @@ pub(super) trait Stage: Clone + Send + 'static {
     fn start(&self, work: impl FnOnce() + Send + 'static) -> io::Result<()>;
     fn current(&self) -> Self::Thread;
     fn is_current(&self, thread: &Self::Thread) -> bool;
-    /// Waits, until then at most. If this thread was woken before, returns at once.
     fn wait(&self, until: Instant);
     fn wake(&self, thread: &Self::Thread);
 }
 
-/// An owner, which works in turns.
 pub(super) trait Worker: Send + 'static {
     type Request: Send;
 
@@ -56,7 +53,6 @@ impl Worker for Owner {
     }
 }
 
-/// The owners of this process.
 #[derive(Clone)]
 pub(super) struct Here;
 
@@ -108,7 +104,6 @@ pub(super) struct Crew<S: Stage> {
     is_short: bool,
 }
 
-/// An owner, and what it is asked for.
 struct Desk<W: Worker> {
     /// `None` while a thread works for it, and after a panic.
     owner: Option<Box<W>>,
@@ -120,7 +115,6 @@ struct Desk<W: Worker> {
     is_left: bool,
 }
 
-/// What a thread has to do next.
 struct Turn<W: Worker> {
     number: usize,
     owner: Box<W>,
@@ -129,7 +123,6 @@ struct Turn<W: Worker> {
     is_over: bool,
 }
 
-/// A thread without work.
 struct Waiting<T> {
     thread: T,
     until: Instant,
@@ -150,7 +143,6 @@ impl<S: Stage> Crew<S> {
         self.desks.get_mut(number)?.as_mut()
     }
 
-    /// Has an owner do something at that time, or before.
     fn put(&mut self, number: usize, time: Instant) {
         let Some(desk) = self.desk(number) else { return };
         let before = desk.due.replace(time);
@@ -162,7 +154,6 @@ impl<S: Stage> Crew<S> {
         self.due.insert(at, (time, number));
     }
 
-    /// An owner that waits has something to do now.
     fn hurry(&mut self, number: usize, now: Instant) {
         if self.desk(number).is_some_and(|desk| desk.due.is_some()) {
             self.put(number, now);
@@ -200,8 +191,7 @@ impl<S: Stage> Crew<S> {
     }
 }
 
-/// An owner of the crew, to be asked for something. When it is dropped, the owner finishes what it was asked for, and
-/// ends.
+/// An owner of the crew. When this is dropped, the owner finishes what it was asked for, and ends.
 pub(super) struct Member<S: Stage = Here>(usize, S);
 
 impl Member {
@@ -269,7 +259,6 @@ fn attend<S: Stage>(stage: &S, crew: &mut Crew<S>) {
     }
 }
 
-/// What a thread does.
 fn work<S: Stage>(stage: &S) {
     let mut crew = stage.lock();
     crew.coming -= 1;

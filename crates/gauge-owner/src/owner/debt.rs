@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! What a failed access has left to do: a seal, or a write that is neither done nor undone. It is tried again until
-//! the gauge answers, whether anybody asks for it or not.
+//! What a failed access has left to do. It is tried again until the gauge answers, asked for or not.
 
 use std::time::Duration;
 
@@ -14,19 +13,16 @@ use ti_gauge::dataflash::Owed;
 const FIRST: Duration = Duration::from_secs(1);
 const LONGEST: Duration = Duration::from_secs(30);
 
-/// When what is owed is tried next.
 #[derive(Debug, Default)]
 pub(super) struct Debt {
     next: Option<(Duration, Duration)>,
 }
 
 impl Debt {
-    /// When it is tried next; `None` while nothing is owed that a try could pay.
     pub(super) fn due(&self) -> Option<Duration> {
         self.next.map(|(due, _)| due)
     }
 
-    /// Notes after an access whether anything is owed.
     fn note(&mut self, owed: bool, now: Duration) {
         match self.next {
             _ if !owed => self.next = None,

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! A gauge without a thread of its own: its holder asks, and has the answer when the request has been carried
-//! out. It is polled only when that is asked for.
+//! A gauge without a thread: its holder asks, and has the answer at once. It is polled only on request.
 
 use std::sync::mpsc;
 use std::sync::{Arc, Mutex};
@@ -83,8 +82,7 @@ impl Direct {
         self.owner.access.owed().map_or(Vec::new(), |owed| owed.keys.to_vec())
     }
 
-    /// Tries to pay what a failed access has left to do, for as long as that. Returns why it is still owed, and
-    /// whether only a person can decide it.
+    /// Tries to pay what is owed, for as long as that. Returns why it is still owed, and whether a person has to decide.
     pub fn settle(&mut self, patience: Duration) -> Option<(String, bool)> {
         let clock = self.owner.shared().clock.clone();
         let end = clock.now() + patience;

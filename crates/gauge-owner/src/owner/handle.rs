@@ -36,8 +36,7 @@ pub struct Snapshot {
     pub(super) registers: Registers,
     /// CONTROL_STATUS when it was last read, by a slow poll or after a request.
     pub control_status: u32,
-    /// Whether the gauge has measured since its power-up or reset: before that its registers hold 0, or what they
-    /// held before.
+    /// Whether the gauge has measured since its power-up or reset: before that its registers are 0, or old.
     pub is_valid: bool,
     /// Whether its data memory is what its profile says: a gauge that has lost it predicts with TI's defaults.
     pub is_configured: bool,
@@ -68,8 +67,7 @@ pub struct Published {
     pub presence: Epoch<Presence>,
     /// The answers of the gauge when it was identified.
     pub answers: Answers,
-    /// Set if the part is a relative of the table's, or another version of it: its standard commands mean the
-    /// same, and nothing else is sent to it.
+    /// A relative of the table's part, or another version: nothing but standard commands, which mean the same, is sent.
     pub limited: Option<Limited>,
     /// Its seal state when it was last read.
     pub seal: Seal,
@@ -132,7 +130,6 @@ impl Published {
     }
 }
 
-/// The part of an owner that its handles share.
 pub(super) struct Shared {
     pub(super) chip: &'static Chip,
     options: GaugeOptions,
@@ -151,10 +148,8 @@ pub(super) struct Shared {
     pub(super) prefix: String,
 }
 
-/// What was read of data flash.
 struct Cache {
     now: Epoch<Content>,
-    /// By their index in the table.
     subclasses: Vec<Fact<Kept, Content>>,
 }
 
@@ -164,7 +159,6 @@ impl Cache {
     }
 }
 
-/// A subclass as it was read.
 struct Kept {
     bytes: Arc<[u8]>,
     /// The last poll before it was read. Learned values are valid until the next one.
@@ -224,7 +218,6 @@ impl Shared {
         }
     }
 
-    /// The byte order in which challenges are sent.
     pub(super) fn challenge_order(&self) -> Order {
         self.options.auth_order.unwrap_or_default()
     }
@@ -244,8 +237,7 @@ impl Shared {
         self.raise();
     }
 
-    /// Whether the gauge answers and has a battery. An old poll is a sign of absence only if others have failed since: an
-    /// access may take long.
+    /// Whether the gauge answers and has a battery. An old poll counts unless others failed since: accesses may take long.
     pub(super) fn is_present(&self) -> bool {
         let published = self.published();
         let Some(last) = &published.snapshot else { return false };
@@ -264,8 +256,7 @@ impl Shared {
         self.record(attempt, error);
     }
 
-    /// Puts a failure into `gauge/last_error` only. While something is owed, it does not replace a failure that is
-    /// more important.
+    /// Puts a failure into `gauge/last_error` only, but not in place of a more important one while something is owed.
     pub(super) fn record(&self, attempt: Attempt, error: &Error) {
         let line = error.to_string();
         let facts = Details::of(error).to_string().into();
@@ -285,7 +276,6 @@ impl Shared {
         }
     }
 
-    /// Clears `gauge/last_error`.
     pub(super) fn clear_error(&self) {
         self.publish(|published| (published.last_error, published.failed) = ("".into(), None));
     }
@@ -309,7 +299,6 @@ impl Shared {
         self.publish(|published| published.presence = now::presence());
     }
 
-    /// The reason to send nothing but standard commands to the gauge, if there is one.
     pub(super) fn limitation(&self) -> Option<Error> {
         self.published().limitation(self.chip)
     }
@@ -319,7 +308,6 @@ impl Shared {
         self.prefix.strip_suffix(": ").unwrap_or(self.chip.name)
     }
 
-    /// The bytes of a subclass, if they are kept and still valid.
     pub(super) fn kept(&self, subclass: usize) -> Option<Arc<[u8]>> {
         let poll = self.published().snapshot.as_ref().map(|snapshot| snapshot.number);
         let kept = lock(&self.kept);
@@ -346,7 +334,6 @@ impl Shared {
         Some(self.chip.layout.decode(kind, bytes.get(at..at + kind.size())?))
     }
 
-    /// A byte of data flash, given in the same way.
     pub(super) fn kept_byte(&self, place: (u8, u16)) -> Option<u8> {
         match self.kept_value(place, Type::U(1))? {
             Value::Int(byte) => u8::try_from(byte).ok(),
@@ -354,15 +341,13 @@ impl Shared {
         }
     }
 
-    /// The index of the subclass that holds a byte of data flash.
     fn index(&self, (id, offset): (u8, u16)) -> Option<usize> {
         let holds =
             |row: &Subclass| row.id == id && (row.start()..row.start() + row.length).contains(&offset);
         self.chip.subclasses.iter().position(holds)
     }
 
-    /// The subclasses, by their index in the table, with what attributes and messages need of data flash and what is
-    /// not kept.
+    /// The subclasses with what attributes and messages need of data flash and what is not kept.
     pub(super) fn unread_places(&self) -> Vec<usize> {
         let indices: BTreeSet<_> = self.chip.places().filter_map(|place| self.index(place)).collect();
         let kept = lock(&self.kept);
@@ -379,7 +364,6 @@ impl Shared {
         self.raise();
     }
 
-    /// Notes the scales among the bytes of data flash from a place on.
     pub(super) fn note_scales(&self, id: u8, start: u16, bytes: &[u8]) {
         for (subclass, offset) in self.chip.scaling.in_flash().filter(|&(subclass, _)| subclass == id) {
             let at = offset.checked_sub(start).map(usize::from);
@@ -395,8 +379,7 @@ impl Shared {
         }
     }
 
-    /// The scale at a place of data flash. Before it has been read it is the default, 1. `None` if another one has
-    /// been read and may have changed since.
+    /// The scale at a place; 1, the default, until it has been read; `None` if it may have changed since.
     fn flash_scale(&self, place: (u8, u16)) -> Option<u32> {
         let scale = lock(&self.flash_scales).get(&place).copied().unwrap_or(1);
         (scale > 0).then_some(scale.into())
@@ -427,7 +410,6 @@ impl Shared {
         lock(&self.flash_scales).clear();
     }
 
-    /// Forgets the bytes of some subclasses.
     pub(super) fn forget(&self, changed: impl Fn(&Subclass) -> bool) {
         for (subclass, kept) in self.chip.subclasses.iter().zip(&mut lock(&self.kept).subclasses) {
             if changed(subclass) {
@@ -456,8 +438,7 @@ impl Shared {
     }
 }
 
-/// A gauge, as everything but its owner sees it. Cheap to clone; nothing here blocks or touches the bus.
-/// When the last clone is dropped, the owner finishes what it is doing and ends.
+/// A gauge, as all but its owner see it; nothing here blocks. After the last clone is dropped, the owner ends.
 #[derive(Clone)]
 pub struct Handle {
     shared: Arc<Shared>,
@@ -467,9 +448,7 @@ pub struct Handle {
 /// Requests, each with the time at which it was submitted.
 pub(super) type Requests = VecDeque<(Duration, Request)>;
 
-/// Where the requests to an owner go.
 pub(super) enum Queue {
-    /// To the threads in which owners work.
     Crew(Member),
     /// To the holder of the owner.
     Direct(Weak<Mutex<Requests>>),
@@ -562,8 +541,7 @@ impl Handle {
         self.shared.statistics.progress.get()
     }
 
-    /// Puts a failure into the log and into `gauge/last_error`: an attempt that was refused before a request was
-    /// submitted.
+    /// Puts the failure of an attempt that was refused before a request into the log and into `gauge/last_error`.
     pub fn report(&self, attempt: Attempt, error: &Error) {
         self.shared.report(attempt, error);
     }
@@ -573,15 +551,13 @@ impl Handle {
         self.shared.succeeded(attempt);
     }
 
-    /// Refuses something without asking the gauge. The log and `gauge/last_error` say why, as after any request that
-    /// fails.
+    /// Refuses something without asking the gauge, with the log and `gauge/last_error` as after a request that fails.
     pub fn refuse<T>(&self, attempt: Attempt, error: Error, done: Done<T>) {
         self.report(attempt, &error);
         done(Err(error));
     }
 
-    /// Asks for an operation. `done` is called with the outcome, of a write within 30 s; if the owner has ended, at
-    /// once.
+    /// Asks for an operation. `done` gets the outcome, of a write within 30 s; at once if the owner has ended.
     pub fn ask<A: Send, T>(&self, operation: &'static Operation<A, T>, argument: A, done: Done<T>) {
         self.ask_as(operation, argument, None, done);
     }
@@ -629,7 +605,6 @@ pub struct Signal {
 #[derive(Debug, Default)]
 struct Raised {
     count: u64,
-    /// The indices of the gauges that have changed since somebody asked.
     changed: Vec<u16>,
 }
 
@@ -642,7 +617,6 @@ impl Signal {
         self.raise_for(NOWHERE);
     }
 
-    /// Something of the gauge of that index has changed.
     fn raise_for(&self, index: u16) {
         let mut state = lock(&self.state);
         state.count += 1;

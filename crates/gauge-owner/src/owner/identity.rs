@@ -14,14 +14,12 @@ use ti_gauge::probe;
 /// A gauge's watchdog allows each command twice a second.
 const ASK_AGAIN: Duration = Duration::from_secs(1);
 
-/// What is known of who the gauge is.
 #[derive(Debug)]
 pub(super) struct Identity {
     /// See [`super::Run::unverified`].
     unverified: bool,
     /// See [`super::Run::missing`].
     missing: Option<Error>,
-    /// When the gauge was last asked what it is.
     asked: Duration,
 }
 
@@ -30,17 +28,14 @@ impl Identity {
         Self { unverified, missing, asked: Duration::ZERO }
     }
 
-    /// The reason why the gauge cannot be reached yet, the first time.
     pub(super) fn take_missing(&mut self) -> Result<()> {
         self.missing.take().map_or(Ok(()), Err)
     }
 
-    /// Whether the device at the address may be no gauge.
     pub(super) fn is_unverified(&self) -> bool {
         self.unverified
     }
 
-    /// Whether the gauge was asked after that moment what it is.
     pub(super) fn was_asked_since(&self, moment: Duration) -> bool {
         moment < self.asked
     }
@@ -65,8 +60,7 @@ impl Identity {
         Ok(identity)
     }
 
-    /// Asks the gauge what it is, and checks that it can be mounted with the chip's table. I2C has no error
-    /// detection, so versions that the table was not proven for are asked for until two answers agree.
+    /// I2C has no error detection, so versions that the table was not proven for are asked for until two answers agree.
     pub(super) fn ask(&mut self, gauge: &mut Gauge) -> Result<(Answers, Option<Limited>)> {
         self.asked = gauge.clock.now();
         let chip = gauge.chip;
@@ -87,8 +81,7 @@ impl Identity {
     }
 }
 
-/// Checks that the part that gave these answers can be mounted with the chip's table. Returns why only its
-/// standard commands are used, if it is so.
+/// Checks that the part can be mounted with the table. Returns why only its standard commands are used, if so.
 pub(super) fn check_identity(chip: &'static Chip, answers: &Answers) -> Result<Option<Limited>> {
     let is_it = |found: &Chip| found.name == chip.name;
     let found = match recognise(answers) {

@@ -1,9 +1,7 @@
 // SPDX-License-Identifier: MIT
 
-//! What a gauge with RAM has learned, kept beside the journals: its power is lost, and what took weeks to learn is not.
-//!
-//! It belongs to the pack. After a loss of power no gauge with RAM can tell its pack from another one, so that only a pack
-//! with a name (`--pack`) gets it back; otherwise it waits for a person.
+//! What a gauge with RAM has learned, kept beside the journals, because its power is lost. It belongs to the pack, which
+//! such a gauge cannot tell from another: only one with a name (`--pack`) gets it back; otherwise it waits for a person.
 
 use std::fmt;
 use std::fs;
@@ -21,8 +19,7 @@ use ti_gauge::image::{Image, toml};
 use ti_gauge::journal;
 use ti_gauge::value::Value;
 
-/// Versions of one pack that are kept: the newest ones, and besides them the last one of each of so many days, because it
-/// may be noticed late that what was learned is wrong.
+/// Newest versions of a pack, and days with their last version, that are kept: a mistake may be noticed late.
 const KEPT: usize = 10;
 const DAYS: usize = 30;
 const SUFFIX: &str = ".learned.toml";
@@ -66,8 +63,7 @@ impl Version {
         Self(time.strftime("%Y%m%dT%H%M%SZ").to_string())
     }
 
-    /// The version that follows, which is newer also by a clock that was put back. By one that stays far behind, days pass as
-    /// well, or all versions would be of one day.
+    /// A version that is newer also by a clock that was put back. If that stays far behind, days pass as well.
     fn next(&self, now: Timestamp) -> Option<Self> {
         let last: Timestamp = self.0.parse().ok()?;
         let [second, pause] = [Duration::from_secs(1), EVERY].map(SignedDuration::try_from);
@@ -76,7 +72,6 @@ impl Version {
         Some(Self::at(now.max(last.checked_add(step).ok()?)))
     }
 
-    /// One that is a second newer.
     fn after(&self) -> Option<Self> {
         self.next(self.0.parse().ok()?)
     }
@@ -104,7 +99,6 @@ impl Learned {
         Self { trusted: account, ..self }
     }
 
-    /// The name of its pack.
     pub(super) fn pack_name(&self) -> Option<&str> {
         self.pack.as_deref()
     }
@@ -119,8 +113,6 @@ impl Learned {
         Self { pack, anywhere: true, ..self }
     }
 
-    /// Says that the gauge has this pack, if that has a name, to all others who keep what is learned in the folder. It goes on
-    /// saying so as `before`.
     pub(super) fn claim(&self, chip: &Chip, before: Option<Claim>) -> Option<Claim> {
         let pack = self.pack.as_deref()?;
         let is_it = |claim: &Claim| claim.is_of(chip.name, pack, self.anywhere);
@@ -171,8 +163,7 @@ impl Learned {
         (None, dropped)
     }
 
-    /// The version that somebody has named, or why it does not count. One of a pack without a name counts as well: the person
-    /// knows whose it is.
+    /// The version that somebody has named, also of a pack without a name: the person knows whose it is.
     pub(super) fn named(
         &self,
         version: &Version,
@@ -195,7 +186,6 @@ impl Learned {
         })
     }
 
-    /// A version, or why it does not count.
     fn read(&self, path: &Path, chip: &'static Chip, design: Option<i64>) -> Result<Image, String> {
         self.trust(path).map_err(|error| error.to_string())?;
         let image = Image::open(path, Some(chip)).map_err(|error| error.to_string())?;
@@ -208,7 +198,6 @@ impl Learned {
         why.map_or(Ok(image), |why| Err(format!("{}: {why}", path.display())))
     }
 
-    /// Makes sure that nobody else can have written a version.
     fn trust(&self, path: &Path) -> Result<()> {
         [&self.folder, path].into_iter().try_for_each(|path| journal::check(path, self.trusted))
     }
@@ -308,7 +297,6 @@ impl Learned {
         text
     }
 
-    /// Versions, newest first, a line each with its capacities.
     fn list(&self, versions: &[(Version, PathBuf)], chip: &'static Chip, design: Option<i64>) -> String {
         let line = |(version, path): &(Version, PathBuf)| match self.read(path, chip, design) {
             Ok(image) => {
@@ -336,7 +324,6 @@ fn superfluous(files: &[(Version, PathBuf)]) -> Vec<&Path> {
     superfluous
 }
 
-/// A pack, as a message has it.
 fn named_pack(name: &str) -> String {
     if name.is_empty() { "a pack without a name".into() } else { format!("the pack {name}") }
 }
@@ -351,7 +338,6 @@ pub(super) fn is_design(parameter: &Parameter) -> bool {
     parameter.name == "Design Capacity"
 }
 
-/// Design Capacity in an image, in mAh.
 fn design_of(image: &Image) -> Option<i64> {
     match image.entries.iter().find(|entry| is_design(entry.parameter))?.value {
         Value::Int(design) => Some(design),
@@ -371,8 +357,7 @@ fn content(image: &Image) -> Option<Vec<(Place, Vec<u8>)>> {
     Some(image.to_restore().ok()?.iter().map(stored).collect())
 }
 
-/// Why values cannot be what a gauge has learned, which limits Qmax itself to 120 % of its default (Max % Default Qmax). For
-/// values in mAh the Design Capacity is needed.
+/// Why values cannot be learned ones: the gauge limits Qmax to 120 % of its default (Max % Default Qmax).
 pub(super) fn implausible(image: &Image, design: Option<i64>) -> Option<String> {
     image.entries.iter().find_map(|entry| {
         let Value::Int(value) = entry.value else { return None };

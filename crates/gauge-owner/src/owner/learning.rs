@@ -23,7 +23,6 @@ pub(super) const EVERY_SEALED: Duration = Duration::from_secs(60 * 60);
 /// The first look comes early: a gauge learns while the host is off, too, and not every host is on for long.
 pub(super) const FIRST: Duration = Duration::from_secs(60);
 
-/// What the pack learns, and what is kept of it.
 #[derive(Debug)]
 pub(super) struct Learning {
     /// See [`super::Run::learned`], of a gauge with RAM.
@@ -34,13 +33,11 @@ pub(super) struct Learning {
     is_contested: bool,
     /// It was not restored, because another gauge has the pack as well.
     is_owed: bool,
-    /// When it is looked at.
     next_look: Option<Duration>,
     /// What was found there first since the gauge has come, or was written.
     first: Option<Vec<Change>>,
 }
 
-/// What is to be done about it.
 pub(super) enum Due {
     Nothing,
     /// It was not restored, and can be.
@@ -48,7 +45,6 @@ pub(super) enum Due {
     Look,
 }
 
-/// What a look at the gauge has found.
 pub(super) enum Look {
     /// Nothing was learned, or no plausible value.
     Nothing,
@@ -62,18 +58,15 @@ impl Learning {
         Self { store, claim: None, is_contested: false, is_owed: false, next_look: None, first: None }
     }
 
-    /// For tests: where what the pack learns is kept.
     #[cfg(test)]
     pub(super) fn store(&self) -> Option<Learned> {
         self.store.clone()
     }
 
-    /// Whether what the pack learns is kept.
     pub(super) fn is_stored(&self) -> bool {
         self.store.is_some()
     }
 
-    /// The name of the pack.
     pub(super) fn pack_name(&self) -> Option<&str> {
         self.store.as_ref()?.pack_name()
     }
@@ -96,22 +89,18 @@ impl Learning {
         self.claim = None;
     }
 
-    /// Data memory was written, with what was to be restored.
     pub(super) fn note_written(&mut self) {
         (self.first, self.next_look) = (None, None);
     }
 
-    /// What was owed is restored, or something newer is there.
     pub(super) fn note_restored(&mut self) {
         self.is_owed = false;
     }
 
-    /// Whether it is time for a look.
     pub(super) fn is_look_due(&self, now: Duration) -> bool {
         self.next_look.is_some_and(|due| due <= now)
     }
 
-    /// What is to be done now, for a gauge whose memory `is_good`.
     pub(super) fn due(&mut self, shared: &Shared, is_good: bool) -> Due {
         if self.store.is_none() || !is_good {
             self.next_look = None;
@@ -171,7 +160,6 @@ impl Learning {
         }
     }
 
-    /// Whether another gauge has the same pack. From now on that one knows of this one, too.
     fn is_contested(&mut self, shared: &Shared) -> bool {
         let before = self.claim.take();
         self.claim = self.store.as_ref().and_then(|store| store.claim(shared.chip, before));
@@ -185,7 +173,6 @@ impl Learning {
         is_contested
     }
 
-    /// Why nothing that was learned is saved or restored, while another gauge has the same pack.
     fn contested(&self) -> Option<Error> {
         let pack = self.pack_name().filter(|_| self.is_contested)?;
         let why = format!(
@@ -195,7 +182,6 @@ impl Learning {
         Some(Error::new("learned", Cause::NotNow, why))
     }
 
-    /// Refuses while another gauge has the same pack.
     pub(super) fn check_contested(&mut self, shared: &Shared) -> Result<()> {
         match self.is_contested(shared) {
             true => self.contested().map_or(Ok(()), Err),
@@ -203,7 +189,6 @@ impl Learning {
         }
     }
 
-    /// Looks at what the gauge has learned.
     pub(super) fn look(&mut self, access: &mut Access, profile: &[Change]) -> Result<Look> {
         let chip = access.chip();
         let mut indices = learning(chip);
@@ -269,12 +254,10 @@ impl Learning {
         Ok(if changes.iter().any(is_new) { Look::Learned(image) } else { Look::Nothing })
     }
 
-    /// Saves a version. Returns whether it is a new one.
     pub(super) fn save(&self, image: &Image) -> Result<bool> {
         self.store.as_ref().map_or(Ok(false), |store| store.save(image, Timestamp::now()))
     }
 
-    /// Removes all versions. Returns how many there were.
     pub(super) fn forget(&self, chip: &Chip) -> Result<usize> {
         self.store.as_ref().map_or(Ok(0), |store| store.forget(chip))
     }
@@ -315,14 +298,12 @@ impl Learning {
     }
 }
 
-/// Design Capacity by the profile.
 fn design_capacity(profile: &[Change]) -> Option<i64> {
     let is_it = |change: &&Change| change.row().is_some_and(|(_, row)| is_design(row));
     let change = profile.iter().find(is_it)?;
     Some(change.bytes().iter().fold(0, |word, &byte| word << 8 | i64::from(byte)))
 }
 
-/// The index of the subclass that a change is of.
 fn index_of(chip: &'static Chip, change: &Change) -> Option<usize> {
     let (subclass, _) = change.row()?;
     chip.subclasses.iter().position(|other| std::ptr::eq(other, subclass))

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! Data memory that is RAM: a gauge whose power is gone for a moment has TI's defaults, and predicts nonsense. Its profile
-//! is written again before anything that depends on it is shown.
+//! Data memory that is RAM: after a loss of power its profile is written again before values that depend on it are shown.
 
 use std::time::Duration;
 
@@ -24,12 +23,10 @@ mod kept;
 /// How often the profile is written to a gauge that has lost it again by the next poll.
 const TRIES: u32 = 3;
 
-/// What is known of data memory in RAM.
 #[derive(Debug)]
 pub(super) struct Memory {
     /// What it should hold.
     profile: Profile,
-    /// What its pack has learned.
     learning: Learning,
     loss: Loss,
     /// While nothing is chosen: the gauge has other values than the part's defaults where a profile has some.
@@ -54,7 +51,6 @@ pub(super) struct Memory {
 #[derive(Debug)]
 struct Before(Option<String>);
 
-/// The loss of the configuration.
 #[derive(Debug, Default)]
 enum Loss {
     /// No loss is known.
@@ -87,7 +83,6 @@ impl Memory {
         }
     }
 
-    /// For tests: where what was learned is kept.
     #[cfg(test)]
     pub(super) fn store(&self) -> Option<super::Learned> {
         self.learning.store()
@@ -98,7 +93,6 @@ impl Memory {
         chip.volatile.is_some() && self.is_managed()
     }
 
-    /// Whether there is a profile, or will be.
     pub(super) fn is_managed(&self) -> bool {
         !self.profile.changes().is_empty() || self.profile.is_choice()
     }
@@ -108,7 +102,6 @@ impl Memory {
         matches!(self.loss, Loss::None) && !self.profile.changes().is_empty()
     }
 
-    /// A gauge has come, or come back.
     pub(super) fn arrives(&mut self) {
         (self.loss, self.lost_again) = (Loss::None, 0);
         (self.is_away, self.is_believed) = (false, false);
@@ -132,7 +125,6 @@ impl Memory {
         chip.volatile == Some(0) && self.is_managed()
     }
 
-    /// Whether it is time for a look at what the gauge has learned.
     pub(super) fn is_look_due(&self, now: Duration) -> bool {
         self.learning.is_look_due(now)
     }
@@ -159,9 +151,8 @@ impl Memory {
         is_believed && !self.is_waited_for() && !reports_loss(chip, registers)
     }
 
-    /// Writes the profile to a gauge that has lost it with its power. Called after each scheduled poll, whose flags show
-    /// the loss. Where no flag does, the profile is compared: when the gauge has come or has not answered, and now and
-    /// then while it is open. A flag may have been cleared by somebody else, so that is compared once, too.
+    /// Writes the profile to a gauge that has lost it. Called after each scheduled poll, whose flags show it. Where no
+    /// flag does, or somebody has cleared it, the profile is compared: at an arrival, after a silence, and now and then.
     pub(super) fn keep_configured(&mut self, access: &mut Access) {
         self.repair(access);
         self.tell_of_battery(access);
@@ -191,8 +182,7 @@ impl Memory {
         }
         let is_compared = self.compared.is_known(published.presence);
         let Some((attempts, is_lost)) = self.judge(flag, is_reported, is_compared) else { return };
-        // If the power was lost between two polls, what was read of data memory is out of date, and the seal
-        // may be open.
+        // If the power was lost between two polls, what was read is out of date, and the seal may be open.
         if is_lost {
             access.shared().forget_dataflash();
         }
@@ -221,8 +211,7 @@ impl Memory {
         }
     }
 
-    /// Judges after a poll whether the profile has to be written or compared. Returns how often that has failed, and
-    /// whether the memory is lost; `None` if there is nothing to do.
+    /// Whether the profile has to be written or compared: how often that has failed, and whether the memory is lost.
     fn judge(&mut self, flag: u32, is_reported: bool, is_compared: bool) -> Option<(u32, bool)> {
         match (&self.loss, is_reported) {
             // The end of CONFIG UPDATE clears the flag also after a write that failed.
@@ -242,7 +231,6 @@ impl Memory {
         }
     }
 
-    /// No profile was chosen yet.
     fn wait_for_choice(&mut self, access: &mut Access, undecided: &Undecided, is_lost: bool, attempts: u32) {
         let why = &undecided.why;
         if is_lost {
@@ -258,8 +246,7 @@ impl Memory {
         }
     }
 
-    /// The gauge, which has kept its power, reports that its battery was taken out, or that there is one again. It keeps what
-    /// it has learned of the one before.
+    /// The gauge, with power, reports that its battery was taken out or is back. It keeps what it learned of the old one.
     pub(super) fn battery_has_changed(&mut self, access: &mut Access, is_there: bool) {
         let (chip, shared) = (access.chip(), access.shared());
         let what = if is_there { "a battery was inserted" } else { "the battery was taken out" };
@@ -293,7 +280,6 @@ impl Memory {
         before.is_some() && before == self.learning.pack_name()
     }
 
-    /// Makes the choice among several profiles, for a gauge that has come or has lost its memory.
     fn choose_profile(&mut self, shared: &Shared, is_lost: bool) -> Result<(), Undecided> {
         let chosen = self.profile.choose(shared, is_lost);
         if let Some(pack) = chosen.inspect_err(|_| self.learning.belongs_to(None, false))? {
@@ -303,8 +289,7 @@ impl Memory {
         Ok(())
     }
 
-    /// Whether data memory has anything but the part's defaults where a profile has some other value: it may have been lost
-    /// although no flag shows that, which somebody else has cleared.
+    /// Whether data memory differs from the part's defaults where a profile does: another may have cleared the flag.
     fn is_configured_by_others(&mut self, access: &mut Access) -> bool {
         let now = access.shared().published().presence;
         if let Some(is_own) = self.is_own.get(now) {
@@ -363,7 +348,6 @@ impl Memory {
         }
     }
 
-    /// The gauge has its profile, and nothing was written.
     fn note_unchanged(&mut self, shared: &Shared) {
         self.compared.learn(shared.published().presence, ());
         shared.succeeded(&Attempt::RESTORE);
@@ -372,7 +356,6 @@ impl Memory {
         self.show_configured(shared);
     }
 
-    /// The profile was written, with what the pack had `learned` until then.
     fn note_restored(&mut self, access: &mut Access, learned: Option<String>) {
         let shared = access.shared();
         shared.succeeded(&Attempt::RESTORE);
@@ -392,7 +375,6 @@ impl Memory {
         access.hurry();
     }
 
-    /// All that was to be there was written.
     fn note_written(&mut self, shared: &Shared) {
         self.compared.learn(shared.published().presence, ());
         (self.loss, self.exchanged) = (Loss::Written, None);
@@ -401,9 +383,8 @@ impl Memory {
         self.learning.note_written();
     }
 
-    /// Tells a gauge that waits for it that it has a battery: by the profile no pin detects one (`[BIE]` is 0), and before
-    /// BAT_INSERT such a gauge does not gauge (SLUUAC9A 4.1.7). It answers, so there is one. Said once after the gauge has
-    /// come and after each restore, so that a BAT_REMOVE of somebody else stays.
+    /// By the profile no pin detects a battery (`[BIE]` is 0), and without BAT_INSERT such a gauge does not gauge (SLUUAC9A
+    /// 4.1.7). Said once after an arrival or a restore, so that a BAT_REMOVE of somebody else stays.
     fn tell_of_battery(&mut self, access: &mut Access) {
         let chip = access.chip();
         let published = access.shared().published();
@@ -440,7 +421,6 @@ impl Memory {
         });
     }
 
-    /// The gauge loses what is written to it each time.
     fn stop_restoring(&mut self, access: &Access) {
         let why = format!(
             "the gauge has lost its data memory {TRIES} times right after the profile was written to it, so it is not \
@@ -484,7 +464,6 @@ fn waits_for_insertion(chip: &Chip, profile: &[Change]) -> Option<u16> {
     profile.iter().find_map(waits)?.then_some(insert.code)
 }
 
-/// Whether the registers show that data memory was lost.
 pub(super) fn reports_loss(chip: &Chip, registers: &Registers) -> bool {
     let flags = chip.register(Role::Flags).and_then(|flags| registers.value(flags));
     flags.zip(chip.volatile).is_some_and(|(flags, lost)| flags & i64::from(lost) != 0)

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! What an operation is, how it is asked for, and how it is answered. The operations themselves are the rows of
-//! [`super::operations`].
+//! What an operation is, how it is asked for and answered. The operations are the rows of [`super::operations`].
 
 use std::time::Duration;
 
@@ -47,7 +46,6 @@ pub struct Context {
     pub limitation: Option<Error>,
 }
 
-/// When a request was made.
 #[derive(Clone, Copy)]
 pub(super) struct Asked {
     pub(super) submitted: Duration,
@@ -58,15 +56,13 @@ pub(super) struct Asked {
 }
 
 impl Asked {
-    /// The first line of the answer.
     pub(super) fn title(self) -> String {
         self.name.map_or(String::new(), |name| format!("#{name:016x}\n"))
     }
 }
 
 impl<A, T> Operation<A, T> {
-    /// An operation that needs the gauge's table, a device that is known to be a gauge, and an answer in time, and
-    /// whose failure is shown until it succeeds.
+    /// It needs the gauge's table, a device known to be a gauge, and time; a failure is shown until it succeeds.
     pub(super) const fn new(name: &'static str, call: fn(&mut Owner, A, Asked) -> Result<T>) -> Self {
         Self {
             name,
@@ -162,7 +158,6 @@ fn named(data: &[u8]) -> (&[u8], Option<u64>) {
     name.map_or((data, None), |(at, name)| (&data[..at], Some(name)))
 }
 
-/// An operation that somebody waits for.
 pub(super) struct Request(Box<dyn Work>);
 
 impl Request {
@@ -205,7 +200,6 @@ impl<T> Drop for Reply<T> {
     }
 }
 
-/// A request, whatever its argument and its answer are.
 trait Work: Send {
     fn carry_out(self: Box<Self>, owner: &mut Owner, submitted: Duration);
 }

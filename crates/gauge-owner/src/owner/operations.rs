@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! What a gauge's owner can be asked to do: a row is an operation, with its name, how its text is read, what it needs and
-//! what it calls. A file of `gauge/`, a step of a station and a request of the file system are views of these rows.
+//! What an owner can be asked to do. Files of `gauge/`, steps of a station and file operations are views of these rows.
 
 use std::ptr;
 use std::sync::Arc;
@@ -27,8 +26,7 @@ pub static READ: Operation<Vec<usize>, Vec<Arc<[u8]>>> =
         .attempting(|wanted| Attempt::Read(wanted.clone()))
         .reporting();
 
-/// Reads subclasses, and what the pack is known by, so that a later access sees whether it is still the one. No program has
-/// asked for this, so that a failure is not shown to one.
+/// Reads subclasses, and marks of the pack for later accesses. No program asked, so a failure is not shown.
 pub static KNOW: Operation<Vec<usize>> =
     Operation::new("know", |owner, wanted: Vec<usize>, asked| owner.access.know(&wanted, asked.waited))
         .attempting(|wanted| Attempt::Read(wanted.clone()))
@@ -56,8 +54,7 @@ pub static SEAL: Operation<Seal> =
 pub static CONTROL: Operation<u16> =
     Operation::new("control", |owner, code, _| send(&mut owner.access, code)).parsed_by(words::subcommand);
 
-/// Changes one of the gauge's keys. `gaugefs keys` writes blanks afterwards, which overwrite the key in the daemon's
-/// buffer.
+/// Changes a key. `gaugefs keys` writes blanks afterwards, which overwrite the key in the daemon's buffer.
 pub static KEYS: Operation<keys::KeyChange> =
     Operation::new("keys", |owner, change, asked| change_key(&mut owner.access, &change, asked))
         .parsed_by(|_, text| keys::KeyChange::parse(text))
@@ -121,7 +118,6 @@ pub static END: Operation<()> = Operation::new("end", |owner, (), _| owner.end()
     .attempting(|()| SETTLE.itself())
     .reporting();
 
-/// The places of changes.
 fn places(changes: &[Change]) -> Vec<Place> {
     changes.iter().map(Change::place).collect()
 }
@@ -134,7 +130,6 @@ fn passes_sealed(now: Seal, goal: Seal) -> Option<&'static str> {
     )
 }
 
-/// Goes to a seal state.
 fn go_to(access: &mut Access, goal: Seal, asked: Asked) -> Result<()> {
     if let Some(warning) = passes_sealed(access.shared().published().seal, goal) {
         log::warn!("{}gauge/seal: {warning}", access.shared().prefix);
@@ -144,7 +139,6 @@ fn go_to(access: &mut Access, goal: Seal, asked: Asked) -> Result<()> {
     outcome
 }
 
-/// Sends a subcommand, and publishes the answer.
 fn send(access: &mut Access, code: u16) -> Result<()> {
     let outcome = access
         .pay_before_subcommand()
@@ -184,7 +178,6 @@ fn change_key(access: &mut Access, change: &keys::KeyChange, asked: Asked) -> Re
     Ok(())
 }
 
-/// Publishes the gauge's answer to a challenge.
 fn authenticate(access: &mut Access, challenge: Message, asked: Asked) -> Result<()> {
     let order = access.shared().challenge_order();
     let digest = authentication::ask(access.gauge(), &challenge, order, asked.waited);
@@ -267,8 +260,7 @@ impl Owner {
         Ok(())
     }
 
-    /// Looks at the gauge anew: forgets what was read of data flash, makes sure that it is the same gauge, and polls
-    /// it.
+    /// Looks anew: forgets what was read of data flash, makes sure that it is the same gauge, and polls it.
     fn refresh(&mut self, submitted: Duration) -> Result<()> {
         self.shared().next_content();
         self.access.suspect();
@@ -283,7 +275,6 @@ impl Owner {
         Ok(())
     }
 
-    /// Identifies and polls the gauge and reads blocks of data flash, records that, and publishes it.
     fn make_report(&mut self, waited: Duration) -> Result<()> {
         let recording = Recording::begin(&mut self.access);
         let outcome = self.poll_for_report();
@@ -308,7 +299,6 @@ impl Owner {
         Ok(())
     }
 
-    /// Pays what is owed for the last time, and ends. An error says what remains.
     fn end(&mut self) -> Result<()> {
         self.turn.make_last();
         self.access.pay_for_the_last_time()

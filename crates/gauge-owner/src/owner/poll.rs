@@ -13,7 +13,6 @@ use ti_gauge::gauge::Statistics;
 use ti_gauge::registers::Registers;
 
 impl Owner {
-    /// The poll that is due by the schedule.
     pub(super) fn poll_on_time(&mut self) {
         let was_gone = self.access.schedule().is_gone();
         let is_new = Statistics::read(&self.shared().statistics.polls) == 0;
@@ -79,7 +78,6 @@ impl Owner {
         }
     }
 
-    /// Reads what is due and publishes it as a new Snapshot.
     pub(super) fn poll(&mut self) -> Result<()> {
         let watched = self.memory.watches_copies(self.access.chip());
         let (taken, registers) = self.readings.read(&mut self.access, watched)?;

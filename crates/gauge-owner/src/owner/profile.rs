@@ -9,7 +9,6 @@ use crate::evidence::{Evidence, Looks};
 use ti_gauge::dataflash::Change;
 use ti_gauge::epoch::Fact;
 
-/// What data memory should hold.
 #[derive(Debug)]
 pub(super) struct Profile {
     /// See [`super::Run::profile`]; the chosen profile, where there are several.
@@ -24,7 +23,6 @@ pub(super) struct Profile {
     looks: Looks,
 }
 
-/// The pack that a profile was chosen for.
 #[derive(Debug)]
 pub(super) struct Pack {
     pub(super) name: Option<String>,
@@ -37,22 +35,18 @@ impl Profile {
         Self { changes, choices, chosen: Fact::default(), why: String::new(), looks: Looks::default() }
     }
 
-    /// The profile, as changes to data memory; none while nothing is chosen.
     pub(super) fn changes(&self) -> &[Change] {
         &self.changes
     }
 
-    /// The chosen profile and the reason, for messages; empty if nothing was chosen.
     pub(super) fn why(&self) -> &str {
         &self.why
     }
 
-    /// Whether there are several profiles.
     pub(super) fn is_choice(&self) -> bool {
         !self.choices.is_empty()
     }
 
-    /// The changes of all profiles to choose from.
     pub(super) fn of_choices(&self) -> impl Iterator<Item = &Change> {
         self.choices.iter().flat_map(|choice| &choice.profile)
     }
@@ -68,8 +62,7 @@ impl Profile {
         self.looks.forget();
     }
 
-    /// Makes the choice among several profiles, for a gauge that has come or has lost its memory. Returns the pack that it
-    /// was made for; `None` if the last choice still holds, or there is no choice.
+    /// Makes the choice. Returns the pack that it was made for; `None` without a choice, or if the last one holds.
     pub(super) fn choose(&mut self, shared: &Shared, is_lost: bool) -> Result<Option<Pack>, Undecided> {
         let published = shared.published();
         if self.choices.is_empty() || !is_lost && self.chosen.is_known(published.presence) {

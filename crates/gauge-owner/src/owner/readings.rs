@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! What is read of a gauge that is not asked for: its registers, each tier when it is due, and what attributes need of
-//! data flash.
+//! What is read without being asked for: each tier of registers when it is due, and what attributes need of data flash.
 
 use std::time::Duration;
 
@@ -14,7 +13,6 @@ use ti_gauge::epoch::Fact;
 use ti_gauge::gauge::{Gauge, Seal};
 use ti_gauge::registers::Registers;
 
-/// What was read between polls, and what the polls have shown.
 #[derive(Debug)]
 pub(super) struct Readings {
     /// Registers of the tiers that are not read with every poll.
@@ -47,13 +45,11 @@ impl Readings {
         self.looked = Fact::default();
     }
 
-    /// Polls in a row that found a gauge which has not measured since its power-up or reset.
     pub(super) fn unmeasured(&self) -> u32 {
         self.unmeasured
     }
 
-    /// Reads the registers that are due, also those that are copies of data memory if their loss is `watched` for. Returns
-    /// them with when the poll began.
+    /// Reads what is due, also copies of data memory if `watched` for its loss, and returns when the poll began.
     pub(super) fn read(&mut self, access: &mut Access, watched: bool) -> Result<(Duration, Registers)> {
         let chip = access.chip();
         let mut taken = access.now();
@@ -127,9 +123,8 @@ impl Readings {
     }
 }
 
-/// Whether the gauge has measured since its power-up or reset. A gauge that answers has more than 0 mV. One whose
-/// flags show a battery, or a loss of power, that the last poll did not may have started since CONTROL_STATUS was
-/// read, which the next poll reads again.
+/// Whether the gauge has measured since its power-up or reset: then it has more than 0 mV. With a battery or a loss of
+/// power that the last poll did not show it may have started since CONTROL_STATUS was read.
 fn has_measured(access: &Access, registers: &Registers) -> bool {
     let chip = access.chip();
     let read = |registers: &Registers, role| registers.value(chip.register(role)?);
@@ -145,7 +140,6 @@ fn has_measured(access: &Access, registers: &Registers) -> bool {
     chip.condition.complete.is_none_or(shows) && read(registers, Role::VoltageNow) != Some(0) && !has_started
 }
 
-/// Whether the registers of a poll show a battery.
 pub(super) fn has_battery(chip: &Chip, registers: &Registers) -> bool {
     chip.condition.shows_battery(chip.register(Role::Flags).and_then(|flags| registers.value(flags)))
 }

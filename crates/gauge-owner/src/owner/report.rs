@@ -48,8 +48,7 @@ pub struct Report {
     pub firmware: Vec<u8>,
     /// The subclasses of data flash that were read, none if the part is not known to have any; or why they were not.
     pub data_flash: Result<Vec<&'static Subclass>, String>,
-    /// Values of data flash that could decide what the table believes, where they were read, without numbers of the pack and
-    /// texts.
+    /// Values that could decide what the table believes, without numbers of the pack and texts.
     pub values: Vec<(Row, Value)>,
     /// The steps of the last calibration since the mount, and what it has reached; empty for none.
     pub calibration: Arc<str>,
@@ -59,8 +58,7 @@ pub struct Report {
     pub events: Vec<Event>,
 }
 
-/// Times from a command to its effect, in milliseconds: the longest until a look has shown the effect, and the longest after
-/// which a look has not shown it.
+/// Times from a command to its effect, in ms: the longest until a look showed it, and after which one did not.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Effect {
     /// Effects that were seen.
@@ -101,7 +99,6 @@ impl Times {
     }
 }
 
-/// A recording of what is sent for a report.
 pub(super) struct Recording {
     begun: Duration,
     taken: Timestamp,
@@ -156,8 +153,7 @@ impl Recording {
     }
 }
 
-/// Reads blocks that hold nothing of one pack alone, and values that could decide a belief, as any access to `df` would. An
-/// error says why not, without the names of files.
+/// Reads blocks that hold nothing of one pack alone, and deciding values. An error has no names of files.
 fn read(access: &mut Access, waited: Duration) -> Result<DataFlash, String> {
     let chip = access.chip();
     let (shared, rows) = (samples(chip), deciding(chip));
@@ -192,7 +188,6 @@ fn read(access: &mut Access, waited: Duration) -> Result<DataFlash, String> {
     }
 }
 
-/// The subclasses that were read for everybody, and values.
 type DataFlash = (Vec<&'static Subclass>, Vec<(Row, Value)>);
 
 /// The numbers in data flash that could decide what the table believes.

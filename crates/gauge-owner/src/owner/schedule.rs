@@ -4,18 +4,15 @@
 
 use std::time::Duration;
 
-/// The slow tier is read with every tenth poll, first with the second one, which follows soon after the
-/// first: a mount waits only for what its attributes need.
+/// The slow tier comes with every tenth poll, first with the second: a mount waits only for its attributes.
 const SLOW_EVERY: u64 = 10;
 /// Consecutive failed polls after which a gauge counts as gone.
 pub(super) const FAILURES: u32 = 3;
 /// Delay before the first failed poll is repeated; further failures wait for the interval.
 pub(super) const RETRY: Duration = Duration::from_secs(1);
-/// Least time between polls. The watchdog of a gauge that is sent standard commands more often than twice a
-/// second may reset it.
+/// Least time between polls: a watchdog may reset a gauge with more than two standard commands a second.
 pub(super) const SHORTEST: Duration = Duration::from_millis(500);
 
-/// When the gauge is polled, and which polls read the slow tier.
 #[derive(Debug)]
 pub(super) struct Schedule {
     /// Successful polls. Skips numbers to move the next poll of the slow tier.
@@ -26,20 +23,17 @@ pub(super) struct Schedule {
     last: Duration,
     /// When the registers were read before that.
     before: Duration,
-    /// The next poll comes earlier than the interval: it is the second one, what the registers hold has changed, or
-    /// something that follows a poll is to be tried again.
+    /// The next poll comes early: the second one, after a change of registers, or to try something again.
     soon: Option<Duration>,
     /// See [`super::Run::phase`]; zero once it has been used.
     phase: Duration,
 }
 
 impl Schedule {
-    /// The schedule of a gauge whose registers may have been read just now, to identify it.
     pub(super) fn new(phase: Duration, now: Duration) -> Self {
         Self { number: 0, failures: 0, last: now, before: Duration::ZERO, soon: None, phase }
     }
 
-    /// When the next poll is due.
     pub(super) fn due(&self, interval: Duration) -> Duration {
         (self.last + self.pause(interval)).max(self.earliest())
     }
@@ -57,7 +51,6 @@ impl Schedule {
         (self.before, self.last) = (self.last, now);
     }
 
-    /// Time from the last poll to the next one.
     pub(super) fn pause(&self, interval: Duration) -> Duration {
         match (self.failures, self.soon) {
             (0, Some(soon)) => soon,
@@ -72,22 +65,18 @@ impl Schedule {
         self.earliest().saturating_sub(now)
     }
 
-    /// Whether the last poll succeeded, and began after that moment.
     pub(super) fn is_newer_than(&self, moment: Duration) -> bool {
         self.failures == 0 && moment < self.last
     }
 
-    /// The number of the last poll.
     pub(super) fn number(&self) -> u64 {
         self.number
     }
 
-    /// Whether the last poll failed.
     pub(super) fn has_failed(&self) -> bool {
         self.failures > 0
     }
 
-    /// Whether the gauge is gone.
     pub(super) fn is_gone(&self) -> bool {
         self.failures >= FAILURES
     }
@@ -113,12 +102,10 @@ impl Schedule {
         self.number = self.number.next_multiple_of(SLOW_EVERY);
     }
 
-    /// The next poll reads the slow tier.
     pub(super) fn read_slow_tier(&mut self) {
         self.number = self.number.next_multiple_of(SLOW_EVERY) + 1;
     }
 
-    /// The last poll has read the slow tier.
     pub(super) fn has_read_slow_tier(&self) -> bool {
         self.number % SLOW_EVERY == 2
     }
@@ -127,7 +114,6 @@ impl Schedule {
         self.number % SLOW_EVERY == 1
     }
 
-    /// A poll that began then has succeeded. Returns its number.
     pub(super) fn succeeded(&mut self, begun: Duration) -> u64 {
         self.number += 1;
         self.reads(begun);
@@ -139,7 +125,6 @@ impl Schedule {
         self.number
     }
 
-    /// A poll has failed.
     pub(super) fn failed(&mut self, now: Duration) {
         self.failures = self.failures.saturating_add(1);
         self.reads(now);

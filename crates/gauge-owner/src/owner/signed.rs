@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! Files that say which host has saved them, as journals do: several hosts may share a folder, and a place has the same
-//! name on each of them.
+//! Files that say which host has saved them: several may share a folder, with places of the same names.
 
 use std::path::Path;
 
@@ -14,7 +13,6 @@ pub(super) fn signed(text: &str) -> String {
     format!("# {}\n{text}", Machine::this())
 }
 
-/// The text without its host.
 pub(super) fn unsigned(text: &str) -> &str {
     text.split_once('\n').filter(|(line, _)| machine(line).is_some()).map_or(text, |(_, rest)| rest)
 }

@@ -9,18 +9,15 @@ use super::Attempt;
 use super::handle::Shared;
 use crate::error::Result;
 
-/// Longest time without a look at the clock. The gauge's clock counts the time in which the host is asleep, and a wait does
-/// not: what fell due then is done at most this long after the host is awake.
+/// Longest time without a look at the clock, which counts while the host is asleep, as a wait does not.
 const NAP: Duration = Duration::from_secs(30);
 /// Longest time without a look at the clock for a gauge that may have lost its memory while the host was asleep.
 const NAP_OF_RAM: Duration = Duration::from_secs(1);
 /// Time by which the gauge's clock may be ahead of one that stops with the host, although the host was awake.
 const AWAKE: Duration = Duration::from_millis(500);
 
-/// The turns of an owner.
 #[derive(Debug, Default)]
 pub(super) struct Turn {
-    /// Waits until the gauge has been tried for the first time.
     opening: Option<Opening>,
     /// The owner was asked to end: from then on it does nothing.
     is_last: bool,
@@ -28,7 +25,6 @@ pub(super) struct Turn {
     ended: Option<(Duration, Instant)>,
 }
 
-/// The receiver of the outcome of opening a gauge.
 #[derive(Debug)]
 pub(super) struct Opening(Sender<Result<()>>);
 
@@ -44,12 +40,10 @@ impl Opening {
 }
 
 impl Turn {
-    /// The first turn opens the gauge, and answers.
     pub(super) fn begin_with(&mut self, opening: Sender<Result<()>>) {
         self.opening = Some(Opening(opening));
     }
 
-    /// The receiver of the outcome, if this turn is the first one.
     pub(super) fn take_opening(&mut self) -> Option<Opening> {
         self.opening.take()
     }
@@ -60,7 +54,6 @@ impl Turn {
             .is_some_and(|(then, awake)| now.saturating_sub(then) > awake.elapsed().min(NAP_OF_RAM) + AWAKE)
     }
 
-    /// This turn is the last one.
     pub(super) fn make_last(&mut self) {
         self.is_last = true;
     }

@@ -28,8 +28,7 @@ pub(super) fn seal(_: &Context, data: &[u8]) -> Result<Seal> {
     found.ok_or_else(|| Error::new("seal", Cause::Invalid, why))
 }
 
-/// `show`, or what somebody has decided about an interrupted write, with the serial number of the pack if it is meant
-/// for another one.
+/// `show`, or a decision about an interrupted write, with the serial number of another pack if it is meant.
 pub(super) fn decision(_: &Context, data: &[u8]) -> Result<Option<Decision>> {
     let usage = "not a decision; write show, undo, finish or discard; undo and finish may be followed by the pack's \
                  serial number";
@@ -67,8 +66,7 @@ pub(super) fn wish(_: &Context, data: &[u8]) -> Result<Wish> {
     }
 }
 
-/// Reads what is to be calibrated. The meter's values are divided by the scales, because registers and data flash are in the
-/// gauge's own steps.
+/// The meter's values are divided by the scales: registers and data flash are in the gauge's own steps.
 pub(super) fn job(context: &Context, data: &[u8]) -> Result<Job> {
     let usage = "write board-offset, cc-offset, voltage MV, current MA, temperature CELSIUS, bringup CELLS DIVIDER [MV] \
                  or leave";

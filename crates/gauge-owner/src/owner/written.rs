@@ -30,7 +30,6 @@ pub(super) fn log(shared: &Shared, changes: &[Change], outcome: &Outcome) {
     }
 }
 
-/// The pack's serial number at the last poll, as the beginning of a line of the log.
 fn serial(shared: &Shared) -> String {
     let register = shared.chip.serial_register();
     let published = shared.published();
@@ -38,8 +37,7 @@ fn serial(shared: &Shared) -> String {
     word.map_or_else(String::new, |word| format!("serial 0x{word:04x}: "))
 }
 
-/// A change and the bytes that it replaced, such as `3000 -> 3100 mV`: in the text form of the parameter, or in
-/// hexadecimal where it has none.
+/// A change and what it replaced, such as `3000 -> 3100 mV`, or in hexadecimal.
 fn difference(change: &Change, old: &[u8]) -> String {
     let new = change.stored_over(old);
     let show = |bytes: &[u8]| match change.row().zip(change.value_of(bytes)) {

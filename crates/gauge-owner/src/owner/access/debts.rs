@@ -26,12 +26,10 @@ impl Access {
         self.debt.due()
     }
 
-    /// Whether something is owed that a try could pay.
     fn is_payable(&self) -> bool {
         self.owed().is_some_and(|owed| !owed.needs_decision)
     }
 
-    /// Tries to pay what is owed.
     pub(in super::super) fn pay(&mut self) {
         let data = self.owed().is_some_and(|owed| owed.data);
         match self.dataflash.settle(&mut self.gauge, Duration::ZERO) {
@@ -50,8 +48,7 @@ impl Access {
         self.debt.note_owed(self.dataflash.owed(), &self.shared);
     }
 
-    /// Pays what is owed for the last time, because gaugefs ends. An error says what remains, which is then also in the
-    /// log; the next start finds it in the journal.
+    /// Pays for the last time, because gaugefs ends. An error says what remains, which the next start finds in the journal.
     pub(in super::super) fn pay_for_the_last_time(&mut self) -> Result<()> {
         for attempt in 0..LAST {
             let is_payable = self.is_payable();
@@ -67,8 +64,7 @@ impl Access {
         Err(Error::of(self.shared.name(), Reason::Owed { decision: owed.needs_decision, what }))
     }
 
-    /// Pays what is owed to the gauge before a subcommand, which is not sent otherwise: nobody knows what the gauge holds,
-    /// or whether it is still the same one.
+    /// A subcommand is not sent while something is owed: nobody knows what the gauge holds, or whether it is the same.
     pub(in super::super) fn pay_before_subcommand(&mut self) -> Result<()> {
         if self.is_payable() {
             self.pay();
@@ -97,7 +93,6 @@ impl Access {
         }
     }
 
-    /// Shows what is known of an interrupted write, or settles it as somebody has decided.
     pub(in super::super) fn settle_as_decided(
         &mut self,
         decision: Option<Decision>,

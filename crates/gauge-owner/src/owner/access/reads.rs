@@ -30,7 +30,6 @@ impl Access {
         self.run(|dataflash, gauge| dataflash.learn_pack(gauge, waited))
     }
 
-    /// Reads subclasses, whether they are kept or not.
     pub(in super::super) fn read_anew(
         &mut self,
         wanted: &[usize],
@@ -44,8 +43,7 @@ impl Access {
         self.keep(wanted, read)
     }
 
-    /// Reads what attributes and messages need of data flash and what is not kept, if the gauge is open: it is never
-    /// unsealed for this.
+    /// Reads what attributes and messages need of data flash, if the gauge is open: it is never unsealed for this.
     pub(in super::super) fn read_if_open(&mut self) {
         let wanted = self.shared.unread_places();
         let rows = self.rows(&wanted);
@@ -63,7 +61,6 @@ impl Access {
         wanted.iter().map(|&index| &self.gauge.chip.subclasses[index]).collect()
     }
 
-    /// Keeps the bytes of subclasses, and what they show.
     fn keep(&mut self, wanted: &[usize], read: Result<Vec<Vec<u8>>>) -> Result<Vec<Arc<[u8]>>> {
         let read = self.noted(read);
         let first = &self.gauge.chip.subclasses[wanted[0]];

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! What a gauge with RAM has learned: saved now and then while its memory is known to be what it should be, and restored
-//! when it was lost, or when somebody asks for it.
+//! What a gauge with RAM has learned: saved while its memory is as it should be, restored when it was lost, or on request.
 
 use super::super::access::Access;
 use super::super::learning::{Due, Look, over, restored};
@@ -57,7 +56,6 @@ impl Memory {
         })
     }
 
-    /// Shows what is kept of the gauge's pack, writes it, or removes it.
     pub(in super::super) fn keep_learned(
         &mut self,
         access: &mut Access,
@@ -85,8 +83,7 @@ impl Memory {
         Ok(())
     }
 
-    /// Writes a version to the gauge, which is the newest one from then on. What the gauge has learned since the last look is a
-    /// version before it.
+    /// Writes a version, which is the newest from then on, after what the gauge has learned since the last look.
     fn restore_learned(
         &mut self,
         access: &mut Access,
