@@ -74,7 +74,6 @@ impl Follow {
 
     /// Waits for the next poll. An error: the gauge is gone, the mount has ended, or its daemon is silent, said repeatedly.
     /// `None` after the time limit.
-    /// `None` after the time limit.
     pub fn next(&mut self, limit: Option<Duration>) -> Option<Result<Texts, String>> {
         let end = limit.map(|limit| Instant::now() + limit);
         loop {

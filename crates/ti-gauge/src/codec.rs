@@ -8,7 +8,6 @@ use crate::value::{Type, Value};
 /// Bytes in the block-access window.
 pub const WINDOW: usize = 32;
 
-/// A set of positions in a window.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Bytes(pub(crate) u32);
 

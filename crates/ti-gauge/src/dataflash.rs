@@ -618,7 +618,6 @@ fn load_as_seen(gauge: &mut Gauge, place: Window, mut before: Option<[u8; WINDOW
     sequence(gauge).load(gauge, place, Care::Sure)
 }
 
-/// What was written, if the gauge has not lost its data memory since.
 fn still_written(gauge: &mut Gauge, outcome: Outcome) -> Result<Outcome> {
     if matches!(outcome, Outcome::Written { .. }) && has_lost_memory(gauge) != Ok(false) {
         let why = "written and verified, but the gauge has lost its power since, or does not answer: its data memory may be \
@@ -648,7 +647,6 @@ fn is_forgotten(chip: &Chip, changes: &[Change], old: &[Vec<u8>]) -> bool {
     false
 }
 
-/// Judges the gauge that works with the new values.
 pub(crate) type Accept<'a> = &'a mut dyn FnMut(&mut Gauge) -> Result<()>;
 
 /// What a write does besides, or otherwise.
@@ -661,7 +659,6 @@ pub(crate) struct WriteOptions<'a> {
     pub(crate) calibrate: bool,
     /// After the reset: if this fails, the old values go back. The write has to need a reset.
     pub(crate) accept: Option<Accept<'a>>,
-    /// End before anything is recorded or programmed.
     pub(crate) only_check: bool,
     /// What is written was measured on the gauge that has answered since then, and is for no other one.
     pub(crate) since: Option<Moment>,

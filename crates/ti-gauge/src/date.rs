@@ -4,7 +4,6 @@
 
 /// The unit of a date in the manuals.
 pub const UNIT: &str = "Day+Mo*32+(Yr-1980)*512";
-/// First year that can be stored.
 const FIRST_YEAR: i64 = 1980;
 
 /// Year, month and day of a stored word; `None` for anything but a date, such as 0.

@@ -172,10 +172,8 @@ pub enum Fact {
 
 /// A reason's field, for programs.
 trait AsFact {
-    /// `None` if it is unknown.
     fn fact(&self) -> Option<Fact>;
 
-    /// The failure behind this one, if the field is one.
     fn failure(&self) -> Option<&Error> {
         None
     }
@@ -242,7 +240,6 @@ impl AsFact for Error {
 /// The reason of a transfer that was not sent, because its access has no time left.
 const SLOW_BUS: &str = "slow-bus";
 
-/// The name of such a reason and its facts; nothing for any other failure of a transfer.
 fn told_of_bus(bus: BusError) -> (Option<&'static str>, Vec<(&'static str, Fact)>) {
     let BusError::TooSlow { transfers, failed, milliseconds, limit } = bus else { return (None, Vec::new()) };
     let facts =

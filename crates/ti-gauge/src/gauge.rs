@@ -43,7 +43,6 @@ const CONTROL_STATUS: u16 = 0x0000;
 const DEVICE_TYPE: u16 = 0x0001;
 const FW_VERSION: u16 = 0x0002;
 const RESET: u16 = 0x0041;
-/// Further looks at a state until two agree.
 const TRIES: u32 = 4;
 
 /// One gauge at one address.

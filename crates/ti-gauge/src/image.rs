@@ -155,7 +155,6 @@ fn cut_short(why: impl fmt::Display) -> Error {
     Error::new("", Cause::Invalid, format!("{why}; the file is cut short, or lines were added or removed"))
 }
 
-/// Checks the count that gaugefs writes at the start of a file. A file with a count ends with a whole line.
 fn check_count(text: &str, written: Option<usize>, found: usize, what: &str) -> Result<()> {
     match written {
         Some(count) if count != found => {

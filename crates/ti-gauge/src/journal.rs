@@ -54,7 +54,6 @@ const LINE: usize = 160;
 const PENDING: &str = "journal";
 const WAITING: &str = "waiting";
 const DISMISSED: &str = "dismissed";
-/// And of a seal that is owed beside a write.
 const SEAL: &str = "seal";
 
 /// Where a gauge's journal is kept.
@@ -102,7 +101,6 @@ pub(crate) struct Entry {
 
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Plan {
-    /// Whether the gauge needs a reset to work with the new values.
     pub(crate) reset: bool,
     /// The reset may have been sent, so the gauge may work with the new values.
     pub(crate) reset_sent: bool,
@@ -128,7 +126,6 @@ pub(crate) struct KeyPlan {
 }
 
 impl KeyPlan {
-    /// Whether the gauge certainly has the new keys.
     pub(crate) fn is_over(&self) -> bool {
         self.written
     }
@@ -198,7 +195,6 @@ pub(crate) struct Mark {
 pub(crate) struct PlannedBlock {
     pub(crate) subclass: u8,
     pub(crate) base: u16,
-    /// Bytes of the changed parameters.
     pub(crate) written: Bytes,
     pub(crate) old: [u8; WINDOW],
     pub(crate) new: [u8; WINDOW],
@@ -305,7 +301,6 @@ impl Journal {
         entry.machine.as_ref().is_none_or(|machine| machine.is(&self.machine))
     }
 
-    /// Checks that nobody else can have written, or can replace, what is read from the folder.
     fn check_folder(&self) -> Result<()> {
         let checked = self.disk.check(&self.folder, self.trusted);
         checked.map_err(|error| untrusted(&self.folder, &error))
@@ -478,13 +473,11 @@ impl Journal {
         self.set_aside(path, DISMISSED)
     }
 
-    /// Removes an entry that nobody needs any more.
     pub(crate) fn withdraw(&self, path: &Path) -> Result<()> {
         let removed = self.disk.remove(path).and_then(|()| self.disk.sync(&self.folder));
         removed.map_err(|error| Error::io(path.display().to_string(), "cannot remove the journal", &error))
     }
 
-    /// Entries of this place and this host that wait for their packs.
     pub(crate) fn waiting(&self) -> Result<Vec<(PathBuf, Entry)>> {
         let found = self.search(true, &[])?.into_iter().filter(|found| self.is_key_of(&found.path));
         let entry = |found: Found| match found.content {
@@ -550,7 +543,6 @@ impl OpenJournal {
         stored.map_err(|error| refused(&self.path, &error))
     }
 
-    /// Removes the entry once its write is complete or settled.
     pub(crate) fn remove(self) -> Result<()> {
         let removed = self.disk.remove(&self.path);
         removed
@@ -631,7 +623,6 @@ fn is_torn(text: &str) -> bool {
     text.contains('\0')
 }
 
-/// Whether it is the start of a plan whose rest did not reach the disk.
 fn is_begun(text: &str) -> bool {
     let (lines, last) = text.rsplit_once('\n').unwrap_or(("", text));
     let is_last = |word: &str| word.starts_with(last) || last.starts_with(word);

@@ -26,7 +26,6 @@ impl Name {
     /// All names.
     pub const ALL: [Name; 3] = [Name::Unseal, Name::FullAccess, Name::Authentication];
 
-    /// Name in a command, start of its line in a key file, and form.
     fn row(self) -> (&'static str, &'static str, Form) {
         match self {
             Name::Unseal => ("unseal", "unseal", Form::Words),
@@ -54,7 +53,6 @@ impl Name {
     }
 }
 
-/// The typed form of a key.
 enum Form {
     /// Two words in their order on the wire.
     Words,
@@ -122,7 +120,6 @@ impl Secret {
         self.0.iter().all(|byte| *byte == 0xff)
     }
 
-    /// Whether one of its words reads like erased flash.
     pub(crate) fn has_erased_word(&self) -> bool {
         self.0.chunks(2).any(|word| word == [0xff; 2])
     }

@@ -513,7 +513,6 @@ impl Cycle {
         }
     }
 
-    /// A disturbance that ends with its cause.
     fn passing(&self, reading: &Reading) -> Option<Spoiled> {
         let bits = reading.bits;
         if self.learns == Learns::FullCharge {
@@ -610,7 +609,6 @@ impl Cycle {
         }
     }
 
-    /// The voltage's slope over the last quarter of an hour of a rest.
     fn slope(&mut self, reading: &Reading) -> Option<f64> {
         if self.phase != Phase::Rest {
             return None;
@@ -626,7 +624,6 @@ impl Cycle {
     }
 }
 
-/// The current as a share of the design capacity per hour.
 fn rate(reading: &Reading) -> Option<f64> {
     reading.design_mah.filter(|design| *design > 0.0).map(|design| reading.current_ma.abs() / design)
 }

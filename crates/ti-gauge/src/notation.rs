@@ -83,7 +83,6 @@ fn shortest(value: f64) -> String {
 }
 
 /// Parses a value of the parameter's type in the manual's range: decimal, `0x` or `0b`; in a string `%HH` is a byte.
-/// that number.
 pub fn parse(parameter: &Parameter, text: &[u8]) -> Result<Value> {
     parse_in(parameter, Some(&parameter.range), text)
 }
@@ -157,7 +156,6 @@ fn parse_in(parameter: &Parameter, range: Option<&Range>, text: &[u8]) -> Result
     }
 }
 
-/// What to write instead of a text that is not a number.
 fn wanted(parameter: &Parameter, range: Option<&Range>, text: &str) -> String {
     let unit = parameter.unit;
     if let Some(number) = without_unit(parameter, range, text) {

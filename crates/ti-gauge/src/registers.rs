@@ -11,7 +11,6 @@ use crate::codec;
 use crate::error::Result;
 use crate::gauge::Gauge;
 
-/// Addresses that registers can have.
 const ADDRESSES: usize = 128;
 
 /// The longest gap that one read spans: a second read costs the gauge's address twice and the register's.

@@ -49,9 +49,7 @@ const DATA: usize = 0x04;
 pub const LONGEST: usize = 1 + DATA + ROW;
 /// Wait after an erase, beyond the file's 200 ms: files for later parts have 400 ms.
 const ERASING: Duration = Duration::from_millis(200);
-/// Time before a requested row can be fetched.
 const FETCHING: Duration = Duration::from_millis(20);
-/// Tries of a transfer without consequences, and the time in between.
 const TRIES: usize = 5;
 const PAUSE: Duration = Duration::from_millis(20);
 
@@ -225,7 +223,6 @@ pub fn check_reach(bus: &mut dyn Bus) -> Result<()> {
     Err(Error::from(error).about("ROM mode"))
 }
 
-/// Refuses what may be a Smart Battery, by reads alone.
 fn refuse_battery(bus: &mut dyn Bus, clock: &dyn Clock) -> Result<()> {
     let why = match device(bus, clock)? {
         Device::BootLoader => return Ok(()),

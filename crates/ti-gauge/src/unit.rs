@@ -18,7 +18,6 @@ struct Unit {
     base: String,
 }
 
-/// Names of units: base unit and factor.
 const SYMBOLS: [(&str, &str, i128); 17] = [
     ("V", "V", 1),
     ("A", "A", 1),
@@ -38,7 +37,6 @@ const SYMBOLS: [(&str, &str, i128); 17] = [
     ("C", "°C", 1),
     ("K", "K", 1),
 ];
-/// Base units that take the prefixes below.
 const PREFIXED: [&str; 7] = ["V", "A", "Ah", "W", "Wh", "Ω", "s"];
 /// Prefixes with their multiplier and divisor. The micro sign and the Greek letter are different characters.
 const PREFIXES: [(&str, i128, i128); 7] = [

@@ -40,7 +40,6 @@ impl Identity {
         self.answers_in_mac_data() && version == self.device_type.swap_bytes()
     }
 
-    /// Whether everything but the versions of firmware and hardware matches.
     pub(super) fn is_of_type(&self, answers: &Answers) -> bool {
         self.device_type == answers.device_type
             && answers.dm_code.is_none_or(|code| known(self.dm_codes, code))

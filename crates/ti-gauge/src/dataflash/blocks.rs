@@ -11,7 +11,6 @@ use crate::gauge::Gauge;
 use crate::value::Type;
 
 impl Change {
-    /// For each byte, its window and its position there.
     pub(super) fn windows(&self) -> impl Iterator<Item = (Window, usize)> {
         let offsets = (self.place.offset..).take(self.bytes.len());
         offsets.map(move |offset| locate(self.place.subclass, offset))

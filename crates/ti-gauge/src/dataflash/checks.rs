@@ -15,7 +15,6 @@ use crate::error::{Error, Reason, Result, Step};
 use crate::gauge::{Gauge, agreed};
 use crate::value::Value;
 
-/// Checks the safety limits of one value, which are narrower than the manual's.
 pub(super) fn check_safe(change: &Change, planned: &[Planned]) -> Result<()> {
     let Some((_, parameter)) = change.row else { return Ok(()) };
     match &parameter.safe {
@@ -27,7 +26,6 @@ pub(super) fn check_safe(change: &Change, planned: &[Planned]) -> Result<()> {
     }
 }
 
-/// The values that decide whether the gauge programs flash.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) struct Setting {
     pub(super) limit: i64,
@@ -131,7 +129,6 @@ impl Setting {
 }
 
 impl Gate {
-    /// Every byte that decides whether it is open.
     pub(super) fn rows(&self) -> impl Iterator<Item = (u8, u16)> {
         let words = [Some(self.limit), self.divider].into_iter().flatten().flat_map(both);
         words.chain(self.external.as_ref().map(|external| external.byte)).chain(self.cells)
@@ -213,7 +210,6 @@ pub(super) fn shut(gauge: &mut Gauge) -> Result<Option<Error>> {
     Ok((!is_open).then(|| Error::of("", shut).at_place(gate.limit).at(Step::Verify)))
 }
 
-/// The number that a parameter's bytes encode; all safety limits are on integers.
 pub(super) fn integer(layout: Layout, parameter: &Parameter, bytes: &[u8]) -> i64 {
     match layout.decode(parameter.kind, bytes) {
         Value::Int(number) => number,

@@ -36,7 +36,6 @@ pub(super) struct Debts {
 pub(super) struct Pending {
     /// `None` if the journal cannot be read, or another process works on it.
     pub(super) entry: Option<Entry>,
-    /// Its journal, if it has one.
     pub(super) file: Option<PathBuf>,
     /// Its journal is of another place, or waits for its pack: this gauge is not the first one to think of.
     pub(super) elsewhere: bool,
@@ -79,7 +78,6 @@ pub(super) struct Shown {
 }
 
 impl Shown {
-    /// Whether a gauge is what was shown, but for what it has learned since.
     pub(super) fn is(&self, identity: &Identity, seen: &[Seen]) -> bool {
         let same = |(shown, seen): (&[u8; WINDOW], &Seen)| {
             (0..WINDOW).all(|at| shown[at] == seen.stored[at] || seen.block.learned.has(at))
@@ -96,7 +94,6 @@ pub(super) struct Searched {
     waiting: bool,
 }
 
-/// Which journals of other gauges are compared with this one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Where {
     Places,
@@ -108,7 +105,6 @@ impl Debts {
         self.pending.as_ref()
     }
 
-    /// Keeps what could not be settled.
     pub(super) fn wait(&mut self, pending: Pending) {
         self.pending = Some(pending);
     }
@@ -148,7 +144,6 @@ impl Debts {
         }
     }
 
-    /// These journals show nothing of this gauge, or nothing more.
     pub(super) fn note_judged(&mut self, arrival: Epoch<Arrival>, files: impl IntoIterator<Item = PathBuf>) {
         self.judged.in_epoch(arrival).extend(files);
     }
@@ -174,7 +169,6 @@ impl Debts {
         Some(Owed { why, needs_decision, data, keys })
     }
 
-    /// Keeps what a session has left to be settled.
     pub(super) fn keep(
         &mut self,
         records: &Records,
@@ -226,7 +220,6 @@ impl Debts {
         }
     }
 
-    /// Another gauge may be there now.
     pub(super) fn look_again(&mut self) {
         // The pack may come back elsewhere, where its journal must not be taken for one in use.
         self.held = None;
@@ -251,7 +244,6 @@ impl Debts {
         self.held.is_none() && (pending.entry.is_none() || journal.look(file).is_none())
     }
 
-    /// Finds what an earlier process has left at this place.
     pub(super) fn find(&mut self, records: &Records, arrival: Epoch<Arrival>) -> Option<Pending> {
         if self.pending.as_ref().is_some_and(|pending| self.is_over(records, pending)) {
             self.pending = None;
@@ -278,7 +270,6 @@ impl Debts {
         self.owed_seal = Some(OwedSeal { entry: Some(entry), why });
     }
 
-    /// The seal that is owed, also by an earlier process.
     pub(super) fn find_seal(&mut self, records: &Records) -> Option<&OwedSeal> {
         if self.owed_seal.is_none()
             && let Some(journal) = records.journal()
@@ -302,7 +293,6 @@ impl Debts {
     }
 }
 
-/// What happened to a gauge, and what happens next.
 pub(super) fn interrupted(entry: &Entry) -> String {
     let next = if entry.owes_seal() { "the gauge is sealed" } else { "it is finished or undone" };
     format!("{} was interrupted, and {next} as soon as that is possible", entry.subject())

@@ -13,7 +13,6 @@ use crate::journal::{Entry, Plan};
 /// From a request to its first commit. Before that a write can be given up at any time.
 const BEFORE: Duration = Duration::from_secs(16);
 
-/// What is put on record before a session sends anything.
 #[derive(Clone, Copy)]
 pub(super) enum Record {
     /// The state that the gauge was found in, before this many blocks are changed.

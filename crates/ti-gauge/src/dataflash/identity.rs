@@ -5,7 +5,6 @@ use crate::error::Result;
 use crate::gauge::{Gauge, agreed};
 use crate::journal::Identity;
 
-/// What the gauge says of itself; an error if it is another part.
 pub(super) fn identify(gauge: &mut Gauge) -> Result<Identity> {
     gauge.confirm_identity()?;
     let firmware = agreed("Control(FW_VERSION)", || gauge.firmware_version())?;

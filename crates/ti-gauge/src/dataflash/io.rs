@@ -16,7 +16,6 @@ const VERIFIES: u32 = 8;
 const VERIFY_INTERVAL: Duration = Duration::from_millis(80);
 /// A look lasts that long: then every commit has finished, even one that waited for a row of the gauge's own.
 pub(super) const COMMITTED: Duration = VERIFY_INTERVAL.saturating_mul(VERIFIES);
-/// Commits of a block before giving up.
 pub(super) const STORES: u32 = 3;
 
 pub(super) fn read_byte(gauge: &mut Gauge, (subclass, offset): (u8, u16)) -> Result<u8> {
@@ -26,7 +25,6 @@ pub(super) fn read_byte(gauge: &mut Gauge, (subclass, offset): (u8, u16)) -> Res
     Ok(byte[0])
 }
 
-/// Reads a whole subclass, and passes each of its blocks to `note`.
 pub(super) fn read_subclass(
     gauge: &mut Gauge,
     subclass: &Subclass,

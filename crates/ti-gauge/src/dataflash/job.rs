@@ -16,17 +16,14 @@ use crate::gauge::Gauge;
 
 /// Between two looks that show whether a byte moves by itself. Gauges measure once a second.
 const MOVES: Duration = Duration::from_millis(1200);
-/// Between two attempts on the way back.
 const PAUSE: Duration = Duration::from_millis(200);
 
-/// One of the two contents of a job.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) enum Side {
     Old,
     New,
 }
 
-/// Where data flash is after a job.
 pub(super) enum Landed {
     There,
     /// It has the old content again: the new one was given up for this error.
@@ -59,14 +56,12 @@ pub(super) struct Job {
 }
 
 impl Job {
-    /// A write of blocks as they were just read.
     pub(super) fn write(planned: Vec<Planned>, neighbours: Vec<Planned>, reset: bool) -> Self {
         let seen = |block: Planned| Seen { stored: block.old, held: Held::Old, block };
         let blocks = planned.into_iter().chain(neighbours).map(seen).collect();
         Self { returns: true, ..Self::interrupted(blocks, reset) }
     }
 
-    /// A write that was interrupted, as the gauge holds it.
     pub(super) fn interrupted(blocks: Vec<Seen>, reset: bool) -> Self {
         Self {
             blocks,
@@ -90,7 +85,6 @@ impl Job {
         self.blocks.iter().all(|seen| seen.held == held || seen.block.is_neighbour())
     }
 
-    /// Whether the blocks next to those that change are as they were.
     pub(super) fn is_intact(&self) -> bool {
         self.blocks.iter().all(|seen| !seen.block.is_neighbour() || seen.held == Held::Old)
     }
@@ -314,7 +308,6 @@ impl Seen {
         if side == Side::Old { Planned { old: block.new, new: block.old, ..block } } else { block }
     }
 
-    /// Whether a block has the content of a side. A neighbour has only one.
     fn is_at(&self, side: Side) -> bool {
         match self.held {
             Held::Old => side == Side::Old || self.block.is_neighbour(),

@@ -61,7 +61,6 @@ const START: Duration = Duration::from_secs(3);
 #[derive(Debug, Default)]
 pub(super) struct Begun(Option<Unfinished>);
 
-/// A change that this process has begun and that is neither done nor undone.
 struct Unfinished {
     change: KeyChange,
     ring: Ring,
@@ -157,7 +156,6 @@ impl Begun {
     }
 }
 
-/// Changes a key. `waited` is the time since the request was made.
 pub(super) fn change(
     flash: &mut DataFlash,
     gauge: &mut Gauge,

@@ -65,7 +65,6 @@ impl Knowledge {
         self.now.forget_name();
     }
 
-    /// A block may hold anything.
     pub(super) fn forget_block(&mut self, place: Window) {
         self.known.in_epoch(self.now.pack).forget(place);
     }
@@ -261,7 +260,6 @@ impl Knowledge {
         Ok(identity)
     }
 
-    /// Whether the gauge, which is open, is certainly the one whose values were read.
     pub(super) fn is_certain(&mut self, gauge: &mut Gauge) -> Result<bool> {
         let plan = Plan::of_marks(self.marks(gauge.chip));
         let Some(then) = self.identity.get(self.now.name).cloned() else { return Ok(false) };

@@ -17,7 +17,6 @@ use crate::gauge::{Gauge, Moment, agreed};
 use crate::journal::{OpenJournal, Plan};
 use crate::value::Value;
 
-/// Until it shows that the gauge measures.
 pub(crate) const BEGINS: Duration = Duration::from_secs(2);
 
 /// Records that the gauge is about to store values of its own in these rows. Returns the old values.

@@ -70,7 +70,6 @@ impl Known {
     }
 }
 
-/// Whether a gauge is the one for which a plan was made.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) enum Match {
     /// A value that differs from pack to pack is as it was.

@@ -6,7 +6,6 @@ use crate::error::{Cause, Error, Result};
 use crate::gauge::Gauge;
 use crate::journal::Journal;
 
-/// Where accesses are recorded.
 #[derive(Debug, Default)]
 pub(super) struct Records {
     /// Records each write before it starts.
@@ -20,7 +19,6 @@ impl Records {
         Self { journal, unrecorded: false }
     }
 
-    /// Records at this place, with nothing reported yet.
     pub(super) fn anew(self) -> Self {
         Self::new(self.journal)
     }

@@ -28,7 +28,6 @@ impl Default for Limits {
     }
 }
 
-/// The limits, and how far they are used up.
 #[derive(Debug, Default)]
 pub(super) struct Rules {
     limits: Limits,
@@ -55,7 +54,6 @@ impl Rules {
         self.wear.record(gauge.clock.now(), blocks);
     }
 
-    /// Lets a write end the learning cycle that is going on, or refuses it for this reason.
     pub(super) fn check_learning(&self, gauge: &Gauge, learning: Option<Error>) -> Result<()> {
         match learning {
             Some(error) if !self.limits.allow_learning => Err(error),

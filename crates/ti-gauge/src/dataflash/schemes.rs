@@ -23,10 +23,8 @@ const FIRST_LOOK: Duration = Duration::from_millis(30);
 const SECOND_LOOK: Duration = Duration::from_millis(55);
 /// Time between two looks that must agree, where the first two did not.
 const NEXT_LOOK: Duration = Duration::from_millis(25);
-/// Looks after one selection before giving up.
 const LOOKS: u32 = 4;
 
-/// How much is looked at before it is believed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) enum Care {
     /// As much as flash needs: what is wrong there stays.
@@ -39,7 +37,6 @@ pub(crate) enum Care {
 
 /// The steps in which access schemes differ. Each is straight-line code that follows the manual.
 pub(super) trait Sequence {
-    /// Enables reading data flash.
     fn enable(&self, gauge: &mut Gauge) -> Result<()>;
     /// Enables writing data flash, if that is a mode of its own.
     fn begin(&self, gauge: &mut Gauge) -> Result<()>;
@@ -56,7 +53,6 @@ pub(super) trait Sequence {
     }
     /// Whether the block must be in the window first. Not if the checksum covers bytes and address.
     fn fills_window(&self) -> bool;
-    /// The parts of a change that are committed one by one.
     fn pieces(&self, block: &Planned) -> Vec<Planned>;
     /// Sends the bytes that differ to the gauge's buffer; flash is not changed yet.
     fn fill(&self, gauge: &mut Gauge, block: &Planned) -> Result<()>;
@@ -66,15 +62,12 @@ pub(super) trait Sequence {
     fn leave(&self, gauge: &mut Gauge) -> Result<Duration> {
         Ok(gauge.clock.now())
     }
-    /// Whether `leave` must follow every `begin`.
     fn always_finishes(&self) -> bool;
-    /// Whether the gauge is in the mode that `begin` starts.
     fn is_begun(&self, _: &mut Gauge) -> Result<bool> {
         Ok(false)
     }
 }
 
-/// Waits for the rest of `time` since `begun`.
 fn wait_until(gauge: &Gauge, begun: Duration, time: Duration) {
     gauge.wait((begun + time).saturating_sub(gauge.clock.now()));
 }

@@ -29,9 +29,7 @@ const LEAST_BACK: Duration = Duration::from_secs(5);
 /// From a request to its answer, and least time for the seal; the rest is owed. On a disturbed bus each ends 1.6 s late.
 const ANSWER: Duration = Duration::from_secs(28);
 const LEAST_CLOSE: Duration = Duration::from_secs(2);
-/// Between two attempts to restore the seal state of a gauge that does not answer.
 const TRY_AGAIN: Duration = Duration::from_millis(200);
-/// Attempts to restore the old bytes.
 pub(super) const RESTORES: u32 = 3;
 /// Times that RESET is sent, and how long it may take: up to 500 ms without an answer, or with answers as before.
 const RESETS: u32 = 3;
@@ -56,7 +54,6 @@ pub(super) struct Session {
     pub(super) pack: Assurance,
     /// What would have to be settled if the session ended now.
     pub(super) entry: Option<Entry>,
-    /// The journal on disk that says the same.
     pub(super) journal: Option<OpenJournal>,
 }
 
@@ -69,7 +66,6 @@ pub(super) struct Patience {
     pub(super) refusals: Duration,
 }
 
-/// What a session leaves to be settled.
 pub(super) struct Left {
     /// Data flash is not known; otherwise only the seal is owed.
     pub(super) data: bool,
@@ -133,7 +129,6 @@ impl Session {
         sequence(gauge).enable(gauge)
     }
 
-    /// Enters calibration mode, in which the gauge ignores its gate.
     pub(super) fn enter_calibration(&mut self, gauge: &mut Gauge) -> Result<()> {
         let Some(calibration) = gauge.chip.calibration else {
             let why = "no document describes the calibration mode of this part";
@@ -181,9 +176,8 @@ impl Session {
     }
 
     /// Makes the gauge use the new values and data flash readable again. With [`Care::Quick`] RAM is used as looked at in
-    /// CONFIG UPDATE: a gauge that seals itself takes no key for 4 s, and data memory cannot be read for 2 s. What can be
-    /// read, such as the register of `copied`, shows whether RAM was lost since. Returns whether it was seen not to be.
-    /// not: the blocks need not be looked at again then, and data memory may not be readable.
+    /// CONFIG UPDATE: a gauge that seals itself takes no key for 4 s, and data memory is unreadable for 2 s. Registers such
+    /// as that of `copied` show whether RAM was lost since. Returns whether it was not: no block needs a further look then.
     pub(super) fn finish(&mut self, gauge: &mut Gauge, care: Care, copied: Option<&Copied>) -> Result<bool> {
         self.now = None;
         if sequence(gauge).always_finishes() {
@@ -250,7 +244,6 @@ impl Session {
         Ok(())
     }
 
-    /// Records, once, that the gauge may have been reset.
     fn note_reset(&mut self) -> Result<()> {
         let Some(plan) = self.entry.as_mut().and_then(|entry| entry.plan.as_mut()) else { return Ok(()) };
         if plan.reset_sent {

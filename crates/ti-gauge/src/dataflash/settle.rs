@@ -29,7 +29,6 @@ pub(super) use search::search_waiting;
 use search::{may_be_of, search};
 use task::Task;
 
-/// The unseal key of a gauge whose row of keys has been erased.
 const ERASED_KEY: [u16; 2] = [0xffff; 2];
 
 /// How often a block that does not read back as it was stored is put back. Each time programs it three times.
@@ -57,7 +56,6 @@ impl Decision {
     }
 }
 
-/// The error for what waits for something owed; `decision` if a person has to decide about that.
 fn owed(subject: &str, what: String, decision: bool) -> Error {
     Error::of(subject, Reason::Owed { decision, what })
 }
@@ -90,7 +88,6 @@ impl DataFlash {
         self.debts.find_seal(&self.records)
     }
 
-    /// No seal is owed any more: it is restored, or somebody has changed the seal state on purpose.
     fn forget_seal(&mut self) {
         self.debts.forget_seal(&self.records);
     }

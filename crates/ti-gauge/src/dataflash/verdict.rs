@@ -5,7 +5,6 @@
 use super::session::reads_wrong;
 use crate::error::{Error, Reason, Step};
 
-/// The outcome of a look at a gauge with something to settle.
 pub(super) enum Verdict {
     /// It has been settled; the text says how.
     Done(String),

@@ -17,7 +17,6 @@ pub(super) struct Window {
     pub(super) base: u16,
 }
 
-/// A block that a change touches.
 #[derive(Clone)]
 pub(super) struct Planned {
     pub(super) place: Window,
@@ -109,12 +108,10 @@ pub(super) fn locate(subclass: u8, offset: u16) -> (Window, usize) {
     (Window { subclass, base: offset - at as u16 }, at)
 }
 
-/// The bytes of a window that the gauge itself updates.
 pub(super) fn learned(chip: &Chip, place: Window) -> Bytes {
     learned_values(chip, place).fold(Bytes::default(), Bytes::with)
 }
 
-/// The same, for each value.
 fn learned_values(chip: &Chip, place: Window) -> impl Iterator<Item = Bytes> {
     let rows = chip.subclasses.iter().filter(move |row| row.id == place.subclass);
     let learned = rows.flat_map(|row| row.parameters).filter(|parameter| parameter.learned);

@@ -24,18 +24,14 @@ pub(crate) struct Challenge {
     pub(crate) view: u8,
 }
 
-/// The ways in which families of gauges differ on the wire.
 pub(crate) trait Dialect: Sync {
     fn fetch(&self, gauge: &mut Gauge, code: u8, into: &mut [u8]) -> Result<(), BusError>;
-    /// Writes the bytes of registers from that one on, once.
     fn put(&self, gauge: &mut Gauge, code: u8, data: &[u8]) -> Result<(), BusError>;
-    /// Sends a subcommand, once.
     fn subcommand(&self, gauge: &mut Gauge, code: u16) -> Result<(), BusError>;
     fn answer(&self, gauge: &mut Gauge, code: u16) -> Result<u16>;
     fn answer_bytes(&self, gauge: &mut Gauge, code: u16, into: &mut [u8]) -> Result<()>;
     /// All bytes of the answer to FW_VERSION; none where that is a word.
     fn version(&self, gauge: &mut Gauge) -> Result<Vec<u8>>;
-    /// Reads CONTROL_STATUS, and rows of the table along with it.
     fn look(&self, gauge: &mut Gauge, also: &[Source]) -> Result<(u16, Rows)>;
     /// The message that a gauge answers with what was selected last, in two bytes.
     fn selection(&self) -> &'static [u8];

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT
 
 //! How long a gauge takes to show what it was told: a commit, SEALED after a RESET, the measurement of an offset.
-//! an offset.
+//!
 //! Only transfers that happen anyway are looked at: a time lies between the last look without it and the first with it.
 
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -86,9 +86,7 @@ struct Committed {
 pub(super) struct Seen<'a> {
     pub(super) begun: Duration,
     pub(super) ended: Duration,
-    /// What its bytes touch, if it is a write.
     pub(super) touches: &'a [(Touch, u8)],
-    /// What it shows, if it is a read.
     pub(super) shown: Option<Shown<'a>>,
     pub(super) outcome: Result<(), BusError>,
 }
@@ -193,7 +191,6 @@ pub(super) struct Status {
     pub(super) seal: Seal,
 }
 
-/// Counts what is awaited if a look shows it.
 fn see<T>(
     awaited: &mut Option<Awaited<T>>,
     shows: impl FnOnce(&mut T) -> bool,
@@ -210,7 +207,6 @@ fn see<T>(
 }
 
 impl Committed {
-    /// Whether a selection and a window show it; `None` if it is another block.
     fn is_shown(&self, echo: [u8; 2], window: &[u8; WINDOW], is_flat: bool) -> Option<bool> {
         let shift = match is_flat {
             // Each run of bytes has an address of its own.

@@ -14,10 +14,8 @@ use gauge_bus::replay::Touch;
 const NOTHING: [u8; 2] = [0, 0];
 /// A pause without a transfer in which a pack can be exchanged without a trace.
 pub(super) const PAUSE: Duration = Duration::from_secs(1);
-/// Failed looks at the selection in a row before it cannot be known.
 const FAILED_LOOKS: u32 = 6;
 
-/// What a write selects, if it does nothing else.
 fn selection(touches: &[(Touch, u8)]) -> Option<[u8; 2]> {
     match *touches {
         [(Touch::Selects(0), first), (Touch::Selects(1), second)] => Some([first, second]),
@@ -47,7 +45,6 @@ impl Presence {
         self.in_doubt = true;
     }
 
-    /// A transfer has taken that long.
     pub(super) fn note_duration(&mut self, time: Duration) {
         self.in_doubt |= self.attended && time >= PAUSE;
     }
@@ -81,17 +78,14 @@ impl Presence {
         Moment(self.breaks)
     }
 
-    /// Whether nothing has happened since then behind which the gauge could have been exchanged.
     pub(super) fn is_unbroken_since(&self, moment: Moment) -> bool {
         !self.in_doubt && self.breaks == moment.0
     }
 
-    /// Whether something has happened that is not explained yet.
     pub(super) fn is_doubted(&self) -> bool {
         self.in_doubt
     }
 
-    /// Whether the gauge has to be asked, if there was a pause.
     pub(super) fn is_doubted_after(&self, paused: bool) -> bool {
         self.in_doubt || paused && self.attended
     }
@@ -100,7 +94,6 @@ impl Presence {
         !self.selected.is_empty()
     }
 
-    /// What the gauge shows as its selection, if that is certain.
     pub(super) fn mark(&self) -> Option<[u8; 2]> {
         let [selected] = self.selected[..] else { return None };
         Some(selected)
@@ -132,7 +125,6 @@ impl Presence {
         may
     }
 
-    /// Whether an access is going on from now on, in which pauses between two transfers count.
     pub(super) fn attend(&mut self, attended: bool) {
         self.attended = attended;
         self.selected.clear();

@@ -35,7 +35,6 @@ impl Looks {
         Self { seen: None, commanded: None, agreed: None, look: Look::NONE, also: Vec::new() }
     }
 
-    /// Forgets what an access that was not brought to its end expected.
     pub(super) fn start_over(&mut self) {
         (self.seen, self.commanded, self.also) = (None, None, Vec::new());
     }
@@ -77,7 +76,6 @@ impl Gauge {
         Ok((look.seal, look.status))
     }
 
-    /// Reads CONTROL_STATUS, and the rows that [`Self::also_read`] names.
     pub(crate) fn look_at_status(&mut self) -> Result<Look> {
         let mut differ = 0;
         loop {

@@ -18,7 +18,6 @@ pub enum Seal {
     FullAccess,
 }
 
-/// Words that were read along with CONTROL_STATUS.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Rows([Option<(Source, u32)>; ALONG]);
 
@@ -39,7 +38,6 @@ impl Rows {
 pub(crate) struct Look {
     pub(crate) seal: Seal,
     pub(crate) status: u32,
-    /// What was read along with it.
     pub(super) rows: Rows,
 }
 

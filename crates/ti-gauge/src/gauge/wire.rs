@@ -124,7 +124,6 @@ impl Gauge {
         self.clock.now() < time && !self.is_late()
     }
 
-    /// Whether transfers may still be started that long from now.
     pub(super) fn has_time_for(&self, time: Duration) -> bool {
         self.wire.limit.is_none_or(|limit| self.clock.now() + time < limit.deadline)
     }
@@ -160,7 +159,6 @@ impl Gauge {
         self.recognise()
     }
 
-    /// A transfer as it is.
     pub(super) fn pass(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
         if let Some(stopped) = self.wire.stopped {
             self.wait((stopped + BUS_FREE).saturating_sub(self.clock.now()));
@@ -228,7 +226,6 @@ impl Gauge {
         self.wire.silence.max(self.clock.now().saturating_sub(self.wire.answered))
     }
 
-    /// Retries an idempotent transfer a limited number of times.
     pub(super) fn again(
         &mut self,
         mut attempt: impl FnMut(&mut Self) -> Result<(), BusError>,
@@ -272,7 +269,6 @@ impl Gauge {
         self.wire.bus.reach()
     }
 
-    /// What the bus carries and the gauge takes.
     pub(super) fn reach(&mut self) -> Reach {
         self.carried().narrowed(self.wire.takes)
     }

@@ -108,7 +108,6 @@ impl Image {
         Ok(comparison)
     }
 
-    /// Compares subclasses that are known by name and length only, where both have their bytes.
     fn compare_opaque(&self, new: &Image, comparison: &mut Comparison<'_>) {
         for subclass in self.chip.subclasses.iter().filter(|subclass| subclass.is_opaque()) {
             let (old, new) = (self.bytes_of(subclass), new.bytes_of(subclass));

@@ -35,7 +35,6 @@ impl Faults {
         }
     }
 
-    /// Adds a mistake of a line by its reason.
     pub(super) fn at(&mut self, line: usize, why: impl Into<String>) {
         self.add(line, at_line(line, why));
     }

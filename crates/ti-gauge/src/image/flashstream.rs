@@ -41,7 +41,6 @@ const DATA: u8 = 0x40;
 const SUM: u8 = 0x60;
 /// BlockDataControl(), or MACDataLen().
 const LENGTH: u8 = 0x61;
-/// Bytes that MACDataLen() counts in addition to the data.
 const OVERHEAD: u8 = 4;
 /// The comment that names the chip, because device type and firmware do not distinguish all chips.
 const CHIP_LINE: &str = "; gaugefs chip";
@@ -123,7 +122,6 @@ fn is_record(line: &str) -> bool {
 /// A file for HDQ has no addresses.
 const NO_ADDRESS: &str = "no address before the register, as in a file for HDQ; gaugefs reads files for I2C, in which \
                           the gauge's address is AA, as in W: AA 3E 50 01";
-/// The registers that such a file writes.
 fn is_register(byte: u8) -> bool {
     // 0x55 is the gauge's address without the shift.
     matches!(byte, CONTROL | SELECT | 0x3f | DATA..=LENGTH) && byte != 0x55
@@ -339,7 +337,6 @@ pub(crate) fn identity(commands: &[(usize, Command)]) -> (Expected, Expected) {
     }
 }
 
-/// The expected answer to a subcommand, two bytes or more, and its line.
 fn answer(commands: &[(usize, Command)], code: u16) -> Option<(usize, &[u8])> {
     let asks = |command: &Command| match command {
         Command::Write { register: CONTROL | SELECT, bytes, .. } => bytes[..] == code.to_le_bytes(),
@@ -522,13 +519,11 @@ impl Stream {
         self.window.clear();
     }
 
-    /// Notes a wrong line, whose effect on selection and window is unknown.
     fn doubt(&mut self) {
         self.in_doubt = true;
         self.pending = None;
     }
 
-    /// Marks a commit in doubt as unknown.
     fn forget(&mut self, selected: Option<(u8, u16)>, length: u16) {
         self.window.clear();
         let Some((subclass, start)) = selected else { return };
@@ -726,7 +721,6 @@ impl Stream {
         Ok(())
     }
 
-    /// Turns stored bytes into parameters, and the rest into raw bytes.
     fn into_image(mut self, image: &mut Image, faults: &mut Faults) {
         for subclass in self.chip.subclasses {
             for parameter in subclass.parameters {
@@ -775,7 +769,6 @@ impl Stream {
     }
 }
 
-/// Sorts bytes outside all parameters by line.
 fn by_line(raw: &mut [Raw]) {
     raw.sort_by_key(|raw| raw.line);
 }

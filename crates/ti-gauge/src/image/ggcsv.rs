@@ -230,7 +230,6 @@ pub(super) fn read(text: &str, told: Option<&'static Chip>, faults: &mut Faults)
     Some(image)
 }
 
-/// Adds the parameters of all rows, and suggests names for unknown ones.
 fn add_rows(image: &mut Image, order: &[String], rows: Vec<(usize, Vec<String>)>, faults: &mut Faults) {
     let mut unknown = Vec::new();
     for (number, fields) in rows {
@@ -326,7 +325,6 @@ fn add_row<'a>(
     Ok(None)
 }
 
-/// A row's number and its notation: format, decimals and unit.
 fn numeric(
     parameter: &Parameter,
     shown: &str,
@@ -361,7 +359,6 @@ fn numeric(
     Ok(value)
 }
 
-/// A number's text for [`notation::parse_stored`], or why it does not match its format.
 fn plain_number(kind: Type, shown: &str, format: &str, decimals: usize) -> Result<String, Option<String>> {
     if let Some(why) = spreadsheet::trace(shown) {
         return Err(Some(why.into()));
@@ -423,7 +420,6 @@ fn short_form(parameter: &Parameter, unit: &str) -> Option<usize> {
     }
 }
 
-/// A number with this many decimals as the stored whole number.
 fn unscaled(shown: &str, decimals: usize) -> Option<String> {
     if decimals == 0 {
         return Some(shown.to_string());

@@ -86,7 +86,6 @@ pub(super) fn versions(chips: &[&Chip]) -> String {
     chips.iter().map(version).collect::<Vec<_>>().join(" and a ")
 }
 
-/// What to use instead of an unreadable file, for its chip if known.
 pub(super) fn instead(chip: Option<&Chip>) -> String {
     match chip {
         Some(chip) if chip.subclasses.is_empty() => {

@@ -152,7 +152,6 @@ pub(super) fn read(text: &str, told: Option<&'static Chip>, faults: &mut Faults)
     Some(image)
 }
 
-/// The error for a table or key that an earlier line has too.
 fn duplicate(text: &str, number: usize) -> Option<Error> {
     let name = |line: &str| line.split(['=', '#']).next().unwrap_or_default().trim().to_string();
     let lines: Vec<String> = text.lines().take(number).map(name).collect();
@@ -164,7 +163,6 @@ fn duplicate(text: &str, number: usize) -> Option<Error> {
     Some(twice(this, first + 1, number))
 }
 
-/// A name and its place in the text.
 type Key<'a> = Spanned<Cow<'a, str>>;
 
 struct File<'a> {
@@ -262,7 +260,6 @@ fn value_of(parameter: &Parameter, name: &str, found: &DeValue<'_>, number: usiz
     value.map_err(|error| error.within(&format!("line {number}")))
 }
 
-/// A value as the text that a parameter's file accepts.
 fn plain(value: &DeValue<'_>) -> Option<String> {
     match value {
         DeValue::String(text) => Some(text.to_string()),

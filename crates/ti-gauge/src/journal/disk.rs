@@ -13,7 +13,6 @@ use rustix::fs::{CWD, FallocateFlags, FlockOperation, RenameFlags, fallocate, fl
 use rustix::io::Errno;
 use rustix::process::geteuid;
 
-/// Attempts to lock a file.
 const LOCKS: u32 = 100;
 /// Larger than any journal, backup or record of gaugefs.
 const LONGEST: u64 = 256 << 20;
@@ -113,7 +112,6 @@ pub(super) fn store(
     stored
 }
 
-/// Creates a folder and those above it. On return they are on disk.
 fn create_folder(disk: &dyn Disk, folder: &Path) -> io::Result<()> {
     let Some(above) = folder.parent().filter(|_| !disk.exists(folder)) else { return Ok(()) };
     create_folder(disk, above)?;

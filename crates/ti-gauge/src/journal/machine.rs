@@ -11,7 +11,6 @@ use sha1::{Digest as _, Sha1};
 
 use crate::text::hex;
 
-/// In place of an unknown value.
 const UNKNOWN: &str = "-";
 
 /// A host: its name, its identifier, and its last start. None of them is secret.
@@ -47,7 +46,6 @@ impl Machine {
         })
     }
 
-    /// A machine known by name only.
     pub(crate) fn named(name: &str) -> Self {
         let name = word(name);
         Self { id: name.clone(), boot: name.clone(), name }

@@ -107,7 +107,6 @@ impl Task<'_> {
         Ok(())
     }
 
-    /// Undoes a change that this process has begun, now that the gauge may answer again.
     pub(super) fn undo(
         &mut self,
         gauge: &mut Gauge,
@@ -157,7 +156,6 @@ impl Task<'_> {
         )))
     }
 
-    /// Goes to FULL ACCESS with any key that works.
     fn open_again(&mut self, gauge: &mut Gauge) -> Keyhole {
         let limit = gauge.clock.now() + START;
         let now = loop {

@@ -21,7 +21,6 @@ use crate::gauge::{Gauge, Seal};
 use crate::journal::{Identity, KeyPlan, Plan};
 use crate::keys::{Name, Secret};
 
-/// Which of the keys that are known the gauge took.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Has {
     /// The mount's.
@@ -123,7 +122,6 @@ fn tried(gauge: &mut Gauge, key: &KeyPlan, found: Seal) -> Result<([Has; 2], Sea
     Ok((has, now))
 }
 
-/// The row of the keys, which only FULL ACCESS shows.
 struct Row<'a> {
     block: &'a KeyBlock,
     window: Zeroizing<[u8; WINDOW]>,

@@ -45,7 +45,6 @@ pub(super) fn turned(key: &Secret) -> [Secret; 3] {
     [[c, d, a, b], [b, a, d, c], [d, c, b, a]].map(|bytes| Secret::of_bytes(&bytes))
 }
 
-/// Whether a key would look different in another order of bytes.
 pub(super) fn shows_order(key: &Secret) -> bool {
     !turned(key).contains(key)
 }

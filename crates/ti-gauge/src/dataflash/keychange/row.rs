@@ -36,7 +36,6 @@ impl Task<'_> {
         quietly(gauge, |gauge| sequence(gauge).load(gauge, self.place, Care::Sure).map(Zeroizing::new))
     }
 
-    /// Whether a key is stored in its place, in the byte order of the table.
     pub(super) fn is_stored(&self, window: &[u8; WINDOW], key: &Secret, name: Name) -> bool {
         let (at, bytes) = (self.at(name), stored(key, self.block.order));
         window[at..at + bytes.len()] == **bytes

@@ -60,16 +60,13 @@ impl Distinct {
     }
 }
 
-/// Looks at the state of a gauge until two agree.
 const LOOKS: u32 = 4;
 
-/// State of the gauge before a write.
 #[derive(Clone, Copy)]
 pub(in crate::dataflash) struct Found {
     pub(in crate::dataflash) seal: Seal,
     pub(in crate::dataflash) status: u32,
     pub(in crate::dataflash) voltage_mv: u16,
-    /// The gauge's data memory is RAM and has been lost.
     pub(in crate::dataflash) lost: bool,
     /// When the gauge was confirmed.
     pub(in crate::dataflash) moment: Moment,
@@ -212,7 +209,6 @@ impl Knowledge {
         self.agree(gauge, first, second, changes)
     }
 
-    /// What two looks agree on, if it allows a write.
     fn agree(
         &mut self,
         gauge: &mut Gauge,
@@ -316,7 +312,6 @@ impl Knowledge {
         }
     }
 
-    /// Updates what is known of the gauge after a write.
     pub(in crate::dataflash) fn learn_from(
         &mut self,
         gauge: &Gauge,
@@ -409,12 +404,10 @@ impl Found {
 }
 
 impl Learning {
-    /// Whether CONTROL_STATUS allows that a cycle is running.
     fn may_run(&self, status: u32) -> bool {
         status & self.status == self.status
     }
 
-    /// Whether Update Status shows that it has begun and not ended.
     fn runs(&self, gauge: &mut Gauge) -> Result<bool> {
         let state = match self.shown {
             None => read_byte(gauge, self.row)?.into(),
@@ -436,7 +429,6 @@ fn voltage(chip: &Chip) -> Source {
     chip.register(Role::VoltageNow).expect("the tables' tests ask for Voltage()").source
 }
 
-/// What shows the state of a gauge along with CONTROL_STATUS.
 fn along(chip: &Chip) -> Vec<Source> {
     let modes = chip.preflight.modes.iter().map(|mode| mode.word);
     let flags = chip.register(Role::Flags).filter(|_| chip.volatile.is_some()).map(|flags| flags.source);
@@ -457,7 +449,6 @@ fn read_state(gauge: &mut Gauge) -> Result<Found> {
     look.map(|look| Found::of(gauge.chip, look, moment))
 }
 
-/// Checks the modes that only an unsealed gauge reports.
 pub(in crate::dataflash) fn check_unsealed(gauge: &mut Gauge) -> Result<()> {
     for mode in gauge.chip.preflight.modes {
         let Source::Answer(code) = mode.word else { continue };

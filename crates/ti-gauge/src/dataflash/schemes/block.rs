@@ -19,7 +19,6 @@ const BLOCK_DATA_CONTROL: u8 = 0x61;
 /// BlockDataControl() value that selects the blocks a sealed gauge shows.
 const MANUFACTURER_BLOCKS: u8 = 1;
 
-/// Selections of a block that the gauge does not echo.
 const SELECTIONS: usize = 3;
 
 pub(super) struct Block;
@@ -147,7 +146,6 @@ fn select(gauge: &mut Gauge, place: Window) -> Result<()> {
     selected.map_err(|error| error.at(Step::ReadBlock))
 }
 
-/// What the gauge shows in its window, and which class and block it says that is.
 #[derive(Clone, Copy, PartialEq, Eq)]
 struct Shown {
     echo: [u8; 2],

@@ -15,7 +15,6 @@ use crate::gauge::{Gauge, Seal, Statistics, agreed};
 /// Time between two reads of the mode's flag, which takes up to a second; the kernel's driver and Zephyr's wait as long.
 const POLL_INTERVAL: Duration = Duration::from_millis(25);
 
-/// An access to data memory, and the mode in which it can be written.
 pub(super) struct CfgUpdate {
     access: &'static (dyn Sequence + Sync),
     /// The subcommand that begins the mode.
@@ -32,7 +31,6 @@ pub(super) struct CfgUpdate {
     not_left: &'static str,
 }
 
-/// What to do if the mode does not begin. Nothing has been written then.
 const NOT_ENTERED: &str = "nothing was changed: it has no battery, is starting, or another program uses it; wait some seconds \
                            and write again";
 
@@ -148,7 +146,6 @@ impl CfgUpdate {
         ))
     }
 
-    /// Like `wait_for`, but returns whether the mode was reached.
     fn reaches(&self, gauge: &mut Gauge, on: bool, limit: Duration) -> Result<bool> {
         let limit = gauge.clock.now() + limit;
         loop {

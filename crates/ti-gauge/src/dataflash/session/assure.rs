@@ -64,7 +64,6 @@ impl Assurance {
         self.since = Some(gauge.moment());
     }
 
-    /// Whether another pack has come since the session began.
     pub(in crate::dataflash) fn has_come(&self, gauge: &Gauge) -> bool {
         self.is_another && (self.was_broken || !self.is_unbroken(gauge))
     }
@@ -192,7 +191,6 @@ impl Session {
         Ok(torn && seen.iter().all(|seen| seen.held != Held::Unexplained))
     }
 
-    /// Whether another pack than that of the session answers, as far as that shows.
     pub(in crate::dataflash) fn is_another(&mut self, gauge: &mut Gauge) -> bool {
         if !self.pack.is_another
             && self.pack.since.is_some()
@@ -288,7 +286,6 @@ impl Session {
         Err(Error::new(gauge.chip.model, Cause::NotPermitted, why).at(Step::Seal))
     }
 
-    /// Whether the pack that answers is not the one that was left open.
     pub(in crate::dataflash) fn is_plainly_another(&mut self, gauge: &mut Gauge, now: Seal) -> Result<bool> {
         // What a gauge with RAM was known by may be lost with its power.
         if gauge.chip.volatile.is_some()
@@ -367,7 +364,6 @@ impl Session {
         }
     }
 
-    /// Whether the gauge keeps the mount's unseal key, which only FULL ACCESS lets one read.
     fn is_known_to_open(&mut self, gauge: &mut Gauge) -> Result<bool> {
         if gauge.seal()? != Seal::FullAccess {
             match gauge.full_access() {

@@ -14,7 +14,6 @@ use crate::gauge::{Gauge, Moment, Statistics};
 pub(in crate::dataflash) trait Confidence {
     /// Makes sure of it. What is sent is bound to the moment that this returns.
     fn assure(&mut self, gauge: &mut Gauge) -> Result<Moment>;
-    /// How often other blocks were loaded for that.
     fn compared(&self) -> u32 {
         0
     }

@@ -161,7 +161,6 @@ pub(super) fn withdraw(
     give_up(flash, gauge, pending.entry, waited)
 }
 
-/// Gives up what is pending; its journal is not there any more.
 fn give_up(flash: &mut DataFlash, gauge: &mut Gauge, entry: Option<Entry>, waited: Duration) -> Result<()> {
     flash.debts.settled();
     flash.debts.hold(None);

@@ -130,7 +130,6 @@ pub(super) fn may_be_of(chip: &'static Chip, entry: &Entry, now: &Identity) -> b
     }
 }
 
-/// The journals that an open gauge shows nothing of. Each block is read once.
 fn others_of(gauge: &mut Gauge, now: &Identity, journals: &[(PathBuf, Entry)]) -> Result<Vec<PathBuf>> {
     // A commit may be at work still.
     gauge.wait(COMMITTED);

@@ -22,12 +22,10 @@ use crate::journal::{Identity, Plan};
 
 pub(super) struct Task<'a> {
     pub(super) plan: &'a Plan,
-    /// What it is, for a message.
     pub(super) subject: String,
     pub(super) then: &'a Identity,
     pub(super) now: &'a Identity,
     pub(super) watched: bool,
-    /// See [`Pending::certain`].
     pub(super) certain: Option<Moment>,
     pub(super) decision: Option<Decision>,
     pub(super) shown: Option<&'a Shown>,
@@ -161,7 +159,6 @@ impl Task<'_> {
         }
     }
 
-    /// Whether the gauge is the one about which a person has decided.
     fn chosen(&self, gauge: &mut Gauge, decision: Decision, seen: &[Seen]) -> Result<Chosen> {
         let look = "look at it with gaugefs settle GAUGE before you decide";
         if self.shown.is_some_and(|shown| !shown.is(self.now, seen)) {
@@ -258,7 +255,6 @@ impl Whose {
     }
 }
 
-/// Why a person has to decide about an interrupted write.
 enum Doubt {
     None,
     /// Nothing shows that this is another pack, and nothing that it is the one.
@@ -302,13 +298,11 @@ pub(super) fn number_of(chip: &Chip, identity: &Identity) -> Option<String> {
     chip.serial_register().map(|_| format!("0x{:04x}", identity.serial))
 }
 
-/// Whether a block held keys, and holds what erased flash reads as.
 fn has_erased_keys(chip: &Chip, seen: &Seen) -> bool {
     let place = seen.block.place;
     holds_keys(chip, place) && secrets(chip, place).iter().all(|at| seen.stored[at] == 0xff)
 }
 
-/// Whether the gauge can be opened again after it was sealed.
 fn opens_again(gauge: &Gauge) -> bool {
     gauge.was_opened() || matches!(gauge.chip.security.storage, KeyStorage::Fixed(_))
 }

@@ -20,7 +20,6 @@ pub(in crate::gauge) const CONTROL: u8 = 0x00;
 const CONTROL_END: u8 = 0x02;
 /// DataFlashClass() and DataFlashBlock(), or ManufacturerAccessControl(): what is in the window.
 const SELECTION: Range<u8> = 0x3e..0x40;
-/// BlockData(), or MACData().
 const DATA: Range<u8> = 0x40..0x60;
 /// BlockDataChecksum(), which commits the window, or MACDataSum().
 const SUM: u8 = 0x60;
@@ -239,7 +238,6 @@ fn piece(gauge: &mut Gauge, code: u8, length: usize) -> Result<usize, BusError> 
     }
 }
 
-/// The version of the firmware, which follows the device number in MACData().
 fn firmware(gauge: &mut Gauge, at: u8) -> Result<u16> {
     let mut word = 0;
     // MACData() may still show an older answer.

@@ -41,7 +41,6 @@ impl Gauge {
         }
     }
 
-    /// Makes sure, before the next transfer, that it is still the same gauge.
     pub(crate) fn doubt(&mut self) {
         if self.presence.is_marked() {
             self.presence.doubt();

@@ -18,7 +18,6 @@ const ROW: usize = 32;
 const ROWS: usize = 32;
 /// Rows with the vectors and the firmware's version. A file of data flash erases them first and writes them last.
 const BOOT_ROWS: usize = 2;
-/// Bytes of a command for a row of instruction flash.
 const INSTRUCTION_ROW: usize = 100;
 /// Index of the firmware's version in the command for row 0 of instruction flash, low byte first.
 const VERSION: usize = 52;
@@ -80,7 +79,6 @@ fn content(rom: Rom, commands: &[(usize, Command)], told: Option<&'static Chip>)
     Ok(image)
 }
 
-/// A gauge in ROM mode, while its file is read.
 #[derive(Default)]
 struct Rom {
     /// The bytes of a command before its execution, and its line.
@@ -137,7 +135,6 @@ impl Rom {
         }
     }
 
-    /// Notes a wrong line: the command around it is unknown.
     fn doubt(&mut self) {
         self.buffer.clear();
         self.pending = None;
@@ -246,7 +243,6 @@ impl Rom {
         self.rows.iter().flat_map(|(_, row)| *row).collect()
     }
 
-    /// Checks that a whole file is complete.
     fn finish(self) -> Result<Self> {
         if let Some(line) = self.pending {
             return Err(at_line(line, "this command is not executed by a sum; the file is cut short"));
@@ -296,7 +292,6 @@ impl Rom {
         }
     }
 
-    /// Whether names and the number of cells are in the layout's places.
     fn fits(&self, chip: &'static Chip, layout: &RomImage) -> bool {
         let bytes = self.bytes();
         places(chip, layout).all(|(subclass, start)| {
@@ -329,7 +324,6 @@ impl Rom {
         self.rows[at / ROW].0
     }
 
-    /// Adds parameters, undocumented bytes of subclasses, and notes.
     fn fill_image(&self, image: &mut Image, layout: &RomImage) {
         let bytes = self.bytes();
         let mut is_named = [false; ROW * ROWS];

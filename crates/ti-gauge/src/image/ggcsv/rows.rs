@@ -67,7 +67,6 @@ fn row(text: &str, comma: char) -> (Result<Vec<String>, &'static str>, usize) {
     }
 }
 
-/// A text's first field and the rest, or why it is unreadable and the rest.
 fn field(text: &str, comma: char) -> Result<(String, &str), (&'static str, &str)> {
     let is_blank = |letter: char| letter == ' ' || (letter == '\t' && letter != comma);
     let Some(mut rest) = text.trim_start_matches(is_blank).strip_prefix(QUOTE) else {
