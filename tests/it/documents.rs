@@ -92,6 +92,20 @@ fn the_map_of_the_readme_has_every_page() {
     assert_eq!(map, pages("docs").iter().map(name).collect());
 }
 
+/// GitHub shows the rows below a blank line as text.
+#[test]
+fn regression_a_blank_line_cut_a_table_in_two() {
+    for path in [pages("."), pages("docs")].concat() {
+        let text = read(&path);
+        let lines: Vec<_> = prose(&text).collect();
+        let is_row = |at: usize| lines.get(at).is_some_and(|line| line.starts_with('|'));
+        for at in (0..lines.len()).filter(|&at| is_row(at) && (at == 0 || !is_row(at - 1))) {
+            let has_head = lines.get(at + 1).is_some_and(|line| line.starts_with("| ---"));
+            assert!(has_head, "{}: no head above: {}", path.display(), lines[at]);
+        }
+    }
+}
+
 /// A program that reads `error_details` has only the table to go by.
 #[test]
 fn every_reason_of_a_failure_is_documented() {
