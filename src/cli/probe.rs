@@ -130,13 +130,7 @@ impl Probe {
         for (number, name) in buses {
             let bus = format!("/dev/i2c-{number}");
             let adapter = Adapter::find(Path::new(&bus)).map_err(Error::from);
-            let looked = adapter.and_then(|adapter| match adapter.speaks_i2c()? {
-                true => self.look(&adapter),
-                false => {
-                    let why = "supports only SMBus: not usable for gauges";
-                    Err(Error::host(&bus, Errno::EOPNOTSUPP, why))
-                }
-            });
+            let looked = adapter.and_then(|adapter| self.look(&adapter));
             match (looked, self.json) {
                 (Ok(report), true) => {
                     any |= report.any();

@@ -22,8 +22,8 @@ pub enum ErrorKind {
     NotFound,
     /// The node is not an I2C adapter.
     NotABus,
-    /// The adapter has only SMBus commands, not plain I2C.
-    SmbusOnly,
+    /// The adapter has neither plain I2C nor the SMBus commands for words.
+    NoWords,
     /// The adapter has a mux, and so another gauge whenever somebody uses another channel.
     HasMux,
     /// A kernel driver or another process uses the address.
@@ -45,7 +45,7 @@ impl ErrorKind {
             Self::NotPermitted => Errno::PERM,
             Self::NotFound => Errno::NOENT,
             Self::NotABus => Errno::NOTTY,
-            Self::SmbusOnly | Self::HasMux => Errno::OPNOTSUPP,
+            Self::NoWords | Self::HasMux => Errno::OPNOTSUPP,
             Self::Busy => Errno::BUSY,
             Self::Forbidden => Errno::ACCESS,
             Self::File(kind) | Self::Io(kind) => return errno_of(kind),

@@ -2,10 +2,10 @@
 
 //! A target behind `/dev/i2c-N`, or behind a FUSE file or a device of CUSE that answers like one, as `gaugefs sim` serves it.
 //!
-//! Transfers use I2C_RDWR: a pointer write and the read after it are one transfer with a repeated START. I2C_SLAVE claims
-//! the address first, because I2C_RDWR does not report a kernel driver that is bound to it. The file of an unplugged
-//! adapter is closed, for which the kernel waits; the next transfer opens it again. A driver that hangs is given up after
-//! a while ([`bounded`](crate::bounded)).
+//! Transfers use I2C_RDWR: a pointer write and the read after it are one transfer with a repeated START. An adapter without
+//! that has the SMBus commands which put the same bits on the wire. I2C_SLAVE claims the address first, because I2C_RDWR does
+//! not report a kernel driver that is bound to it. The file of an unplugged adapter is closed, for which the kernel waits; the
+//! next transfer opens it again. A driver that hangs is given up after a while ([`bounded`](crate::bounded)).
 //!
 //! All `unsafe` code of this crate is here; it makes calls for which the crate `i2cdev` has no function.
 
@@ -21,10 +21,11 @@ use nix::libc;
 use nix::sys::stat::{major, minor};
 
 use crate::error::{Driver, Error, ErrorKind, Result};
-use crate::regular;
+use crate::{Reach, regular};
 
 mod adapter;
 mod mux;
+mod smbus;
 mod target;
 
 use adapter::Row;
@@ -36,6 +37,8 @@ pub use target::LinuxBus;
 const I2C_MAJOR: u64 = 89;
 /// The adapter transfers whole I2C messages, and not just the SMBus commands.
 const I2C_FUNC_I2C: libc::c_ulong = 1;
+/// The adapter sends and compares packet error codes.
+const I2C_FUNC_SMBUS_PEC: libc::c_ulong = 8;
 
 #[allow(unsafe_code, missing_docs)]
 mod ioctl {
@@ -176,9 +179,9 @@ impl Adapter {
         refusal_of_mux(&self.to_string(), self.number(), &self.muxes()).map_or(Ok(()), Err)
     }
 
-    /// Whether the adapter can transfer whole I2C messages. Asking sends nothing on the bus.
-    pub fn speaks_i2c(&self) -> Result<bool> {
-        Ok(self.capabilities()? & I2C_FUNC_I2C != 0)
+    /// What it carries. Asking sends nothing on the bus.
+    pub fn reach(&self) -> Result<Reach> {
+        Ok(reach(self.capabilities()?, self.row()))
     }
 
     /// The bits of the kernel's I2C_FUNCS. Asking sends nothing on the bus.
@@ -239,6 +242,16 @@ impl Driver {
             self.name
         )
     }
+}
+
+/// What an adapter carries. I2C_FUNCS says what kinds of messages; their longest lengths are known to its driver alone.
+fn reach(functions: libc::c_ulong, row: Option<&Row>) -> Reach {
+    let carried = match functions & I2C_FUNC_I2C {
+        0 => smbus::reach(functions),
+        _ => Reach { pec: functions & I2C_FUNC_SMBUS_PEC != 0, ..Reach::FULL },
+    };
+    // Whether it has packet error codes is known of the adapter itself.
+    Reach { pec: carried.pec, ..row.map_or(carried, |row| row.reach.narrowed(carried)) }
 }
 
 fn functions(device: &impl AsRawFd) -> nix::Result<libc::c_ulong> {
@@ -384,6 +397,21 @@ mod tests {
         hold(&front, 0x55, libc::F_WRLCK).expect("they are gone");
         hold(&open(), 0x55, libc::F_RDLCK).expect_err("it is in front");
         fs::remove_file(path).expect("it was there");
+    }
+
+    #[test]
+    fn an_adapter_carries_what_both_its_functions_and_its_driver_say() {
+        let system = fake::System::new("functions");
+        for (number, driver) in [(0, "cp2112"), (1, "i801_smbus"), (2, "i2c-new")] {
+            system.adapter(number, Some(driver), "an adapter");
+        }
+        let of = |number, functions| reach(functions, Row::of(system.root(), number));
+        assert_eq!((of(0, 0x0ffe_8001).write, of(0, 0x0ffe_8001).pec), (61, false));
+        assert_eq!(of(1, 0x1fff_8008), Reach::smbus(32, true));
+        // Its module can be told not to read blocks, and to send no packet error codes.
+        assert_eq!(of(1, 0x1bff_8000), Reach { write: 33, ..Reach::smbus(2, false) });
+        assert_eq!(of(2, 0x0fff_8009), Reach::FULL);
+        assert_eq!(of(2, 0x037f_0000), Reach::smbus(2, false), "a driver without a row");
     }
 
     #[test]

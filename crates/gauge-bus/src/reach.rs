@@ -5,6 +5,10 @@
 //! The limits are those of `struct i2c_adapter_quirks` of `linux/i2c.h`, and the bits of I2C_FUNCS. Only a write and the
 //! read after it are combined, so `I2C_AQ_COMB_WRITE_THEN_READ` is no limit here.
 
+use rustix::io::Errno;
+
+use crate::BusError;
+
 /// The limits of a bus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Reach {
@@ -57,9 +61,22 @@ impl Reach {
 
     /// Whether it carries a transfer that writes and reads so many bytes.
     pub fn carries(self, write: usize, read: usize) -> bool {
+        self.check(write, read).is_ok()
+    }
+
+    /// Refuses a transfer that it does not carry.
+    pub fn check(self, write: usize, read: usize) -> Result<(), BusError> {
         let written = if read > 0 { self.first.min(self.write) } else { self.write };
-        let most = if self.smbus && write == 0 { 1 } else { self.read };
-        write <= written.into() && read <= most.into()
+        let most = if self.smbus && write == 0 { self.read.min(1) } else { self.read };
+        let too_long = |length: usize, most: u16| {
+            let bytes = length.try_into().unwrap_or(u16::MAX);
+            (length > most.into()).then_some(BusError::TooLong { bytes, most })
+        };
+        // Without a byte it would be a quick command, which some devices take for a write.
+        let quick = self.smbus && write == 0 && read == 0;
+        let unsupported = || quick.then_some(BusError::Other(Errno::OPNOTSUPP.raw_os_error()));
+        let refused = too_long(write, written).or_else(|| too_long(read, most)).or_else(unsupported);
+        refused.map_or(Ok(()), Err)
     }
 }
 
@@ -76,7 +93,7 @@ mod tests {
         assert!(!Reach { write: 8, first: 16, ..Reach::FULL }.carries(9, 2));
         let words = Reach::smbus(2, false);
         assert!(words.carries(3, 0) && !words.carries(4, 0) && words.carries(1, 2) && !words.carries(2, 2));
-        assert!(words.carries(0, 1) && !words.carries(0, 2));
+        assert!(words.carries(0, 1) && !words.carries(0, 2) && !words.carries(0, 0));
         assert!(Reach::FULL.carries(8192, 8192));
     }
 

@@ -7,8 +7,8 @@ use std::os::unix::fs::{FileTypeExt, MetadataExt};
 
 use super::host::Host;
 use super::{Finding, ok, problem, warning};
-use gauge_bus::GAUGE_ADDRESS;
 use gauge_bus::linux::{Adapter, adapters, clock, connected, described, driver, muxes};
+use gauge_bus::{GAUGE_ADDRESS, Reach};
 
 /// Fastest clock at which this controller tolerates clock stretching.
 const SLOW_HZ: u32 = 50_000;
@@ -122,16 +122,25 @@ fn adapter(host: &Host, number: u64, name: &str, wanted: bool) -> Finding {
     if !status.file_type().is_char_device() {
         return warning(what, format!("not a device, {clock}"), "Let udev create the node again.");
     }
-    match Adapter::find(&host.at(&node)).and_then(|adapter| adapter.speaks_i2c()) {
-        Ok(true) => ok(what, format!("usable, plain I2C, {clock}")),
-        Ok(false) if wanted => problem(
+    match Adapter::find(&host.at(&node)).and_then(|adapter| adapter.reach()) {
+        Ok(reach) if reach.carries(1, 2) => ok(what, format!("usable, {}, {clock}", carried(reach))),
+        Ok(_) if wanted => problem(
             what,
-            "supports only SMBus, but a gauge is configured on it",
+            "has neither plain I2C nor SMBus commands for words, but a gauge is configured on it",
             "Connect the gauge to another bus.",
         ),
-        Ok(false) => ok(what, "supports only SMBus: not usable for gauges"),
+        Ok(_) => ok(what, "has neither plain I2C nor SMBus commands for words: not usable for gauges"),
         Err(error) => problem(what, error.text, "Check that the adapter is connected."),
     }
+}
+
+/// What an adapter carries, in words.
+fn carried(reach: Reach) -> String {
+    let messages = match reach {
+        Reach { smbus: false, .. } => "plain I2C".into(),
+        Reach { read, .. } => format!("SMBus commands of up to {read} bytes"),
+    };
+    format!("{messages}, packet error codes {}checked", if reach.pec { "" } else { "not " })
 }
 
 fn forbidden(host: &Host, status: &fs::Metadata) -> String {
@@ -198,4 +207,21 @@ fn drivers(host: &Host, number: u64) -> Vec<Finding> {
         }
     });
     gauges.collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_an_adapter_carries_is_said_with_what_that_means() {
+        let says = [
+            (Reach { pec: false, ..Reach::FULL }, "plain I2C, packet error codes not checked"),
+            (Reach::smbus(32, true), "SMBus commands of up to 32 bytes, packet error codes checked"),
+            (Reach::smbus(2, false), "SMBus commands of up to 2 bytes, packet error codes not checked"),
+        ];
+        for (reach, words) in says {
+            assert_eq!(carried(reach), words);
+        }
+    }
 }

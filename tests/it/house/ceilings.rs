@@ -13,7 +13,7 @@ use super::{crates, files, without_tests};
 
 /// The most lines of each crate.
 const LINES: [(&str, usize); 10] = [
-    ("gauge-bus", 2_800),
+    ("gauge-bus", 2_950),
     ("gauge-owner", 7_750),
     ("gauge-sim", 10_300),
     ("gauge-station", 3_850),

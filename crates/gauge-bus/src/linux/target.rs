@@ -15,14 +15,12 @@ use nix::errno::Errno;
 use nix::libc;
 
 use super::adapter::Row;
-use super::{Adapter, I2C_FUNC_I2C, functions, hold};
+use super::{Adapter, functions, hold, reach, smbus};
 use crate::bounded::{Bounded, PATIENCE};
 use crate::clock::Clock;
 use crate::error::{Driver, Error, ErrorKind, Result};
 use crate::{Bus, BusError, Reach};
 
-/// It sends and compares packet error codes.
-const I2C_FUNC_SMBUS_PEC: libc::c_ulong = 8;
 /// Bus-free time that the gauges need between transfers at 400 kHz; it costs little at 100 kHz.
 const BUS_FREE: Duration = Duration::from_micros(66);
 
@@ -65,9 +63,9 @@ impl LinuxBus {
             let why = format!("another gaugefs {place}; `gaugefs umount` its mount point first");
             Error::new(subject(&adapter, address), ErrorKind::Busy, why)
         })?;
-        if functions(&device).unwrap_or(0) & I2C_FUNC_I2C == 0 {
-            let why = "the adapter speaks only SMBus, not plain I2C; connect the gauge to another one";
-            return Err(Error::new(adapter.to_string(), ErrorKind::SmbusOnly, why));
+        if !reach(functions(&device).unwrap_or(0), None).carries(1, 2) {
+            let why = "the adapter has neither plain I2C nor SMBus commands for words; connect the gauge to another one";
+            return Err(Error::new(adapter.to_string(), ErrorKind::NoWords, why));
         }
         let number = adapter.number();
         Ok(Self::new(adapter, number, address, clock, Some((device, above))))
@@ -90,7 +88,7 @@ impl LinuxBus {
         let name = format!("{adapter} 0x{address:02x}");
         let last = clock.now().saturating_sub(BUS_FREE);
         let row = open.as_ref().and_then(|_| adapter.row());
-        let reach = open.as_ref().map_or(Reach::FULL, |(device, _)| reach(device, row));
+        let reach = open.as_ref().map_or(Reach::FULL, |(device, _)| carried(device, row));
         let (device, above) = open.map_or((None, Vec::new()), |(device, above)| (Some(device), above));
         let target = Target { adapter, address, row, reach, clock: clock.clone(), device, above, last };
         let named = (number, target.adapter.to_string());
@@ -121,7 +119,7 @@ impl Target {
                 let device = device.map_err(|error| claim_error(errno(&error)))?;
                 self.adapter.refuse_mux().map_err(|_| BusError::HasMux)?;
                 self.above = hold_all(&device, &self.adapter, self.address).map_err(|_| BusError::Busy)?;
-                self.reach = reach(&device, self.row);
+                self.reach = carried(&device, self.row);
                 Ok(gone.insert(device))
             }
         }
@@ -140,21 +138,15 @@ impl Bus for Target {
         if since < BUS_FREE {
             clock.sleep(BUS_FREE - since);
         }
-        let device = self.device()?;
+        self.device()?;
+        let (reach, device) = (self.reach, self.device.as_mut().ok_or(BusError::Gone)?);
+        // A driver that gets more may move a part of it and report success.
+        reach.check(write.len(), read.len())?;
         let begun = clock.now();
-        let (wanted, moved) = if read.is_empty() {
-            (1, device.transfer(&mut [LinuxI2CMessage::write(write)]))
-        } else if write.is_empty() {
-            (1, device.transfer(&mut [LinuxI2CMessage::read(read)]))
-        } else {
-            (2, device.transfer(&mut [LinuxI2CMessage::write(write), LinuxI2CMessage::read(read)]))
-        };
+        let moved = send(device, reach, write, read);
         self.last = clock.now();
         match moved {
-            Ok(moved) if moved == wanted => Ok(()),
-            // Some adapters, such as virtio's, report this when a message is not acknowledged.
-            Ok(0) => Err(BusError::NoAck),
-            Ok(_) => Err(BusError::Short),
+            Ok(answer) => answer,
             Err(_) if !self.adapter.is_there() => {
                 self.close();
                 Err(BusError::Gone)
@@ -184,10 +176,35 @@ impl Bus for Target {
     }
 }
 
-/// What an adapter carries. I2C_FUNCS says what kinds of messages; their longest lengths are known to its driver alone.
-fn reach(device: &LinuxI2CDevice, row: Option<&Row>) -> Reach {
-    let pec = functions(device).unwrap_or(0) & I2C_FUNC_SMBUS_PEC != 0;
-    Reach { pec, ..row.map_or(Reach::FULL, |row| row.reach) }
+/// One transfer that the adapter carries; or that it moved only a part of it.
+fn send(
+    device: &mut LinuxI2CDevice,
+    reach: Reach,
+    write: &[u8],
+    read: &mut [u8],
+) -> Result<Result<(), BusError>, LinuxI2CError> {
+    if reach.smbus {
+        let is_whole = smbus::transfer(device, write, read)?;
+        return Ok(if is_whole { Ok(()) } else { Err(BusError::Short) });
+    }
+    let (wanted, moved) = if read.is_empty() {
+        (1, device.transfer(&mut [LinuxI2CMessage::write(write)])?)
+    } else if write.is_empty() {
+        (1, device.transfer(&mut [LinuxI2CMessage::read(read)])?)
+    } else {
+        (2, device.transfer(&mut [LinuxI2CMessage::write(write), LinuxI2CMessage::read(read)])?)
+    };
+    Ok(match moved {
+        moved if moved == wanted => Ok(()),
+        // Some adapters, such as virtio's, report this when a message is not acknowledged.
+        0 => Err(BusError::NoAck),
+        _ => Err(BusError::Short),
+    })
+}
+
+/// What an adapter carries that is open.
+fn carried(device: &LinuxI2CDevice, row: Option<&Row>) -> Reach {
+    reach(functions(device).unwrap_or(0), row)
 }
 
 /// Locks the gauge on its own adapter, and on each in front of a mux, shared. Returns their nodes, or one in use.
