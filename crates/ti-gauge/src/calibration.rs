@@ -273,7 +273,6 @@ impl Task<'_> {
             gauge.wait(AFTER_RESET);
             after = readings(gauge, target.role, READINGS)?;
             let error = after.mean - target.wanted;
-            // A step of the register does not count as a difference.
             let step = if target.role == Role::Temp { CELSIUS_STEP } else { 1.0 };
             if error.abs() > first.abs() + step || after.spread() > 2.0 * target.spread {
                 let (before, now) = (format!("{first:+.1}"), format!("{error:+.1}"));

@@ -2,11 +2,10 @@
 
 //! Data flash transactions: the only way to read or write data flash.
 //!
-//! A write is one transaction: check wear, identity and state of the gauge (`preflight`), unseal and
-//! confirm, check the flash voltage, read each block with its checksum, stop if nothing changes, write,
-//! commit with a checksum, read back, reset if the table requires it, unseal and verify again, restore the
-//! seal state and confirm it. Every exit goes through `Session::close`. The gauge accepts any value it is
-//! sent, so the checks here are the only protection.
+//! A write is one transaction: check wear, identity and state of the gauge (`preflight`), unseal and confirm, check the
+//! flash voltage, read each block with its checksum, stop if nothing changes, write, commit with a checksum, read back,
+//! reset if the table requires it, unseal and verify again, restore the seal state and confirm it. Every exit goes
+//! through `Session::close`. The gauge accepts any value it is sent, so the checks here are the only protection.
 //!
 //! An error before the first block is committed means that nothing has changed. After that the result is
 //! success, [`Cause::RolledBack`] (the old bytes were restored and verified) or [`Cause::StateUnknown`]. What is

@@ -407,7 +407,6 @@ struct Inner {
     host: Option<Host>,
     /// The facts of the process that refused the request.
     reported: Option<Box<str>>,
-    /// Further mistakes in the same file.
     further: Vec<Error>,
 }
 

@@ -172,7 +172,6 @@ impl KeyPlan {
             {
                 self.begin(name);
             } else {
-                // The intended text is unknown.
                 self.written = false;
             }
         }

@@ -243,7 +243,6 @@ impl Keys {
     fn parse_lines(name: &str, text: &[u8], gauge: &str) -> Result<Self> {
         let (mut general, mut own) = (Self::default(), Self::default());
         let mut sections: Vec<&str> = Vec::new();
-        // The keys of the present section, to find those that are given twice.
         let mut present = Self::default();
         for (number, line) in (1..).zip(text.split(|&byte| byte == b'\n')) {
             let refuse =

@@ -122,7 +122,6 @@ impl Firmware {
                 Command::Write { address: flashstream::GAUGE, .. }
                 | Command::Compare { address: flashstream::GAUGE, .. }
                 | Command::Read { address: flashstream::GAUGE } => continue,
-                // Unreadable lines were refused.
                 Command::Unread => continue,
                 Command::Wait(_) if !loader.has_begun() => continue,
                 Command::Wait(ms) => Step::Wait(Duration::from_millis(ms.into())),
@@ -313,16 +312,13 @@ fn version_of(row: &Row) -> u16 {
 }
 
 struct Loader {
-    /// The bytes of the present command.
     buffer: [Option<u8>; SUM as usize],
-    /// The last started command.
     last: Option<u8>,
     /// It is not yet compared.
     unproven: bool,
     /// Rows of instruction flash; empty before it was erased.
     rows: Vec<Option<Row>>,
     data: Vec<Option<[u8; DATA_ROW]>>,
-    /// The sums of all rows were compared.
     summed: bool,
     data_summed: bool,
     marked: bool,

@@ -122,8 +122,7 @@ pub static SIBLINGS: &[Sibling] = &[
     Sibling::new("bq27520-G1", 0x0520, &[0x0302], &[], Some(&kernel::BQ27520_G1)),
     Sibling::new("bq27520-G2", 0x0520, &[0x0311], &[], Some(&bq27520_g3::CHIP)),
     Sibling::new("bq27520-G4", 0x0520, &[0x0329, 0x0604], &[], Some(&kernel::BQ27520_G4)),
-    // Firmware 1.09 like its sisters; codes from SLUSBN7D. Its configuration is in one-time programmable
-    // memory.
+    // Firmware 1.09 like its sisters; codes from SLUSBN7D. Its configuration is in one-time programmable memory.
     Sibling::new("bq27411-G1", 0x0421, &[0x0109], &[0x80, 0x90, 0xA0], Some(&bq27441_g1::CHIP)),
     // Types that parts were seen to answer with, or that several drivers compare. Firmware versions are not known.
     Sibling::new("bq27500", 0x0500, &[], &[], Some(&kernel::BQ27500)),

@@ -98,7 +98,6 @@ impl Chip {
             let with_class = if class.is_empty() { 0.0 } else { strsim::jaro(&self.name_of(row), &whole) };
             ((alone, with_class), row)
         });
-        // The first among equally similar ones.
         let best = rows.reduce(|best, row| if row.0 > best.0 { row } else { best });
         best.map(|(_, row)| row)
     }

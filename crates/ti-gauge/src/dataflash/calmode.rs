@@ -70,7 +70,6 @@ pub(super) fn leave(gauge: &mut Gauge, calibration: &Calibration) -> Result<bool
         gauge.unseal()?;
     }
     if on {
-        // The permission is needed to leave as well.
         set_enabled(gauge, calibration, true)?;
         set_mode(gauge, calibration, false)?;
     }

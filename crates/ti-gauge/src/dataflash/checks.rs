@@ -201,7 +201,6 @@ pub(super) fn shut(gauge: &mut Gauge) -> Result<Option<Error>> {
     };
     let limit = word(gate.limit)? as i16;
     let now = Setting::now(limit, gate.divider.map(&mut word).transpose()?.unwrap_or(1));
-    // One reading may have a wrong bit.
     let twice = |gauge: &mut Gauge| Ok(read_word(gauge, voltage)?.max(read_word(gauge, voltage)?));
     let highest = once_measured(gauge, twice, |&highest| highest)?;
     let remedy = || ": charge the pack, or raise the voltage at the gauge".into();

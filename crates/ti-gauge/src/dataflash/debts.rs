@@ -88,9 +88,7 @@ impl Shown {
 
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Searched {
-    /// Those of other places.
     places: bool,
-    /// Those that wait for their packs.
     waiting: bool,
 }
 

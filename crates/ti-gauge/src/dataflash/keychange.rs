@@ -134,7 +134,6 @@ impl Begun {
                 gauge.key_file
             )));
         }
-        // The commit may be at work still.
         gauge.wait(COMMITTED);
         let found = gauge.seal()?;
         gauge.limit(Some(WAY + gauge.chip.security.key_silence * SILENCES));
@@ -234,7 +233,6 @@ fn change_unnamed(
     flash.guard(gauge, session, run, |this, mut session, gauge, outcome, owed| {
         let lost = known.get().cloned().flatten();
         match owed {
-            // Which keys it has is not known.
             Some(owed) if owed.data => this.leave(gauge, session, owed),
             // A change that was cut short before is as it was.
             _ if left.is_some() && lost.is_none() => {}

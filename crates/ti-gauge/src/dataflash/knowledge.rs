@@ -30,7 +30,6 @@ pub(super) use preflight::{Found, check_unsealed, learning};
 pub(super) struct Knowledge {
     now: Now,
     known_pack: Option<KnownPack>,
-    /// Another gauge has answered at its address.
     doubts: Fact<(), Arrival>,
     identity: Fact<Identity, Name>,
     /// Blocks of this gauge as they were last read or written.
@@ -41,7 +40,6 @@ pub(super) struct Knowledge {
     gate: Fact<(i16, u16), Values>,
     /// The signature rows, which show whether the table fits this firmware, have been checked.
     signed: Fact<(), Pack>,
-    /// The gauge has refused the key of erased flash.
     no_erased_key: Fact<(), Arrival>,
     /// A failed write left its mode on; the next write ends it.
     mode_left_on: bool,
@@ -150,7 +148,6 @@ impl Knowledge {
                 self.note_block(gauge, place, content);
             }
         }
-        // It has been compared.
         self.fingerprint = Fact::default();
         if other.is_some() {
             self.doubt_pack();

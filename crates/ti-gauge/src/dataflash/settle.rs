@@ -104,7 +104,6 @@ impl DataFlash {
                     "the gauge that was left open was another part; discard what is owed with gaugefs settle";
                 return Err(Error::new(gauge.chip.model, Cause::Gone, why).at(Step::Seal));
             }
-            // CONTROL_STATUS may still show the state before the last key.
             gauge.wait(SEAL_LAG);
             let mut session = Session::new(Seal::Sealed, asked);
             session.pack.pack = entry.as_ref().map(Reference::of);

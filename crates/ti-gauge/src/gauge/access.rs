@@ -188,7 +188,6 @@ impl Gauge {
             (Seal::Sealed, Seal::Unsealed) => self.unseal(),
             (Seal::Sealed, Seal::FullAccess) => self.unseal().and_then(|()| self.full_access()),
             (_, Seal::FullAccess) => self.full_access(),
-            // UNSEALED is reached from FULL ACCESS only through SEALED.
             (_, Seal::Unsealed) => self.go(now, Seal::Sealed).and_then(|()| self.unseal()),
         }
     }

@@ -28,11 +28,9 @@ pub(crate) struct Moment(u64);
 
 #[derive(Debug, Default)]
 pub(super) struct Presence {
-    /// How often it was broken.
     breaks: u64,
     /// Something has happened behind which the gauge could have been exchanged.
     in_doubt: bool,
-    /// Looks at the selection that have failed in a row.
     failed: u32,
     /// An access is going on, in which pauses count.
     attended: bool,

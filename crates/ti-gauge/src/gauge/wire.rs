@@ -45,7 +45,6 @@ pub(super) struct Wire {
     silence: Duration,
     /// When the last wait was to end.
     rested: Cell<Duration>,
-    /// How often standard commands were read.
     pace: pace::Pace,
     /// No transfer starts after it, so that write(2) returns in time.
     limit: Option<Limit>,

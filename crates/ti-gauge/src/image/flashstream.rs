@@ -343,7 +343,6 @@ fn answer(commands: &[(usize, Command)], code: u16) -> Option<(usize, &[u8])> {
         _ => false,
     };
     let at = commands.iter().position(|(_, command)| asks(command))?;
-    // There may be waits in between.
     let (number, next) =
         commands[at + 1..].iter().find(|(_, command)| !matches!(command, Command::Wait(_)))?;
     match next {
@@ -370,7 +369,6 @@ struct Stream {
     in_doubt: bool,
     /// Bytes that such lines may have set.
     doubtful: BTreeSet<(u8, u16)>,
-    /// Some line is unreadable.
     unread: bool,
     /// A mistake before the current line that does not prevent reading it.
     missed: Option<String>,
@@ -536,7 +534,6 @@ impl Stream {
     /// A word for Control(). Key words are never shown, even in an error.
     fn control(&mut self, line: usize, word: u16, rest: &[u8], next: Option<&Command>) -> Result<(), String> {
         if self.pending.is_none() {
-            // The next reading is its answer.
             self.address = None;
         }
         if std::mem::take(&mut self.half_key) && rest.is_empty() {

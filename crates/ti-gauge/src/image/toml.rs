@@ -137,7 +137,6 @@ pub(super) fn read(text: &str, told: Option<&'static Chip>, faults: &mut Faults)
         return file.faults.stop(0, Error::new("", Cause::Invalid, why));
     }
     let chip = chip_of(named.or(told), device_type, firmware);
-    // A mistake in the line that names it is listed already.
     let chip = if file.faults.is_empty() { file.faults.keep(0, chip) } else { chip.ok() }?;
     let mut image = Image::new(chip, firmware);
     image.names_chip = named.is_some() || device_type.is_some();
@@ -208,7 +207,6 @@ impl File<'_> {
             let whole = format!("{}/{}", chip.class_dir(subclass), key.get_ref());
             let row = subclass.parameters.iter().find(|row| kebab_case(row.name) == *key.get_ref());
             let Some(parameter) = row else {
-                // A file may have very many.
                 self.unknown += 1;
                 let nearest = if self.unknown <= NAMED { chip.nearest(&whole) } else { None };
                 // A guessed class leaves open whether this is its parameter.

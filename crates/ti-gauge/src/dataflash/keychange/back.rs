@@ -27,7 +27,6 @@ enum Keyhole {
     Open(Worked),
     /// No key of that name fits.
     Shut(Name),
-    /// It does not answer.
     Silent,
 }
 

@@ -23,11 +23,9 @@ use crate::keys::{Name, Secret};
 
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Has {
-    /// The mount's.
     Mine,
     Erased,
     Neither,
-    /// It was not asked.
     Unknown,
 }
 

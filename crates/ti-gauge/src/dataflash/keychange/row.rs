@@ -70,7 +70,6 @@ impl Task<'_> {
             });
             match (is_left && (self.torn || self.erased), known.first()) {
                 (true, _) => Ok(present),
-                // The comparison refuses it.
                 (false, Some(key)) if name != self.change.name => Ok((*key).clone()),
                 _ => Err(neither()),
             }

@@ -73,7 +73,6 @@ impl Knowledge {
         if calibration_enabled(gauge)? {
             return Ok(());
         }
-        // It is read again before the next write.
         self.now.forget_values();
         Err(Error::of("", shut).at_place(gate.limit).at(Step::Check))
     }
@@ -98,7 +97,6 @@ impl Knowledge {
         if before == after {
             return Ok(false);
         }
-        // From here on the values that were read before the write no longer count.
         self.now.forget_values();
         let mut loaded = false;
         if let Some(row) = gate.cells.filter(|row| !planned.iter().any(|block| block.at(*row).is_some())) {

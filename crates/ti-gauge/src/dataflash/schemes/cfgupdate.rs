@@ -17,17 +17,14 @@ const POLL_INTERVAL: Duration = Duration::from_millis(25);
 
 pub(super) struct CfgUpdate {
     access: &'static (dyn Sequence + Sync),
-    /// The subcommand that begins the mode.
     enter: u16,
     /// Whether it is accepted in FULL ACCESS only.
     full_access: bool,
-    /// The subcommand that ends the mode with a new start of gauging.
     leave: u16,
     /// The register and the bit that show the mode, and their names.
     register: u8,
     mask: u16,
     names: (&'static str, &'static str),
-    /// What to do if the mode does not end.
     not_left: &'static str,
 }
 

@@ -50,7 +50,6 @@ pub(in crate::dataflash) struct Assurance {
     /// That was certain once before.
     was_broken: bool,
     pub(in crate::dataflash) is_another: bool,
-    /// It cannot be told whose pack answers.
     is_unsure: bool,
     /// It was SEALED, and opened by this session with its key.
     pub(in crate::dataflash) was_opened: bool,
@@ -243,7 +242,6 @@ impl Session {
             return Ok(Some(moment));
         }
         if now == Seal::Sealed {
-            // CONTROL_STATUS may still show the state before the last key.
             gauge.wait(SEAL_LAG);
             if gauge.seal()? == Seal::Sealed {
                 return self.assure_sealed(gauge).map(|()| None);

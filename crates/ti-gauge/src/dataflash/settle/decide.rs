@@ -51,7 +51,6 @@ pub(super) fn examine(flash: &mut DataFlash, gauge: &mut Gauge, waited: Duration
         this.knowledge.forget_name();
         let now = this.knowledge.identity(gauge)?;
         let found = gauge.seal_anew()?;
-        // The seal is owed already.
         let session = this.recorded(gauge, found, asked, Record::Nothing)?;
         let run = |_: &mut DataFlash, gauge: &mut Gauge, session: &mut Session| {
             session.open(gauge)?;

@@ -131,7 +131,6 @@ pub(super) fn may_be_of(chip: &'static Chip, entry: &Entry, now: &Identity) -> b
 }
 
 fn others_of(gauge: &mut Gauge, now: &Identity, journals: &[(PathBuf, Entry)]) -> Result<Vec<PathBuf>> {
-    // A commit may be at work still.
     gauge.wait(COMMITTED);
     let moment = gauge.moment();
     let is_lost = has_lost_memory(gauge)?;

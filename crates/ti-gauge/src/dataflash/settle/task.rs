@@ -237,9 +237,7 @@ impl Task<'_> {
 }
 
 enum Whose {
-    /// On the one on which it was begun.
     Certain,
-    /// On one that nothing distinguishes from it.
     Unproven,
     /// On another one, as a person has decided, named for the message.
     Another(String),
@@ -261,7 +259,6 @@ enum Doubt {
     Weak,
     /// The write was begun elsewhere, and nothing of it shows here.
     Another,
-    /// Another pack answers.
     Exchanged(String),
     Because(String, Match),
 }

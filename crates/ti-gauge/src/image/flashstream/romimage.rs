@@ -218,7 +218,6 @@ impl Rom {
     }
 
     fn compare(&mut self, told: &[u8]) -> Result<(), String> {
-        // Sums of unknown bytes.
         if self.is_partial {
             return Ok(());
         }
