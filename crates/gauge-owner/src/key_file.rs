@@ -28,7 +28,7 @@ pub fn from_file(path: &Path, gauge: &str) -> Result<Keys> {
     Keys::parse(&name, &read(file, &name)?, gauge)
 }
 
-/// Checks, for root, the original of a service's credential, which does not show who may read it. No file is private.
+/// Checks, for root, the original of a service's credential: the copy hides who may read it. A missing file is private.
 pub fn check(path: &Path) -> Result<()> {
     let name = path.display().to_string();
     match open(path, &name) {

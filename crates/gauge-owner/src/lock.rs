@@ -6,7 +6,7 @@
 //! the adapter's number and the address; behind a mux after the path of channels (`related`), because a gauge in front of
 //! a mux is reached through every channel. The kernel releases it when its holder ends; a file left behind has no effect.
 //!
-//! Other accounts are kept out by the lock on the bus itself, in `bus::linux`. Locks of root and services are named.
+//! Other accounts are kept out by the lock on the bus, in `bus::linux`; locks of root and of services are looked up first.
 //!
 //! The holder of a lock is the process in the kernel's list, `/proc/locks`, whatever the file says.
 

@@ -143,7 +143,7 @@ impl Opening {
         Ok(ready)
     }
 
-    /// Opens many gauges at the same time. Silent ones of a known chip are waited for, others left out; a line tells.
+    /// Opens many gauges at the same time. Silent ones of a known chip are waited for, others left out; a line says so.
     pub fn many(&self, gauges: Vec<(String, GaugeOptions)>) -> Result<(Vec<Ready>, Vec<String>)> {
         // A key file that cannot be used is an error of the configuration, so the mount fails.
         let gauges = gauges.into_iter().map(|(name, options)| {

@@ -238,7 +238,7 @@ fn of_gauge((name, sign): (&str, &str), file: &str, by: Operator, value: &str) -
     }
 }
 
-/// The number in the unit of its file. Without a unit it is refused, as people mean another one; percent are not.
+/// The number in the unit of its file. Without a unit it is refused, as people mean another one, but for percent.
 fn measured(name: &str, sign: &str, value: &str, own: &str) -> Result<f64, String> {
     let shown = value.escape_debug();
     let (has_unit, bare) = (unit::is_known(own), number(value));

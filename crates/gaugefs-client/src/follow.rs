@@ -48,7 +48,7 @@ pub fn all(folder: &Path, names: &[String]) -> io::Result<Texts> {
     Ok(texts)
 }
 
-/// The line of a file in an open folder, for three messages: a thousand gauges would notice more.
+/// The line of a file in an open folder, for three messages to the daemon: there may be a thousand gauges.
 fn text_in(folder: &File, name: &str) -> io::Result<String> {
     let file = openat(folder, name, OFlag::O_RDONLY | OFlag::O_CLOEXEC, Mode::empty())?;
     // Longer than any one-line text.

@@ -28,7 +28,7 @@ use ti_gauge::notation;
 
 /// A mounted gauge, by its folder.
 ///
-/// A daemon that hangs hangs each method: a program that must go on uses [`within`](crate::within), or
+/// If the daemon hangs, so does each method: a program that must go on uses [`within`](crate::within), or
 /// [`follow`](Self::follow) and [`Watch`](crate::watch::Watch), which have threads of their own.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Gauge {

@@ -2,7 +2,7 @@
 
 //! TI fuel gauges that gaugefs has mounted, for programs: values, changes, parameters, interrupted writes.
 //!
-//! A [`Gauge`] is a folder. The library uses its files only, without other privileges or bus traffic than theirs. A value:
+//! A [`Gauge`] is the folder of a gauge. It takes no privilege and no bus traffic beyond those of its files. A value:
 //!
 //! ```no_run
 //! use gaugefs_client::Gauge;

@@ -168,7 +168,7 @@ pub enum Spoiled {
     Temperature(f64),
     /// The open-circuit voltage was in the flat part of the curve, in mV of a cell.
     Flat(f64),
-    /// Too little charge between two open-circuit voltages, in % of design, if watched from the first on; and the need.
+    /// Too little charge between two open-circuit voltages, in percent of the design capacity, if watched; and the need.
     TooLittleCharge(Option<f64>, f64),
     /// The gauge was reset during the cycle.
     Reset,

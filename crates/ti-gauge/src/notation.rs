@@ -22,7 +22,7 @@ pub fn render(kind: Type, value: &Value) -> String {
     }
 }
 
-/// What a shell or a terminal could act on becomes `%HH`, also a space at an end, and `%` before two digits.
+/// What a shell or a terminal could act on becomes `%HH`; so do a space at an end, and `%` before two hexadecimal digits.
 fn escape(bytes: &[u8]) -> String {
     let mut text = String::new();
     for (at, &byte) in bytes.iter().enumerate() {

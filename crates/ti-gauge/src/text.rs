@@ -80,7 +80,7 @@ pub fn nearest<'a>(word: &str, names: impl Iterator<Item = &'a str>) -> Option<&
     })
 }
 
-/// Names with all parts of a text, such as `voltage_now` for `voltage`, fewest other parts first. Parts may be cut.
+/// Names with all parts of a text, words or their beginnings: `voltage_now` for `voltage`; fewest other parts first.
 pub fn with_parts<'a, T>(text: &str, names: impl Iterator<Item = (&'a str, T)>) -> Vec<T> {
     const LONGEST: usize = 64;
     const SHORTEST: usize = 3;

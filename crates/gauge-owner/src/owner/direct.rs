@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! A gauge without a thread: its holder asks, and has the answer at once. It is polled only on request.
+//! A gauge without a thread: what its holder asks is carried out before the call returns. It is polled on request only.
 
 use std::sync::mpsc;
 use std::sync::{Arc, Mutex};

@@ -438,7 +438,7 @@ impl Shared {
     }
 }
 
-/// A gauge, as all but its owner see it; nothing here blocks. After the last clone is dropped, the owner ends.
+/// A gauge, as all but its owner see it; nothing here blocks or touches the bus. The owner ends with the last clone.
 #[derive(Clone)]
 pub struct Handle {
     shared: Arc<Shared>,

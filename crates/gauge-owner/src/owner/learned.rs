@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! What a gauge with RAM has learned, kept beside the journals, because its power is lost. It belongs to the pack, which
+//! What a gauge with RAM has learned, kept beside the journals: a loss of power takes it. It belongs to the pack, which
 //! such a gauge cannot tell from another: only one with a name (`--pack`) gets it back; otherwise it waits for a person.
 
 use std::fmt;
@@ -19,7 +19,7 @@ use ti_gauge::image::{Image, toml};
 use ti_gauge::journal;
 use ti_gauge::value::Value;
 
-/// Newest versions of a pack, and days with their last version, that are kept: a mistake may be noticed late.
+/// Versions of a pack that are kept: so many newest, and the last of each of so many days, as errors may show late.
 const KEPT: usize = 10;
 const DAYS: usize = 30;
 const SUFFIX: &str = ".learned.toml";

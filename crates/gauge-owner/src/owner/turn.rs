@@ -9,7 +9,7 @@ use super::Attempt;
 use super::handle::Shared;
 use crate::error::Result;
 
-/// Longest time without a look at the clock, which counts while the host is asleep, as a wait does not.
+/// Longest time without a look at the clock: that counts while the host is asleep, and a wait does not.
 const NAP: Duration = Duration::from_secs(30);
 /// Longest time without a look at the clock for a gauge that may have lost its memory while the host was asleep.
 const NAP_OF_RAM: Duration = Duration::from_secs(1);

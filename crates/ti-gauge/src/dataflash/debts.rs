@@ -322,7 +322,7 @@ impl Pending {
         }
     }
 
-    /// Whether these changes write anew as a whole what a person would have to decide about: no decision is needed then.
+    /// Whether these changes write all that a person would have to decide about, so that no decision is needed.
     pub(super) fn is_written_again(&self, changes: &[Change]) -> bool {
         self.undecided && self.plan().is_some_and(|plan| plan.is_covered(changes))
     }

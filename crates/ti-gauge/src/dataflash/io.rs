@@ -14,7 +14,7 @@ use crate::gauge::{Gauge, Seal};
 /// Looks at a block after its commit: programming takes up to 250 ms, with the old content or no answer meanwhile.
 const VERIFIES: u32 = 8;
 const VERIFY_INTERVAL: Duration = Duration::from_millis(80);
-/// A look lasts that long: then every commit has finished, even one that waited for a row of the gauge's own.
+/// As long as these looks take: by then every commit has finished, even one that waited for a row of the gauge's own.
 pub(super) const COMMITTED: Duration = VERIFY_INTERVAL.saturating_mul(VERIFIES);
 pub(super) const STORES: u32 = 3;
 

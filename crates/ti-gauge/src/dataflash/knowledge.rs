@@ -138,7 +138,7 @@ impl Knowledge {
         self.learn_marks(gauge).map(drop)
     }
 
-    /// Reads, once after an arrival, what distinguishes the pack. Returns what shows that it is another one; then in doubt.
+    /// Reads, once after an arrival, what distinguishes the pack. Returns what shows another one, which is then in doubt.
     pub(super) fn learn_marks(&mut self, gauge: &mut Gauge) -> Result<Option<Row>> {
         let mut other = None;
         for place in pack::mark_windows(gauge.chip) {
@@ -267,7 +267,7 @@ impl Knowledge {
         Ok(then.is_of_part(&now, gauge.chip) && same == Match::Certain)
     }
 
-    /// Refuses a reset that would seal an open gauge for good: its key was used, or is what FULL ACCESS shows it to keep.
+    /// Refuses a reset that may seal an open gauge for good: its key must have worked, or be what FULL ACCESS shows.
     pub(super) fn check_key(&mut self, gauge: &mut Gauge, found: Seal, changes: &[Change]) -> Result<()> {
         let resets = changes.iter().any(|change| change.kind(gauge.chip) == Kind::Reset);
         let volatile = gauge.chip.volatile.is_some();

@@ -19,7 +19,7 @@ pub struct Limits {
     pub writes_per_hour: u32,
 }
 
-/// At this rate the 20,000 cycles of a block (SLUSBZ5D 6.12) last 66 h, and each parameter can be written once.
+/// At this rate a block's 20,000 cycles (SLUSBZ5D 6.12) last a weekend (66 h); the largest table can be written once.
 pub const WRITES_PER_HOUR: u32 = 300;
 
 impl Default for Limits {

@@ -58,7 +58,7 @@ pub(super) trait Sequence {
     fn fill(&self, gauge: &mut Gauge, block: &Planned) -> Result<()>;
     /// Makes the gauge program the block. Never sent twice: after an error the caller reads what it holds.
     fn commit(&self, gauge: &mut Gauge, block: &Planned) -> Result<()>;
-    /// Ends the mode of `begin`: the gauge uses the new values. Returns when data memory, unlike registers, can be read.
+    /// Ends the mode of `begin`: new values are used. Returns when data memory can be read, as registers can before.
     fn leave(&self, gauge: &mut Gauge) -> Result<Duration> {
         Ok(gauge.clock.now())
     }

@@ -58,7 +58,7 @@ pub(super) fn lost_flag(chip: &Chip) -> Option<(Source, u32)> {
     Some((chip.register(Role::Flags)?.source, lost))
 }
 
-/// Whether RAM was lost. Two looks must agree, as much is given up. In CONFIG UPDATE an earlier loss does not count.
+/// Whether RAM was lost. Two looks must agree, because much is given up. In CONFIG UPDATE an earlier loss does not count.
 pub fn has_lost_memory(gauge: &mut Gauge) -> Result<bool> {
     let chip = gauge.chip;
     let Some((flags, lost)) = lost_flag(chip) else { return Ok(false) };

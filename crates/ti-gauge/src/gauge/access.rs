@@ -253,7 +253,7 @@ impl Gauge {
         self.access.mishap.take()
     }
 
-    /// RESET, which seals a part that had been sealed (SLUSBZ5D 7.3.3.1 step 11), but not a gauge exchanged since then.
+    /// RESET, which seals a part that had been sealed (SLUSBZ5D 7.3.3.1 step 11); not to a gauge exchanged since then.
     pub(crate) fn reset_since(&mut self, moment: Moment) -> Result<()> {
         Statistics::count(&self.statistics.resets);
         self.looks.resets();

@@ -18,7 +18,7 @@ use gauge_bus::{Bus, BusError, Reach, wire_bytes};
 mod pace;
 mod recognise;
 
-/// Pauses before further attempts. A gauge that programs a row, at any time, may not answer for up to 250 ms.
+/// Pauses before further attempts. A gauge that programs a row, at any time, stretches the clock or is silent for 250 ms.
 const PAUSES: [Duration; 5] = [
     Duration::from_millis(25),
     Duration::from_millis(25),

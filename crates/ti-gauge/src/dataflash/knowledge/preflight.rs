@@ -344,7 +344,7 @@ impl Knowledge {
     }
 }
 
-/// Why changes that need a reset must wait for a learning cycle. Before any block: Update Status may use the window.
+/// Why changes with a reset must wait for a learning cycle. Called before any block is read: that may use the window.
 pub(in crate::dataflash) fn learning(
     gauge: &mut Gauge,
     status: u32,
