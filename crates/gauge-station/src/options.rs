@@ -245,7 +245,6 @@ impl Options {
         }
     }
 
-    /// The groups of the image that are not written.
     pub(crate) fn groups(&self) -> Result<Vec<Group>, Refused> {
         let Some(names) = &self.exclude else {
             return Ok(vec![Group::Calibration, Group::Serial, Group::Keys]);

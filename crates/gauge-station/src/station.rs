@@ -91,11 +91,9 @@ pub fn run(
 /// A place where packs are connected, one after the other.
 trait Slot: Send {
     fn clock(&self) -> Arc<dyn Clock>;
-    /// A bus to the pack.
     fn bus(&mut self) -> Box<dyn Bus>;
     /// Whether a pack is connected; `None` if none will ever be connected again.
     fn is_there(&mut self) -> Option<bool>;
-    /// The pack is finished.
     fn done(&mut self) {}
     /// Why no pack will be connected again, if that is a failure.
     fn error(&mut self) -> Option<Error> {
@@ -137,7 +135,6 @@ impl fmt::Display for Progress {
     }
 }
 
-/// A place of a station.
 struct Bench {
     name: String,
     options: GaugeOptions,
@@ -150,7 +147,6 @@ struct Bench {
     reach: Reach,
 }
 
-/// What all benches of a station share.
 struct Station {
     plan: Plan,
     serials: Serials,
@@ -324,8 +320,7 @@ impl Plan {
         self.setup.gauges.iter().filter_map(check).collect()
     }
 
-    /// Refuses to begin a record where images of these gauges exist: their record is missing, and with it the given
-    /// serial numbers.
+    /// Refuses a new record where images of these gauges exist: the lost one has the given serial numbers.
     fn check_images(&self) -> Result<()> {
         let images = &self.setup.images;
         // The image from before is saved before the pack is on record.
@@ -377,7 +372,6 @@ fn own_row(chip: &'static Chip, key: &str, parameter: &str) -> Result<Row> {
     })
 }
 
-/// A calibration, and the current in mA that it needs.
 fn jobs(setup: &Setup) -> Vec<(Job, Option<f64>)> {
     let station = &setup.options;
     let offsets = [(station.board_offset, Job::BoardOffset), (station.cc_offset, Job::CcOffset)];
@@ -412,7 +406,6 @@ impl Bench {
 }
 
 impl Station {
-    /// Opens the record, and closes what a stopped station has left there.
     fn start(
         plan: Plan,
         disk: Arc<dyn Disk>,
@@ -451,7 +444,6 @@ impl Station {
         })
     }
 
-    /// Records packs without an outcome as failed.
     fn close_unfinished(&self, benches: &[&Bench]) -> Result<()> {
         let mut record = self.record();
         for entry in record.unfinished() {
@@ -536,7 +528,6 @@ impl Station {
         jobs(&self.plan.setup)
     }
 
-    /// A pack's first line, a failure until more is known.
     fn entry(&self, bench: &Bench) -> Entry {
         Entry {
             number: self.record().number(),
@@ -551,8 +542,7 @@ impl Station {
         }
     }
 
-    /// Records the outcome. A pack without its line has not passed. `look_again` checks that the pack is still there
-    /// after the program of `exec` got PASS; otherwise it turns the line into a failure.
+    /// Records the outcome. `look_again`, after the program of `exec` got PASS, may turn the line into a failure.
     fn end(&self, mut entry: Entry, look_again: impl FnOnce(&mut Entry)) -> Entry {
         entry.time = self.time();
         // It is read back, and printed as one line.
@@ -600,8 +590,7 @@ impl Station {
         entry
     }
 
-    /// Passes an outcome to the program of `exec`. An outcome that it refuses is a failure. Returns whether it took a
-    /// PASS.
+    /// Passes an outcome to the program of `exec`, whose refusal is a failure. Returns whether it took a PASS.
     fn hand_over(&self, entry: &mut Entry) -> bool {
         let has_passed = entry.event == Event::Pass;
         let known = || Some(self.told_serial(entry.serial.as_ref()?));
@@ -626,7 +615,6 @@ impl Station {
         self.failures.load(Ordering::SeqCst) == 0
     }
 
-    /// Programs packs until there are no more.
     fn run(&self, bench: &Bench, slot: &mut dyn Slot) {
         self.packs(bench, slot);
         if let Some(error) = slot.error() {
@@ -745,7 +733,6 @@ impl Station {
     }
 }
 
-/// Takes one of the remaining packs.
 fn take(left: &AtomicU64) -> bool {
     let mut now = left.load(Ordering::SeqCst);
     while let Some(less) = now.checked_sub(1) {

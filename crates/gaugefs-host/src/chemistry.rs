@@ -5,8 +5,7 @@
 use crate::error::{Cause, Error, Result};
 use ti_gauge::chip::Chip;
 
-/// Checks that a gauge by name and CHEM_ID, asked through `ask`, has the chemistry of an image for ROM mode, because an
-/// import cannot write that. With `told` a person vouches for it. Returns a line that says so.
+/// Checks that a gauge has the chemistry of an image, which an import cannot write. With `told` a person vouches for it.
 pub fn check(
     name: &str,
     chip: &Chip,

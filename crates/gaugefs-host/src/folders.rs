@@ -2,8 +2,7 @@
 
 //! Folders for gaugefs's own files: locks, journals and backups.
 //!
-//! None of them is in a folder shared with other users, such as `/tmp`: the first user to create it there would keep
-//! all others out.
+//! None is in a shared folder such as `/tmp`, where the first user to create it would keep all others out.
 
 use std::path::PathBuf;
 
@@ -44,7 +43,6 @@ pub fn service() -> Option<u32> {
     geteuid().is_root().then(account).flatten()
 }
 
-/// The folder in an environment variable.
 fn named(variable: &str) -> Option<PathBuf> {
     std::env::var_os(variable).map(PathBuf::from).filter(|path| path.is_absolute())
 }

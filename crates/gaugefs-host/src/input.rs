@@ -32,8 +32,7 @@ impl Source {
         Ok(Self { name, bytes })
     }
 
-    /// Decodes the content. `chip` is the default for content that names no chip. An image with firmware is refused,
-    /// unless only its data flash is wanted.
+    /// Decodes the content, of `chip` unless it names one. An image with firmware needs `data_flash`.
     pub fn image(&self, chip: Option<&'static Chip>, data_flash: bool) -> Result<Image> {
         let reading = self.examine(chip, data_flash);
         match reading.faults.error() {

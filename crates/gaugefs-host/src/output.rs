@@ -2,12 +2,10 @@
 
 //! The only way to standard output and standard error.
 //!
-//! Every write to standard output is checked: a command fails if it could not print everything. A reader that has
-//! closed the pipe has what it wanted, so nothing more is written, and that is no failure. Standard error reports
-//! failures, so a failure to write there cannot be reported.
+//! Every write to standard output is checked: a command fails if it could not print everything, unless its reader has
+//! closed the pipe. Standard error reports failures, so a failure to write there cannot be reported.
 //!
-//! Texts for a person, and JSON, pass through the sanitizer here: other users choose names of files, processes and
-//! alerts, which must not control the terminal.
+//! Texts and JSON pass through the sanitizer: other users choose names, which must not control the terminal.
 
 #![expect(clippy::disallowed_methods, reason = "this is the module that the others use instead")]
 
@@ -75,8 +73,7 @@ pub fn print_file(bytes: &[u8]) -> Result<()> {
     Ok(())
 }
 
-/// Replaces a file that a person named, as a whole or not at all: see [`regular::replace`]. `-` and the names of
-/// standard output are standard output.
+/// Replaces a file as a whole or not at all: see [`regular::replace`]. `-` is standard output.
 pub fn write_file(path: &Path, bytes: &[u8], how: Replace) -> Result<()> {
     match is_standard_output(path) {
         true => print_file(bytes),
@@ -110,8 +107,7 @@ pub fn is_closed() -> bool {
     CLOSED.load(Ordering::SeqCst)
 }
 
-/// Whether the reader of standard output is gone, also if nothing was written since. Commands that print until stopped
-/// then end.
+/// Whether the reader of standard output is gone, even before a write: commands that print until stopped end then.
 pub fn is_unread() -> bool {
     let out = io::stdout();
     let mut polled = [PollFd::new(out.as_fd(), PollFlags::empty())];

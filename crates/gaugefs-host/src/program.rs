@@ -37,7 +37,6 @@ pub fn check(words: &[String]) -> Result<()> {
     }
 }
 
-/// A program's file: in the folders of PATH, unless its name has a `/`.
 fn find(program: &str) -> Option<PathBuf> {
     if program.contains('/') {
         return Some(PathBuf::from(program)).filter(|path| path.exists());
@@ -47,7 +46,6 @@ fn find(program: &str) -> Option<PathBuf> {
     found.iter().find(runs).or_else(|| found.iter().find(|path| path.is_file())).cloned()
 }
 
-/// Why there is no such program, and a suggestion.
 fn missing(words: &[String]) -> String {
     let program = &words[0];
     let parts: Vec<_> = program.split_whitespace().collect();
@@ -78,7 +76,6 @@ fn is_for_shell(text: &str) -> bool {
     text.starts_with('~') || text.contains(['|', '&', ';', '<', '>', '$', '`', '\'', '"', '*'])
 }
 
-/// The interpreter in a script's first line.
 fn interpreter(path: &Path) -> Option<PathBuf> {
     let mut start = [0; FIRST_LINE];
     let length = regular::open_linked(File::options().read(true), path).ok()?.read(&mut start).ok()?;

@@ -17,8 +17,7 @@ pub fn ends() -> Vec<Signal> {
     ends
 }
 
-/// Blocks these signals for a thread that waits for them. Call it before other threads start: they inherit the block,
-/// so that only the waiting thread receives the signals.
+/// Blocks these signals for a thread that waits for them. Call it first: other threads inherit the block.
 pub fn block() -> Result<SigSet> {
     // A blocked signal is delivered to a waiting thread even if it is ignored.
     let signals = ends().into_iter().collect::<SigSet>();
@@ -26,7 +25,6 @@ pub fn block() -> Result<SigSet> {
     Ok(signals)
 }
 
-/// Whether a process ignores a signal, by its status in /proc.
 fn ignores(status: &str, signal: Signal) -> bool {
     let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
     let mask = mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok());

@@ -65,7 +65,6 @@ impl Adapter {
         self.targets.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Sends messages and fills in what is read. The bus is held until the last one.
     pub(crate) fn transfer(&self, messages: &mut [Message]) -> Result<(), Errno> {
         if messages.iter().any(|message| message.flags & !M_RD != 0) {
             return Err(Errno::OPNOTSUPP);

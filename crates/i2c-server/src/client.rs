@@ -88,7 +88,6 @@ impl Client {
         Ok(data.len())
     }
 
-    /// The address; this bus has no 10-bit ones.
     fn target(&self) -> Result<u16, Errno> {
         if self.ten_bit { Err(Errno::OPNOTSUPP) } else { Ok(self.address) }
     }

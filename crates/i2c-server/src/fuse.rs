@@ -2,9 +2,8 @@
 
 //! FUSE and CUSE requests for a file that is a bus (`linux/fuse.h`).
 //!
-//! An ioctl's argument is an address in the calling program's memory. Where that memory is not readable, an answer
-//! names what is needed, and the kernel repeats the request with it (FUSE_IOCTL_RETRY). Only CUSE devices may ask for
-//! that.
+//! An ioctl's argument is an address. If that memory is not readable, an answer names it, and the kernel repeats the
+//! request with it (FUSE_IOCTL_RETRY). Only CUSE devices may ask for that.
 
 use rustix::io::Errno;
 
@@ -126,8 +125,7 @@ pub fn opened(handle: u64) -> Vec<u8> {
 }
 
 impl Job {
-    /// Carries out a job and returns the answer's body. Without access to the caller's memory, the answer asks the
-    /// kernel for it.
+    /// Carries out a job. Without access to the caller's memory, the answer asks the kernel for it.
     pub fn run(
         self,
         client: &mut Client,
@@ -192,8 +190,7 @@ fn done(result: i32, data: &[u8]) -> Vec<u8> {
     [&result.to_ne_bytes()[..], &[0; 12], data].concat()
 }
 
-/// Answers an ioctl whose memory comes with the request. Nothing is sent on the bus before all of it is there, and room
-/// for the answer.
+/// Answers an ioctl whose memory comes along. Nothing is sent before all of it, and room for the answer, is there.
 fn asked(
     client: &mut Client,
     adapter: &Adapter,
@@ -214,11 +211,9 @@ fn asked(
     Ok(done(outcome.result, &data))
 }
 
-/// The part of the caller's memory that came with the request.
 struct Asked<'a> {
     came: &'a [u8],
     at: usize,
-    /// Everything needed so far: addresses and lengths.
     needed: Vec<(u64, usize)>,
     /// Some of it has not come.
     lacks: bool,
@@ -253,8 +248,7 @@ impl Memory for Asked<'_> {
     }
 }
 
-/// The body of an answer that asks for the caller's memory: `fuse_ioctl_out` with FUSE_IOCTL_RETRY, then the memory to
-/// come with the request and to go with its answer.
+/// The body of an answer with FUSE_IOCTL_RETRY: memory to come with the request, and to go with its answer.
 fn retry(needed: &[(u64, usize)], answers: &[(u64, usize)]) -> Vec<u8> {
     const RETRY: u32 = 1 << 2;
     let head = [0, RETRY, needed.len() as u32, answers.len() as u32];

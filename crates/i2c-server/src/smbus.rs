@@ -84,7 +84,6 @@ impl Transaction {
         Ok(Self { kind, is_read, command, data: bytes })
     }
 
-    /// Length of the data for the caller.
     pub(crate) fn answer(&self) -> Option<usize> {
         let has = match self.kind {
             Kind::Quick | Kind::Block | Kind::BlockProcessCall => false,
@@ -94,7 +93,6 @@ impl Transaction {
         has.then_some(self.data.len())
     }
 
-    /// Carries out the transaction. Returns the data for the caller.
     pub(crate) fn run(
         mut self,
         adapter: &Adapter,

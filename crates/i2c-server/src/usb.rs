@@ -106,7 +106,6 @@ impl Setup {
     }
 }
 
-/// An unknown or impossible request.
 #[derive(Debug, PartialEq, Eq)]
 struct Stall;
 

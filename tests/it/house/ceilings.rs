@@ -16,12 +16,12 @@ const LINES: [(&str, usize); 10] = [
     ("gauge-bus", 2_860),
     ("gauge-owner", 7_460),
     ("gauge-sim", 10_300),
-    ("gauge-station", 3_850),
+    ("gauge-station", 3_800),
     ("gaugefs", 17_700),
     ("gaugefs-client", 2_770),
-    ("gaugefs-host", 620),
+    ("gaugefs-host", 600),
     ("gaugefs-screen", 6_120),
-    ("i2c-server", 1_200),
+    ("i2c-server", 1_190),
     ("ti-gauge", 27_200),
 ];
 
@@ -30,12 +30,12 @@ const CODE_TO_COMMENT: [(&str, usize); 10] = [
     ("gauge-bus", 49),
     ("gauge-owner", 63),
     ("gauge-sim", 72),
-    ("gauge-station", 65),
+    ("gauge-station", 75),
     ("gaugefs", 73),
     ("gaugefs-client", 50),
-    ("gaugefs-host", 33),
+    ("gaugefs-host", 37),
     ("gaugefs-screen", 86),
-    ("i2c-server", 36),
+    ("i2c-server", 38),
     ("ti-gauge", 70),
 ];
 

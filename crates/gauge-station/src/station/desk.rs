@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! The people at a station: prompts and scans. There is one question at a time, and other slots' prompts wait
-//! meanwhile: the operator has the scanner in the hand for the prompt that was read.
+//! The people at a station: one question at a time; other prompts wait, as the scanner is in the hand for this one.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -11,7 +10,6 @@ use ti_gauge::text;
 use super::{Progress, Scanner, Screen, Sign, Totals};
 use crate::error::{Cause, Error, Result};
 
-/// The display for people, and the source of their answers.
 pub(super) struct Desk {
     screen: Box<dyn Screen>,
     pub(super) scanner: Mutex<Box<dyn Scanner>>,

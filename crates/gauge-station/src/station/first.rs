@@ -8,7 +8,6 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 enum State {
     #[default]
     None,
-    /// It is being programmed, or not yet confirmed.
     UnderWay,
     Confirmed,
 }

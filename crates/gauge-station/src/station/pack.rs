@@ -2,9 +2,8 @@
 
 //! A pack, from the first look to the record's line.
 //!
-//! Everything is asked of the gauge's owner, as in a mount, so checks, journal, backup and the way back are those of
-//! any other write. Nothing is changed before `begun` is on disk. Only a complete final reading, compared bit by bit,
-//! makes a pack pass.
+//! Everything is asked of the owner, as in a mount. Nothing is changed before `begun` is on disk. Only a complete final
+//! reading, compared bit by bit, makes a pack pass.
 
 use std::time::Duration;
 
@@ -80,7 +79,6 @@ enum Step {
 }
 
 impl Step {
-    /// Name of the step, and of a failure in it.
     fn name(self) -> &'static str {
         match self {
             Self::Identify => "identification",
@@ -98,7 +96,6 @@ impl Step {
     }
 }
 
-/// What a pack gets besides the image.
 #[derive(Default)]
 struct Given {
     serial: Option<Value>,
@@ -108,7 +105,6 @@ struct Given {
     own: Option<String>,
 }
 
-/// Programs the connected pack. Returns the recorded outcome.
 pub(super) fn program(station: &Station, bench: &Bench, slot: &mut dyn Slot) -> Entry {
     let clock = slot.clock();
     let since = clock.now();
@@ -308,7 +304,6 @@ impl Task<'_> {
         }
     }
 
-    /// Steps at which this pack must not be removed.
     fn busy_steps(&self, is_new_board: bool) -> Vec<Step> {
         let steps = [
             (Step::BringUp, is_new_board),
@@ -509,7 +504,6 @@ impl Task<'_> {
         }
     }
 
-    /// Asks for the scans.
     fn scan(&mut self, before: &Flash) -> Result<Given> {
         let station = self.station;
         let own = self.entry.seen.and_then(|_| self.entry.serial_before.clone());
@@ -554,7 +548,6 @@ impl Task<'_> {
         })
     }
 
-    /// Asks for the pack's label. Returns its value for the parameter that keeps it.
     fn scan_label(&mut self) -> Result<Option<Value>> {
         let station = self.station;
         let (row, seen) = (station.plan.label_row, self.entry.seen);
@@ -647,7 +640,6 @@ impl Task<'_> {
         Ok(())
     }
 
-    /// Whether a new board of several cells needs the bring-up.
     fn needs_bring_up(&self, before: &Flash) -> Result<bool> {
         let station = &self.station.plan.setup.options;
         let (Some(cells), Some(_)) = (station.cells, station.divider) else { return Ok(false) };
@@ -661,7 +653,6 @@ impl Task<'_> {
         Ok(!is_set || before.number(cells_at) != Some(cells.into()))
     }
 
-    /// Sets up a new board of several cells. Returns its data flash.
     fn bring_up(&mut self) -> Result<Flash> {
         let station = &self.station.plan.setup.options;
         let (cells, divider) = (station.cells.unwrap_or(1), station.divider.unwrap_or_default());
@@ -675,13 +666,11 @@ impl Task<'_> {
         Ok(flash)
     }
 
-    /// Writes the differences.
     fn write(&mut self, asked: &Image, now: &Flash) -> Result<()> {
         let changes: Vec<Change> = target::changes(asked, now, self.gauge.handle.allows_unproven())?;
         if changes.is_empty() { Ok(()) } else { self.gauge.ask(&op::WRITE, changes) }
     }
 
-    /// Calibrates the pack. Returns the places of the results.
     fn calibrate(&mut self, slot: &mut dyn Slot) -> Result<Vec<Place>> {
         let mut places = Vec::new();
         let Some(calibration) = self.chip().calibration else { return Ok(places) };
@@ -700,7 +689,6 @@ impl Task<'_> {
         Ok(places)
     }
 
-    /// Carries out a calibration, and records its result.
     fn measure(&mut self, job: Job) -> Result<()> {
         let limits = self.limits(&job);
         let outcome = self.gauge.ask(&op::CALIBRATE, job);
@@ -801,7 +789,6 @@ impl Task<'_> {
         }
     }
 
-    /// Gives the pack its own keys, and tries each.
     fn change_keys(&mut self) -> Result<()> {
         let Some(new) = &self.bench.new_keys else { return Ok(()) };
         for name in Name::ALL {
@@ -824,7 +811,6 @@ impl Task<'_> {
         Ok(())
     }
 
-    /// Tries the new key on the pack.
     fn has_key(&mut self, name: Name) -> Result<bool> {
         match name {
             Name::Unseal => Ok(true),
@@ -881,7 +867,6 @@ impl Task<'_> {
         }
     }
 
-    /// Checks that nothing is left to do, and that the pack is sealed.
     fn assure_settled(&mut self) -> Result<()> {
         if let Some((why, _)) = self.gauge.settle(PATIENCE) {
             return Err(Error::new("pack", Cause::StateUnknown, why));
@@ -917,7 +902,6 @@ impl Task<'_> {
         Ok(name)
     }
 
-    /// Records the failure, and the pack's state.
     fn failed(&mut self, error: &Error) {
         let mut reason = error.to_string();
         if !self.begun {

@@ -32,7 +32,6 @@ const MOST: u64 = (1 << 53) - 1;
 #[derive(Clone, Copy, Debug, Default, Deserialize, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub(super) enum Event {
-    /// The pack is about to be changed.
     Begun,
     /// The pack has everything that was asked for.
     Pass,
@@ -41,7 +40,6 @@ pub(super) enum Event {
     Fail,
 }
 
-/// A changed parameter.
 #[derive(Clone, Debug, Deserialize, PartialEq, Eq, Serialize)]
 pub(super) struct Changed {
     pub(super) name: String,
@@ -54,7 +52,6 @@ pub(super) struct Changed {
 pub(super) struct Measured {
     pub(super) name: String,
     pub(super) unit: String,
-    /// The target value.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) wanted: Option<f64>,
     /// Limits of the second value.
@@ -79,13 +76,11 @@ pub(super) struct Entry {
     pub(super) image_sha256: String,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) serial: Option<String>,
-    /// The pack's scanned label.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) label: Option<String>,
     /// The scanned text, if it differs.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) scanned: Option<String>,
-    /// The serial number that the pack came with.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) serial_before: Option<String>,
     /// Its earlier number in the record.
@@ -99,7 +94,6 @@ pub(super) struct Entry {
     pub(super) found: Option<String>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) step: Option<String>,
-    /// The reason of the failure.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) reason: Option<String>,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -124,7 +118,6 @@ pub(super) struct Entry {
 pub(super) struct Record {
     path: PathBuf,
     file: Box<dyn File>,
-    /// The locked file.
     held: Flock<fs::File>,
     length: u64,
     next: u64,
@@ -136,7 +129,6 @@ pub(super) struct Record {
     labels: BTreeMap<String, u64>,
     /// Passed packs by fingerprint.
     seen: BTreeMap<String, Entry>,
-    /// Packs without an outcome.
     open: BTreeMap<u64, Entry>,
     last: String,
     broken: bool,
@@ -353,7 +345,6 @@ impl Record {
         self.next - 1
     }
 
-    /// Whether a pack was begun with that serial number.
     pub(super) fn is_given(&self, serial: &str) -> bool {
         self.given.contains(serial)
     }
@@ -362,7 +353,6 @@ impl Record {
         self.given.iter().map(String::as_str)
     }
 
-    /// Number in the record of the passed pack with that serial number.
     pub(super) fn passed(&self, serial: &str) -> Option<u64> {
         self.passed.get(serial).copied()
     }
@@ -380,7 +370,6 @@ impl Record {
         self.passed(serial).or_else(under_way)
     }
 
-    /// The passed pack with that fingerprint, which covers its serial number.
     pub(super) fn seen(&self, fingerprint: &str) -> Option<&Entry> {
         self.seen.get(fingerprint)
     }

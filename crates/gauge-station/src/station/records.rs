@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! What a record says about its packs: a spreadsheet's table, or counts by day or reason. The record is only read, even
-//! while a station writes to it.
+//! What a record says about its packs: a table, or counts. It is only read, even while a station writes to it.
 
 use std::collections::BTreeMap;
 use std::path::Path;

@@ -17,7 +17,6 @@ use gauge_bus::regular;
 use ti_gauge::notation;
 
 pub(super) enum Serials {
-    /// The packs keep theirs.
     None,
     Counter {
         first: i64,
@@ -26,7 +25,6 @@ pub(super) enum Serials {
     },
     /// Each with its text in the list.
     List(Vec<(Value, String)>),
-    /// Typed or scanned.
     Input,
 }
 
@@ -80,7 +78,6 @@ pub(super) fn shown(row: Row, value: &Value) -> String {
 }
 
 impl Serials {
-    /// The source in a station's file.
     pub(super) fn of(station: &Options, row: Option<Row>) -> Result<Self> {
         let (Some(from), Some(row)) = (station.serial, row) else { return Ok(Self::None) };
         let refuse = |key: &str, why: &'static str| Err(Error::new(key, Cause::Invalid, why));
@@ -110,12 +107,10 @@ impl Serials {
         matches!(self, Self::Input)
     }
 
-    /// The number in a scanned line.
     pub(super) fn scanned(row: Row, line: &str) -> std::result::Result<Value, String> {
         notation::parse(row.1, line.as_bytes()).map_err(|error| error.to_string())
     }
 
-    /// The next unused serial number.
     pub(super) fn next(&self, row: Row, record: &Record) -> Result<Option<Value>> {
         let used_up = |what: &str| {
             let why = format!("{what}: all serial numbers were given");
@@ -161,7 +156,6 @@ impl Serials {
 /// Larger than a list of all serial numbers that fit.
 const LONGEST: u64 = 16 << 20;
 
-/// The serial numbers of a file, one per line.
 fn list(path: &Path, row: Row) -> Result<Vec<(Value, String)>> {
     let name = path.display().to_string();
     let text = regular::read_text(path, LONGEST)

@@ -103,7 +103,6 @@ impl Bus for Shared {
     }
 }
 
-/// A bus on which packs are exchanged.
 struct Wired {
     looks: Looks,
     bus: Shared,
@@ -125,8 +124,7 @@ impl Slot for Wired {
     }
 }
 
-/// Looks for a device. Each look reads another register, because a gauge's watchdog allows each only twice a second. A
-/// read is harmless to any device.
+/// Looks for a device by harmless reads, each of another register: a watchdog allows each only twice a second.
 struct Looks {
     codes: Vec<u8>,
     next: usize,
@@ -161,7 +159,6 @@ struct Simulated {
     error: Option<Error>,
 }
 
-/// A simulated pack, and its file's lock.
 struct Pack {
     looks: Looks,
     bus: Shared,
@@ -183,7 +180,6 @@ impl Simulated {
 }
 
 impl Simulated {
-    /// Applies the rehearsal's event to the next pack.
     fn rehearse(&self, of: &mut Source) {
         let at = (self.number as usize).saturating_sub(1) % self.rehearsed.len().max(1);
         let Some(rehearsed) = self.rehearsed.get(at) else { return };

@@ -15,7 +15,6 @@ use crate::error::{Cause, Error, Result};
 use gauge_owner::{Direct, operations as op, readable};
 use ti_gauge::notation;
 
-/// The place of a parameter: subclass and offset.
 pub(super) type Place = (u8, u16);
 
 /// All data flash of a pack but its keys, as it was read.
@@ -27,7 +26,6 @@ pub(super) struct Flash {
 }
 
 impl Flash {
-    /// Reads it anew.
     pub(super) fn read(gauge: &mut Direct) -> Result<Self> {
         gauge.ask(&op::REFRESH, ())?;
         Self::of_new(gauge)
@@ -52,14 +50,12 @@ impl Flash {
         rows.into_iter().find(|(subclass, _)| wanted(subclass))
     }
 
-    /// The bytes of a parameter.
     pub(super) fn bytes(&self, (subclass, parameter): Row) -> Option<&[u8]> {
         let (row, bytes) = self.subclass(|row| std::ptr::eq(row, subclass))?;
         let at = usize::from(parameter.offset - row.start());
         bytes.get(at..at + parameter.kind.size())
     }
 
-    /// The text of a parameter.
     pub(super) fn text(&self, row: Row) -> Option<String> {
         let bytes = self.bytes(row)?;
         Some(notation::render(row.1.kind, &self.chip.layout.decode(row.1.kind, bytes)))
@@ -93,8 +89,7 @@ impl Flash {
             .filter(|(_, parameter)| !parameter.learned)
     }
 
-    /// Makes sure that nothing differs from an earlier reading but what the gauge rewrites itself, and the
-    /// parameters at these places.
+    /// Makes sure that nothing differs but what the gauge rewrites itself, and the parameters at these places.
     pub(super) fn check_same(&self, before: &Self, but: &[Place]) -> Result<()> {
         for row in self.lasting().filter(|(subclass, row)| !but.contains(&(subclass.id, row.offset))) {
             if self.bytes(row) != before.bytes(row) {
@@ -106,7 +101,6 @@ impl Flash {
         Ok(())
     }
 
-    /// The differences from an earlier reading.
     pub(super) fn changed_since(&self, before: &Self) -> Vec<Changed> {
         let (old, new) = (before.image(), self.image());
         let Ok(compared) = old.compare(&new, &[]) else { return Vec::new() };
@@ -179,8 +173,7 @@ pub(super) fn check(asked: &Image, now: &Flash, but: &[Place]) -> Result<()> {
     }
 }
 
-/// Makes sure that a pack has everything that is asked for, and nothing else that it had not before: a row next to those
-/// that were written could have been lost.
+/// Like [`check`], and nothing else may have changed: a row beside those that were written could have been lost.
 pub(super) fn check_programmed(asked: &Image, now: &Flash, before: &Flash) -> Result<()> {
     check(asked, now, &[])?;
     let places: Vec<Place> =
