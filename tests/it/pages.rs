@@ -30,6 +30,7 @@ pages! {
     python: "docs/PYTHON.md", 1;
     c_and_rust: "docs/C-AND-RUST.md", 5;
     raspberry_pi: "docs/RASPBERRY-PI.md", 0;
+    adapters: "docs/ADAPTERS.md", 0;
     forgetful: "docs/FORGETFUL.md", 3;
     commands: "docs/COMMANDS.md", 1;
     keys: "docs/KEYS.md", 0;
