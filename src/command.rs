@@ -8,6 +8,7 @@ use std::fmt::Write as _;
 use std::process::ExitCode;
 
 use clap::FromArgMatches;
+use clap::builder::StyledStr;
 use ti_gauge::text;
 
 use crate::error::{Error, Result};
@@ -50,7 +51,7 @@ fn grouped(command: &clap::Command, groups: &[(&str, &[&str])]) -> String {
 fn listed(command: &clap::Command) -> String {
     const NAME: usize = 11;
     const WIDTH: usize = 80 - NAME - 4;
-    let about = command.get_about().map(ToString::to_string).unwrap_or_default();
+    let about = command.get_about().map(unstyled).unwrap_or_default();
     let aliases: Vec<&str> = command.get_visible_aliases().collect();
     let about = if aliases.is_empty() { about } else { format!("{about} [alias: {}]", aliases.join(", ")) };
     let mut lines = vec![String::new()];
@@ -67,8 +68,13 @@ fn listed(command: &clap::Command) -> String {
     names.zip(lines).map(|(name, line)| format!("  {name:NAME$}  {line}\n")).collect()
 }
 
+/// The definitions have no styles, and clap reads each byte of a text to drop them, at each start of a program.
+fn unstyled(text: &StyledStr) -> String {
+    text.ansi().to_string()
+}
+
 fn flowing(command: clap::Command) -> clap::Command {
-    let prose = command.get_after_help().map(|help| flow(&help.to_string()));
+    let prose = command.get_after_help().map(|help| flow(&unstyled(help)));
     let command = match prose {
         Some(prose) => command.after_help(prose),
         None => command,
