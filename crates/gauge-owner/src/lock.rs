@@ -368,10 +368,29 @@ mod tests {
         folder().expect("a folder").join(format!("{}.lock", key_of_state(state)))
     }
 
+    /// A clock by which a wait takes a hundred times as long. Each look at /proc/locks holds up all who take a lock on this
+    /// machine, so that twelve hundred of them in a row hold up the other tests.
+    #[derive(Default)]
+    struct Slowly(SimClock);
+
+    impl Clock for Slowly {
+        fn now(&self) -> Duration {
+            self.0.now()
+        }
+
+        fn sleep(&self, time: Duration) {
+            self.0.sleep(time * 100);
+        }
+
+        fn spend(&self, time: Duration) {
+            self.0.spend(time);
+        }
+    }
+
     #[test]
     fn a_second_lock_is_refused_with_the_holder_of_the_first() {
         let state = state("second");
-        let clock = SimClock::new();
+        let clock = Slowly::default();
         let lock = |ending: bool| Lock::state(&state, Path::new("/mnt/with space"), &clock, |_| ending);
         let first = lock(false).expect("not held");
         let mode = fs::metadata(file(&state)).expect("a file").mode();
