@@ -28,54 +28,60 @@ fn a_report_of_a_mounted_gauge_replays_with_the_same_attributes() {
     if !can_mount() {
         return;
     }
-    for (chip, parameter) in
-        [(CHIP, Some("df/2/0")), ("bq27441-g1", None), ("bq35100", None), ("bq27541", None)]
-    {
-        let folder = Folder::new();
-        let (at, file) = (folder.file("m"), folder.file("report.txt"));
-        let gauge = format!("{at}/BAT0");
-        // The mount of an open gauge reads more of data flash by itself than the report has.
-        let seal: &[&str] = if chip == "bq27541" { &[] } else { &["--sim-seal", "sealed"] };
-        gaugefs(&[&["mount", "--sim", chip, "--poll", "0.5", &at], seal].concat()).done();
-        fs::write(Path::new(&gauge).join("sim/load_ma"), "700").expect("a knob");
-        within("the load is seen", || {
-            fs::read_to_string(Path::new(&gauge).join("current_now")).is_ok_and(|now| now.trim() != "0")
-                || chip == "bq35100"
-        });
-        let seal = || fs::read_to_string(Path::new(&gauge).join("sim/seal")).unwrap_or_default();
-        let found = seal();
-        // From now on all polls are equal.
-        fs::write(Path::new(&gauge).join("sim/speed"), "0").expect("a knob");
-        assert_eq!(gaugefs(&["report", &gauge, "-o", &file]).done(), format!("{file}\n"), "{chip}");
-        let value = parameter.map(|name| read(&gauge, name));
-        assert_eq!(seal(), found, "{chip}");
-        let polls = || read(&gauge, "gauge/statistics/polls").parse::<u64>().expect("a number");
-        let enough = polls() + 12;
-        within("all tiers", || polls() >= enough);
-        // A serial number is masked.
-        let shown = || {
-            let mut shown = shown(&gauge);
-            shown.retain(|(name, _)| !name.ends_with("serial_number"));
-            for (_, text) in shown.iter_mut().filter(|(name, _)| name == "./uevent") {
-                let lines = text.lines().filter(|line| !line.starts_with("POWER_SUPPLY_SERIAL_NUMBER="));
-                *text = lines.collect::<Vec<_>>().join("\n");
-            }
-            shown
-        };
-        let recorded = shown();
-        gaugefs(&["umount", &at]).done();
-
-        gaugefs(&["mount", "--replay", &file, "--poll", "0.5", &at]).done();
-        within("all polls", || shown() == recorded);
-        if let (Some(name), Some(value)) = (parameter, value) {
-            assert_eq!(read(&gauge, name), value, "{chip}");
+    // Each waits for polls most of the time.
+    std::thread::scope(|scope| {
+        for (chip, parameter) in
+            [(CHIP, Some("df/2/0")), ("bq27441-g1", None), ("bq35100", None), ("bq27541", None)]
+        {
+            scope.spawn(move || replays_with_the_same_attributes(chip, parameter));
         }
-        assert_eq!(read(&gauge, "gauge/last_error"), "", "{chip}");
-        // A recording is read-only, and its report is the file that there is.
-        gaugefs(&["report", &gauge, "-o", &folder.file("again")])
-            .failed(&["the mount is read-only", "--bus"]);
-        gaugefs(&["umount", &at]).done();
+    });
+}
+
+fn replays_with_the_same_attributes(chip: &str, parameter: Option<&str>) {
+    let folder = Folder::new();
+    let (at, file) = (folder.file("m"), folder.file("report.txt"));
+    let gauge = format!("{at}/BAT0");
+    // The mount of an open gauge reads more of data flash by itself than the report has.
+    let seal: &[&str] = if chip == "bq27541" { &[] } else { &["--sim-seal", "sealed"] };
+    gaugefs(&[&["mount", "--sim", chip, "--poll", "0.5", &at], seal].concat()).done();
+    fs::write(Path::new(&gauge).join("sim/load_ma"), "700").expect("a knob");
+    within("the load is seen", || {
+        fs::read_to_string(Path::new(&gauge).join("current_now")).is_ok_and(|now| now.trim() != "0")
+            || chip == "bq35100"
+    });
+    let seal = || fs::read_to_string(Path::new(&gauge).join("sim/seal")).unwrap_or_default();
+    let found = seal();
+    // From now on all polls are equal.
+    fs::write(Path::new(&gauge).join("sim/speed"), "0").expect("a knob");
+    assert_eq!(gaugefs(&["report", &gauge, "-o", &file]).done(), format!("{file}\n"), "{chip}");
+    let value = parameter.map(|name| read(&gauge, name));
+    assert_eq!(seal(), found, "{chip}");
+    let polls = || read(&gauge, "gauge/statistics/polls").parse::<u64>().expect("a number");
+    let enough = polls() + 12;
+    within("all tiers", || polls() >= enough);
+    // A serial number is masked.
+    let shown = || {
+        let mut shown = shown(&gauge);
+        shown.retain(|(name, _)| !name.ends_with("serial_number"));
+        for (_, text) in shown.iter_mut().filter(|(name, _)| name == "./uevent") {
+            let lines = text.lines().filter(|line| !line.starts_with("POWER_SUPPLY_SERIAL_NUMBER="));
+            *text = lines.collect::<Vec<_>>().join("\n");
+        }
+        shown
+    };
+    let recorded = shown();
+    gaugefs(&["umount", &at]).done();
+
+    gaugefs(&["mount", "--replay", &file, "--poll", "0.5", &at]).done();
+    within("all polls", || shown() == recorded);
+    if let (Some(name), Some(value)) = (parameter, value) {
+        assert_eq!(read(&gauge, name), value, "{chip}");
     }
+    assert_eq!(read(&gauge, "gauge/last_error"), "", "{chip}");
+    // A recording is read-only, and its report is the file that there is.
+    gaugefs(&["report", &gauge, "-o", &folder.file("again")]).failed(&["the mount is read-only", "--bus"]);
+    gaugefs(&["umount", &at]).done();
 }
 
 #[test]
