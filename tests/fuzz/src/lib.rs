@@ -31,7 +31,7 @@ pub struct Target {
     pub name: &'static str,
     /// Runs it on an input.
     pub run: fn(&[u8]),
-    /// How many changed inputs `tests/run --all` tries, and each other test run a quarter of them.
+    /// How many changed inputs `tests/run --all` tries, and each other test run an eighth of them.
     pub slice: u32,
 }
 

@@ -2,7 +2,7 @@
 
 //! The kept inputs of each target, and a seeded slice of changed ones.
 //!
-//! `GAUGEFS_SEED` sets the seed, and `GAUGEFS_FUZZ_CASES` how many changed inputs each target gets; without it, a quarter of
+//! `GAUGEFS_SEED` sets the seed, and `GAUGEFS_FUZZ_CASES` how many changed inputs each target gets; without it, an eighth of
 //! its slice, or with `GAUGEFS_ALL` the whole slice. A failure prints
 //! the input, shrunk; put it into the target's folder of `corpus`, where it stays.
 
@@ -185,7 +185,7 @@ fn check(name: &str) {
     }
     let inputs: Vec<Vec<u8>> = kept.into_iter().map(|(_, input)| input).collect();
     let seed = number("GAUGEFS_SEED").unwrap_or(1);
-    let usual = if std::env::var_os("GAUGEFS_ALL").is_some() { target.slice } else { target.slice / 4 };
+    let usual = if std::env::var_os("GAUGEFS_ALL").is_some() { target.slice } else { target.slice / 8 };
     let cases = number("GAUGEFS_FUZZ_CASES").map_or(usual, |cases| cases as u32);
     let config = ProptestConfig { cases, failure_persistence: None, ..ProptestConfig::default() };
     let config =

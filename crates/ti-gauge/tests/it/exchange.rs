@@ -549,7 +549,7 @@ fn regression_an_exchange_at_any_transfer_of_an_offset_leaves_the_other_pack_as_
             folder: format!("exchange-offset-{}-{silent}", board.0),
         };
         let (transfers, own) = boards.undisturbed().expect("no exchange");
-        for number in one_in(3, 1..=transfers) {
+        for number in one_in(5, 1..=transfers) {
             boards.exchanged(number, &own).unwrap_or_else(|why| panic!("{why}"));
         }
     }

@@ -140,7 +140,7 @@ pub(crate) fn a_fault_at_any_transfer_of_a_write_causes_no_false_success() {
         assert_ne!(old, new);
         let kept = case.kept();
         let commits = ["drop-commit", "corrupt-commit", "torn-commit 0", "torn-commit 1", "torn-commit 5"];
-        let faults = one_in(3, (1..=transfers).flat_map(faults)).chain(commits.map(String::from));
+        let faults = one_in(5, (1..=transfers).flat_map(faults)).chain(commits.map(String::from));
         for fault in faults {
             let at = format!("{} {:?} found {:?}, fault `{fault}`", case.chip, case.at, case.found);
             let mut rig = case.rig();

@@ -43,7 +43,7 @@ pub(crate) fn host_power_loss_at_any_transfer_leaves_old_or_new_values() {
         let (said, transfers) = write(&case.rig(), None);
         said.expect("no cut").expect("no fault");
         assert_eq!(folder.files(), Vec::<String>::new());
-        for (number, after) in one_in(3, (1..=transfers).flat_map(|number| [(number, false), (number, true)]))
+        for (number, after) in one_in(5, (1..=transfers).flat_map(|number| [(number, false), (number, true)]))
         {
             let at = format!("{}, cut at {number} of {transfers}, after it: {after}", case.name());
             let mut rig = case.rig();

@@ -358,7 +358,7 @@ pub(crate) fn a_fault_at_any_transfer_of_a_key_change_causes_no_false_success() 
         let torn = (0..=12).map(|words| format!("torn-commit {words}"));
         let commits = ["drop-commit".into(), "corrupt-commit".into()].into_iter().chain(torn);
         let faults = (1..).zip(transfers).flat_map(|transfer| faults(case.found, transfer));
-        for fault in one_in(3, faults).chain(commits) {
+        for fault in one_in(5, faults).chain(commits) {
             let at = format!("{}, fault `{fault}`", case.name());
             let mut rig = case.rig();
             rig.sim.set("fault", &fault).expect("a fault");

@@ -98,7 +98,7 @@ pub(crate) fn a_host_power_cut_that_loses_what_was_not_synced_leaves_old_or_new_
             assert!(!told, "{at}: a finished write is settled again");
             story.check(&mut rig, &settled, &at);
         }
-        for (number, after) in one_in(3, (1..=calls).flat_map(|number| [(number, false), (number, true)])) {
+        for (number, after) in one_in(5, (1..=calls).flat_map(|number| [(number, false), (number, true)])) {
             let at = format!("{}, cut at {number} of {calls}, after it: {after}", case.name());
             let (said, _, disk) = story.write(&case.rig(), Some((number, after)));
             assert!(said.is_none(), "{at}");

@@ -896,7 +896,7 @@ pub(crate) fn a_host_that_pauses_at_any_transfer_leaves_nothing_half_way() {
             let changes = case.changes(&rig);
             host(&rig, &folder, None, |dataflash, gauge| dataflash.write(gauge, &changes, Duration::ZERO)).1
         };
-        for (number, after) in one_in(3, (1..=transfers).flat_map(|number| [(number, false), (number, true)]))
+        for (number, after) in one_in(5, (1..=transfers).flat_map(|number| [(number, false), (number, true)]))
         {
             let at = format!("{}, pause at {number} of {transfers}, after it: {after}", case.name());
             let mut rig = case.rig();
@@ -974,7 +974,7 @@ pub(crate) fn a_second_power_cut_while_settling_leaves_old_or_new_values() {
                     |dataflash: &mut DataFlash, gauge: &mut Gauge| dataflash.settle(gauge, Duration::ZERO);
                 let rig = first();
                 let (_, transfers) = host(&rig, &folder, None, settle);
-                for (number, after) in one_in(3, (1..=transfers).map(|number| (number, number % 2 == 0))) {
+                for (number, after) in one_in(5, (1..=transfers).map(|number| (number, number % 2 == 0))) {
                     let _ = fs::remove_file(folder.journal().path());
                     let at = format!("{}, {tear} {words}, cut at {number}, after it: {after}", case.name());
                     let mut rig = first();

@@ -258,7 +258,7 @@ pub(crate) fn a_fault_at_any_transfer_of_a_restore_causes_no_false_success() {
             |n| format!("power-cut-after {n} 20"),
         ];
         let faults = (1..=transfers).flat_map(|number| faults.iter().map(move |fault| fault(number)));
-        for fault in one_in(3, faults) {
+        for fault in one_in(5, faults) {
             let mut rig = Rig::new(chip);
             rig.is_found(found);
             rig.sim.set("fault", &fault).expect("a fault");

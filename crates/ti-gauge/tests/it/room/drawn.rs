@@ -40,7 +40,7 @@ fn seeds(usual: u64) -> Range<u64> {
     };
     match (number("GAUGEFS_SEED"), number("GAUGEFS_SEEDS")) {
         (Some(first), count) => first..first + count.unwrap_or(1),
-        (None, count) => 0..count.unwrap_or(if is_all() { usual } else { usual / 3 }),
+        (None, count) => 0..count.unwrap_or(if is_all() { usual } else { usual / 5 }),
     }
 }
 
