@@ -18,8 +18,8 @@ use ti_gauge::chip::{Chip, FLAT, Kind, Parameter, Range, kebab_case};
 
 use crate::drawn::one_in;
 use crate::room::{
-    CHIP, Folder, Foreground, Ran, as_nobody, can_mount, command, gaugefs, gaugefs_station, read, run,
-    same_as_golden, shown, stop, users_can_mount, within,
+    CHIP, Folder, Foreground, Ran, as_nobody, can_mount, command, gaugefs, gaugefs_station, in_real_time,
+    read, run, same_as_golden, shown, stop, users_can_mount, within,
 };
 
 #[cfg(feature = "screen")]
@@ -96,6 +96,8 @@ fn chips_are_listed() {
 
 #[test]
 fn misuse_has_exit_code_2() {
+    // The usage that is printed repeats the options that were typed.
+    let _time = in_real_time();
     golden(
         "misuse",
         &[
@@ -626,6 +628,7 @@ fn a_commit_shows_its_progress() {
     }
     let folder = Folder::new();
     let at = folder.file("m");
+    let _time = in_real_time();
     // It takes a third of a second to program a block.
     let chip = Chip::by_name("bq27520-g3").expect("a chip");
     gaugefs(&["mount", "--sim", chip.name, "--allow-unproven", &at]).done();
@@ -876,6 +879,7 @@ fn a_seal_that_stays_owed_is_a_failure_of_umount_and_of_the_daemon() {
         names.flatten().any(|entry| entry.path().extension().is_some_and(|end| end == "journal"))
     };
 
+    let time = in_real_time();
     mount("first", true);
     left_open();
     let ran = gaugefs(&["umount", &at]);
@@ -890,6 +894,7 @@ fn a_seal_that_stays_owed_is_a_failure_of_umount_and_of_the_daemon() {
     assert!(is_journal("first"), "the next start finds it");
     // At once, while the daemon still tries to pay: the next one was refused for some seconds.
     mount("first", true);
+    drop(time);
     gaugefs(&["umount", &at]).done();
     assert!(!is_journal("first"), "it has been paid");
 
@@ -1343,6 +1348,8 @@ fn a_write_of_a_killed_daemon_is_settled_by_the_next() {
     let folder = Folder::new();
     let (at, state, journal) = (folder.file("m"), folder.file("state"), folder.file("journal"));
     let kept = ["--sim-state", &state, "--state-dir", &journal];
+    // The write is found half way.
+    let _time = in_real_time();
     let mut daemon = Foreground::new(&at, &kept);
     let parameter = Path::new(&at).join("BAT0/df/80/53");
     let write = std::thread::spawn(move || fs::write(parameter, "3100\n"));

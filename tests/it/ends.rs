@@ -21,7 +21,7 @@ use nix::sys::signal::{Signal, kill};
 use nix::sys::stat::minor;
 use nix::unistd::{Pid, geteuid};
 
-use super::room::{CHIP, command, gaugefs};
+use super::room::{CHIP, command, gaugefs, in_real_time};
 use crate::rig::Random;
 use crate::room;
 use crate::room::{Connections, LONG};
@@ -54,6 +54,8 @@ impl Daemon {
 
     /// The command that mounts the gauge.
     fn mount(folder: &Path) -> std::process::Command {
+        // A daemon is ended while it waits, too.
+        let _time = in_real_time();
         let mut mount =
             command(&["mount", "--sim", CHIP, "--poll", "0.5", "--writes-per-hour", "0", "--no-backup"]);
         mount.arg("--sim-state").arg(folder.join("flash"));

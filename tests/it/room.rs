@@ -18,7 +18,8 @@ pub(crate) use apart::drop_copied_mounts;
 pub(crate) use apart::{apart, open_fuse};
 pub(crate) use commands::{
     CHIP, Foreground, LONG, Ran, STATION, as_nobody, can_mount, command, command_of, gaugefs,
-    gaugefs_station, impatient, read, run, same_as_golden, shown, stop, users_can_mount, within,
+    gaugefs_station, impatient, in_real_time, read, run, same_as_golden, shown, stop, users_can_mount,
+    within,
 };
 pub(crate) use documents::{TEXT, page, readme, root, rows, section, table, within_code};
 pub(crate) use mounted::{Mount, Swift, errno, mapped, quiet, statistic, swift, write_cut};

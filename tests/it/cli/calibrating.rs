@@ -5,7 +5,7 @@
 use std::fs;
 use std::path::Path;
 
-use crate::room::{CHIP, Folder, can_mount, gaugefs, read, within};
+use crate::room::{CHIP, Folder, can_mount, gaugefs, in_real_time, read, within};
 
 #[test]
 fn a_mounted_gauge_is_calibrated_and_a_new_board_is_set_up() {
@@ -150,7 +150,10 @@ fn a_bring_up_that_is_not_complete_fails_and_the_same_command_completes_it() {
     let at = folder.file("m");
     let gauge = format!("{at}/BAT0");
     let set = |knob: &str, text: &str| fs::write(format!("{gauge}/sim/{knob}"), text).expect("a knob");
+    // Measuring takes eight seconds, in which the test looks and turns a knob.
+    let time = in_real_time();
     gaugefs(&["mount", "--sim", CHIP, "--state-dir", &folder.file("state"), &at]).done();
+    drop(time);
     set("cells", "7");
     set("board_divider", "33000");
     let bring_up = ["bringup", &gauge, "--cells", "7", "--divider", "33000", "--voltage-now", "26985"];

@@ -27,12 +27,41 @@ pub(crate) struct Ran {
 
 thread_local! {
     static IMPATIENT: Cell<bool> = const { Cell::new(false) };
+    static IN_REAL_TIME: Cell<bool> = const { Cell::new(false) };
 }
 
 /// The commands of this test from now on take a daemon that does not answer for some seconds for one that hangs, as they do
 /// outside of tests. Otherwise the machine may only be busy.
 pub(crate) fn impatient() {
     IMPATIENT.set(true);
+}
+
+/// While it lives, the mounts of this test let time pass.
+pub(crate) struct RealTime(());
+
+/// Mounts of simulated gauges skip the gauge's waits, unless a test looks at what happens during one.
+pub(crate) fn in_real_time() -> RealTime {
+    IN_REAL_TIME.set(true);
+    RealTime(())
+}
+
+impl Drop for RealTime {
+    fn drop(&mut self) {
+        IN_REAL_TIME.set(false);
+    }
+}
+
+pub(super) fn is_in_real_time() -> bool {
+    IN_REAL_TIME.get()
+}
+
+/// Whether these arguments mount simulated gauges only, whose waits can be skipped.
+fn may_skip_time(arguments: &[&str]) -> bool {
+    const OTHERS: &[&str] = &["--config", "--check", "--bus", "--replay", "--help", "--service", "--fast"];
+    let has = |names: &[&str]| {
+        arguments.iter().any(|word| names.contains(&word.split_once('=').map_or(*word, |(name, _)| name)))
+    };
+    arguments.first() == Some(&"mount") && has(&["--sim"]) && !has(OTHERS)
 }
 
 /// The program `gaugefs-station`.
@@ -50,6 +79,9 @@ pub(crate) fn command_of(program: &str, arguments: &[&str]) -> Command {
         .env("COLUMNS", "100")
         .env_remove("RUST_LOG")
         .stdin(Stdio::null());
+    if may_skip_time(arguments) && !is_in_real_time() {
+        command.arg("--fast");
+    }
     if !IMPATIENT.get() {
         command.env("GAUGEFS_PATIENCE", LONG.as_secs().to_string());
     }

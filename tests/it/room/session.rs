@@ -211,6 +211,9 @@ impl Session {
         if line.starts_with("gaugefs mount ") && line.contains("--sim ") && !line.contains("--poll ") {
             line += " --poll 0.5";
         }
+        if line.starts_with("gaugefs mount ") && line.contains("--sim ") && !line.contains("--fast") {
+            line += " --fast";
+        }
         if !geteuid().is_root() {
             // The mounts of other tests have a gauge of that name, too.
             line = line.replace(" set BAT0 ", " set /tmp/gauges/BAT0 ");
