@@ -6,7 +6,7 @@ use std::ffi::OsString;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
-use clap::{CommandFactory, Parser, Subcommand};
+use clap::{Parser, Subcommand};
 
 use crate::command::{self, align};
 use crate::daemon::{look, service};
@@ -69,8 +69,11 @@ struct Cli {
 }
 
 #[derive(Debug, Subcommand)]
+#[command(defer = true)]
 enum Command {
     Mount(Box<mount::Mount>),
+    // An alias is needed before the command's definition is made.
+    #[command(visible_alias = "unmount")]
     Umount(umount::Umount),
     List(list::List),
     Sim(sim::Sim),
@@ -193,12 +196,12 @@ const GROUPS: [(&str, &[&str]); 5] = [
 
 /// The definition of the command line, whose prose has the terminal's width.
 pub fn definition() -> clap::Command {
-    command::definition(Cli::command(), &GROUPS)
+    command::definition::<Cli>(&GROUPS)
 }
 
 /// Runs the command in the arguments. The exit code is 0 for done, 1 for failed, 2 for misuse.
 pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
-    command::run(definition(), arguments, |cli: Cli| cli.command.run())
+    command::run(&GROUPS, arguments, |cli: Cli| cli.command.run())
 }
 
 /// `1 parameter` or `N parameters`.
@@ -219,6 +222,7 @@ fn trouble(outcome: Result<ExitCode>) -> Result<ExitCode> {
 
 #[cfg(test)]
 mod tests {
+    use clap::CommandFactory;
     use clap_complete::Shell;
 
     use super::*;
@@ -232,11 +236,21 @@ mod tests {
         definition().debug_assert();
     }
 
+    /// The options of all commands took nine tenths of the program's start.
+    #[test]
+    fn a_start_makes_no_options_of_other_commands() {
+        let command = Cli::command();
+        for command in command.get_subcommands() {
+            assert_eq!(command.get_arguments().count(), 0, "{}", command.get_name());
+        }
+    }
+
     #[test]
     fn every_command_is_in_one_group_of_the_help() {
         let command = definition();
         let names: Vec<&str> = GROUPS.iter().flat_map(|(_, names)| *names).copied().collect();
-        for shown in command.get_subcommands().filter(|command| !command.is_hide_set()) {
+        let is_listed = |command: &&clap::Command| !command.is_hide_set() && command.get_name() != "help";
+        for shown in command.get_subcommands().filter(is_listed) {
             let count = names.iter().filter(|name| **name == shown.get_name()).count();
             assert_eq!(count, 1, "{}", shown.get_name());
         }

@@ -7,8 +7,8 @@ use std::ffi::OsString;
 use std::fmt::Write as _;
 use std::process::ExitCode;
 
-use clap::FromArgMatches;
-use clap::builder::StyledStr;
+use clap::error::ErrorKind;
+use clap::{CommandFactory, Parser};
 use ti_gauge::text;
 
 use crate::error::{Error, Result};
@@ -17,10 +17,24 @@ use crate::output::{print, print_error, say_error};
 pub(crate) mod completions;
 pub(crate) mod manual;
 
-/// A definition whose commands are listed by what they are for, and whose prose takes the width of the terminal. A command
-/// that is in no group is listed at the end.
-pub(crate) fn definition(command: clap::Command, groups: &[(&str, &[&str])]) -> clap::Command {
-    let command = flowing(command);
+/// Headings of the list of commands, each with its commands.
+pub(crate) type Groups = [(&'static str, &'static [&'static str])];
+
+/// All of a definition that its source names. `defer` leaves out the options of commands that are not in the arguments, which
+/// are most of what there is to make when the program starts.
+pub(crate) fn whole<C: CommandFactory>() -> clap::Command {
+    built(C::command().disable_help_flag(true).disable_help_subcommand(true).disable_version_flag(true))
+}
+
+fn built(mut command: clap::Command) -> clap::Command {
+    command.build();
+    command
+}
+
+/// A definition that prints help: commands are listed by what they are for, and prose takes the width of the terminal. A
+/// command that is in no group is listed at the end.
+pub(crate) fn definition<C: CommandFactory>(groups: &Groups) -> clap::Command {
+    let command = flowing(built(C::command()));
     let commands = grouped(&command, groups);
     command.help_template(format!(
         "{{about-with-newline}}\n{{usage-heading}} {{usage}}\n\n{commands}Options:\n{{options}}{{after-help}}"
@@ -28,8 +42,8 @@ pub(crate) fn definition(command: clap::Command, groups: &[(&str, &[&str])]) -> 
 }
 
 /// The list of commands, with a heading per group.
-fn grouped(command: &clap::Command, groups: &[(&str, &[&str])]) -> String {
-    let shown = |command: &&clap::Command| !command.is_hide_set();
+fn grouped(command: &clap::Command, groups: &Groups) -> String {
+    let shown = |command: &&clap::Command| !command.is_hide_set() && command.get_name() != "help";
     let is_in = |name: &str| groups.iter().any(|(_, names)| names.contains(&name));
     let others =
         command.get_subcommands().filter(shown).map(clap::Command::get_name).filter(|name| !is_in(name));
@@ -51,7 +65,7 @@ fn grouped(command: &clap::Command, groups: &[(&str, &[&str])]) -> String {
 fn listed(command: &clap::Command) -> String {
     const NAME: usize = 11;
     const WIDTH: usize = 80 - NAME - 4;
-    let about = command.get_about().map(unstyled).unwrap_or_default();
+    let about = command.get_about().map(ToString::to_string).unwrap_or_default();
     let aliases: Vec<&str> = command.get_visible_aliases().collect();
     let about = if aliases.is_empty() { about } else { format!("{about} [alias: {}]", aliases.join(", ")) };
     let mut lines = vec![String::new()];
@@ -68,13 +82,8 @@ fn listed(command: &clap::Command) -> String {
     names.zip(lines).map(|(name, line)| format!("  {name:NAME$}  {line}\n")).collect()
 }
 
-/// The definitions have no styles, and clap reads each byte of a text to drop them, at each start of a program.
-fn unstyled(text: &StyledStr) -> String {
-    text.ansi().to_string()
-}
-
 fn flowing(command: clap::Command) -> clap::Command {
-    let prose = command.get_after_help().map(|help| flow(&unstyled(help)));
+    let prose = command.get_after_help().map(|help| flow(&help.to_string()));
     let command = match prose {
         Some(prose) => command.after_help(prose),
         None => command,
@@ -97,24 +106,34 @@ fn flow(text: &str) -> String {
     flowing
 }
 
+/// Parses the arguments. Help, which may be long, is laid out only if it is printed.
+fn parse<C: Parser>(arguments: &[OsString], groups: &Groups) -> std::result::Result<C, clap::Error> {
+    let parsed = C::try_parse_from(arguments);
+    let is_help = |error: &clap::Error| {
+        use ErrorKind::{DisplayHelp, DisplayHelpOnMissingArgumentOrSubcommand};
+        matches!(error.kind(), DisplayHelp | DisplayHelpOnMissingArgumentOrSubcommand)
+    };
+    parsed.map_err(|error| match is_help(&error) {
+        true => definition::<C>(groups).try_get_matches_from(arguments).err().unwrap_or(error),
+        false => error,
+    })
+}
+
 /// Runs the command in the arguments. The exit code is 0 for done, 1 for failed, 2 for misuse.
-pub(crate) fn run<C: FromArgMatches>(
-    mut definition: clap::Command,
+pub(crate) fn run<C: Parser>(
+    groups: &Groups,
     arguments: impl IntoIterator<Item = OsString>,
     run: impl FnOnce(C) -> Result<ExitCode>,
 ) -> ExitCode {
     let arguments: Vec<OsString> = arguments.into_iter().collect();
-    let parsed = definition
-        .try_get_matches_from_mut(&arguments)
-        .and_then(|matches| C::from_arg_matches(&matches).map_err(|error| error.format(&mut definition)));
-    let command = match parsed {
+    let command = match parse::<C>(&arguments, groups) {
         Ok(command) => command,
         Err(error) if error.use_stderr() => {
             let bus = bare_bus(&arguments);
             let tip = bus.map_or_else(String::new, |bus| {
                 format!("  tip: a bus is given with an option: --bus {bus}\n\n")
             });
-            let text = reworded(&error.to_string(), definition.get_name());
+            let text = reworded(&error.to_string(), C::command().get_name());
             print_error(&text::lines(&text.replacen("Usage: ", &format!("{tip}Usage: "), 1)));
             return ExitCode::from(2);
         }

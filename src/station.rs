@@ -5,7 +5,7 @@
 use std::ffi::OsString;
 use std::process::ExitCode;
 
-use clap::{Args, CommandFactory, Parser, Subcommand};
+use clap::{Args, Parser, Subcommand};
 use clap_complete::Shell;
 
 use crate::command::{self, completions, manual};
@@ -80,9 +80,9 @@ impl Command {
             Self::Program(command) => return command.run(),
             Self::Records(command) => return command.run(),
             Self::Completions(Completions { shell }) => {
-                print_file(completions::script(shell, &Cli::command()).as_bytes())?;
+                print_file(completions::script(shell, &command::whole::<Cli>()).as_bytes())?;
             }
-            Self::Man(Man {}) => print_file(manual::page(PAGE, Cli::command()).as_bytes())?,
+            Self::Man(Man {}) => print_file(manual::page(PAGE, command::whole::<Cli>()).as_bytes())?,
         }
         Ok(ExitCode::SUCCESS)
     }
@@ -93,13 +93,13 @@ const GROUPS: [(&str, &[&str]); 2] =
 
 /// The definition of the command line, whose prose takes the width of the terminal.
 pub fn definition() -> clap::Command {
-    command::definition(Cli::command(), &GROUPS)
+    command::definition::<Cli>(&GROUPS)
 }
 
 /// Runs the command that the arguments name. The exit code is 0 for done, 1 for failed, 2 for misuse.
 pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
     output::speak_as("gaugefs-station");
-    command::run(definition(), arguments, |cli: Cli| cli.command.run())
+    command::run(&GROUPS, arguments, |cli: Cli| cli.command.run())
 }
 
 #[cfg(test)]

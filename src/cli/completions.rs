@@ -4,11 +4,11 @@
 
 use std::process::ExitCode;
 
-use clap::{Args, CommandFactory};
+use clap::Args;
 use clap_complete::Shell;
 
 use super::Cli;
-use crate::command::completions;
+use crate::command::{completions, whole};
 use crate::error::Result;
 use crate::output::print_file;
 
@@ -43,7 +43,7 @@ impl Completions {
 }
 
 pub(super) fn script(shell: Shell) -> String {
-    with_names(shell, &completions::script(shell, &Cli::command()))
+    with_names(shell, &completions::script(shell, &whole::<Cli>()))
 }
 
 /// The script, with calls of `gaugefs names`, which answers within seconds whatever the mounts do.
@@ -82,7 +82,7 @@ fn commands_with(wanted: impl Fn(&clap::Arg) -> bool + Copy) -> String {
     fn has(command: &clap::Command, wanted: impl Fn(&clap::Arg) -> bool + Copy) -> bool {
         command.get_arguments().any(wanted) || command.get_subcommands().any(|below| has(below, wanted))
     }
-    let all = Cli::command();
+    let all = whole::<Cli>();
     let commands = all.get_subcommands().filter(|command| !command.is_hide_set() && has(command, wanted));
     commands.map(|command| command.get_name().to_string()).collect::<Vec<_>>().join(" ")
 }
@@ -215,7 +215,7 @@ mod tests {
     fn what_other_programs_call_is_not_completed() {
         for shell in [Shell::Bash, Shell::Zsh, Shell::Fish] {
             let script = script(shell);
-            for command in Cli::command().get_subcommands() {
+            for command in whole::<Cli>().get_subcommands() {
                 // Names of other commands and options may contain such a word.
                 let is_line = |wanted: String| script.lines().any(|line| line.trim() == wanted);
                 let is_there = match shell {
@@ -231,7 +231,7 @@ mod tests {
     #[test]
     fn regression_options_that_other_programs_pass_were_completed() {
         let names = |is_hidden: bool| -> BTreeSet<String> {
-            let all = Cli::command();
+            let all = whole::<Cli>();
             let of = |command: &clap::Command| command.get_arguments().cloned().collect::<Vec<_>>();
             let arguments = all.get_subcommands().filter(|command| !command.is_hide_set()).flat_map(of);
             arguments

@@ -21,7 +21,7 @@ printed.";
 
 /// Unmount and release the gauge
 #[derive(Args, Debug)]
-#[command(visible_alias = "unmount", after_help = UMOUNT)]
+#[command(after_help = UMOUNT)]
 pub(super) struct Umount {
     /// Folder where gaugefs is mounted
     mountpoint: PathBuf,

@@ -47,6 +47,7 @@ mod wrap;
 
 /// The commands of this crate.
 #[derive(Debug, Subcommand)]
+#[command(defer = true)]
 #[allow(missing_docs, reason = "clap would take it for the description of the subcommand")]
 pub enum Command {
     Top(top::Top),
