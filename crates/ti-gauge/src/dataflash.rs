@@ -365,7 +365,8 @@ impl DataFlash {
         options: WriteOptions<'_>,
         waited: Duration,
     ) -> Result<Outcome> {
-        let waited = self.rules.check_wear(gauge).and_then(|()| self.settle_first(gauge, waited));
+        let allowed = gauge.check_writes().and_then(|()| self.rules.check_wear(gauge));
+        let waited = allowed.and_then(|()| self.settle_first(gauge, waited));
         let outcome = waited.and_then(|waited| {
             self.access(gauge, waited, |this, gauge, asked| {
                 let found = this.look_before(gauge, changes)?;
@@ -393,6 +394,7 @@ impl DataFlash {
 
     /// Settles an interrupted write. Then the gauge must be the one that was read, in no mode that forbids writing.
     pub(crate) fn ready(&mut self, gauge: &mut Gauge, waited: Duration) -> Result<()> {
+        gauge.check_writes()?;
         let waited = self.settle_first(gauge, waited)?;
         self.access(gauge, waited, |this, gauge, _| {
             gauge.claim()?;

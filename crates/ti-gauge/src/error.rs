@@ -93,6 +93,8 @@ pub enum Cause {
     Gone,
     /// No answer at the address.
     NoAnswer,
+    /// It can only be read behind this adapter.
+    ReadOnly,
     /// The bus itself failed.
     Bus(BusError),
     /// The bus could not be opened.
@@ -103,7 +105,7 @@ pub enum Cause {
 
 impl Cause {
     /// Names of all causes.
-    pub const NAMES: [&'static str; 15] = [
+    pub const NAMES: [&'static str; 16] = [
         "invalid",
         "out-of-range",
         "not-permitted",
@@ -116,6 +118,7 @@ impl Cause {
         "state-unknown",
         "gone",
         "no-answer",
+        "read-only",
         "bus",
         "adapter",
         "io",
@@ -135,6 +138,7 @@ impl Cause {
             Cause::StateUnknown => ("state-unknown", Errno::NOTRECOVERABLE),
             Cause::Gone => ("gone", Errno::NODEV),
             Cause::NoAnswer => ("no-answer", Errno::NXIO),
+            Cause::ReadOnly => ("read-only", Errno::ROFS),
             // It is no fault of the bus.
             Cause::Bus(BusError::TooSlow { .. }) => ("timed-out", Errno::TIMEDOUT),
             Cause::Bus(bus) => return ("bus", bus.errno()),
@@ -332,6 +336,11 @@ reasons! {
     Wear { blocks: i64, greatest: i64, seconds: i64 } "wear", NotNow,
         "{blocks} blocks were programmed within the last hour; the limit is {greatest}, because flash wears out: the next \
          write may come in {} min {} s; --writes-per-hour sets another limit", seconds / 60, seconds % 60;
+    /// The adapter carries no whole block of data flash.
+    ShortWrites { greatest: u16, bytes: u16 } "short-writes", ReadOnly,
+        "data flash can only be read: the adapter carries writes of {greatest} bytes, a block has {bytes} with its register, \
+         and this part is not known to take its bytes one by one; connect it to another adapter, or mount it with \
+         --byte-writes if it does";
     /// The gauge shows no sign of a command.
     NoEffect { command: Cow<'static, str>, times: i64 } "no-effect", TimedOut,
         "the gauge was sent {command}{} and shows no sign of it",

@@ -6,16 +6,27 @@ use jiff::Timestamp;
 
 use super::handle::Shared;
 use super::memory;
+use crate::error::Result;
 use ti_gauge::chip::{Chip, Range, Role};
 use ti_gauge::registers::Registers;
 
 /// Polls in a row without a measurement, half a second to some seconds apart, after which a person is told.
 const FOR_GOOD: u32 = 5;
 
-/// Publishes it with each poll. `is_managed` says that there is a profile, or will be.
-pub(super) fn tell(shared: &Shared, registers: &Registers, unmeasured: u32, is_managed: bool) {
+/// Publishes it with each poll. `is_managed` says that there is a profile, or will be; `can_write`, whether data flash can
+/// be written.
+pub(super) fn tell(
+    shared: &Shared,
+    registers: &Registers,
+    unmeasured: u32,
+    is_managed: bool,
+    can_write: Result<()>,
+) {
     let amiss = measures_nothing(shared.chip, registers, unmeasured);
     let amiss = amiss.or_else(|| lacks_configuration(shared, registers).filter(|_| !is_managed));
+    let has_flash = !shared.chip.subclasses.is_empty() && shared.published().limited.is_none();
+    let is_refused = || can_write.err().filter(|_| has_flash).map(|error| error.reason().to_string());
+    let amiss = amiss.or_else(is_refused);
     if shared.published().amiss.as_ref().map(|(_, amiss)| &**amiss) == amiss.as_deref() {
         return;
     }
@@ -78,6 +89,7 @@ mod tests {
     use super::super::rig::{INTERVAL, Rig};
     use super::super::{Run, operations as op};
     use super::*;
+    use gauge_bus::Reach;
     use ti_gauge::chip::CHIPS;
     use ti_gauge::dataflash::Change;
     use ti_gauge::value::Value;
@@ -106,6 +118,25 @@ mod tests {
                 rig.poll_after(INTERVAL);
             }
             assert_eq!(told(&rig), "", "{}", chip.name);
+        }
+    }
+
+    /// What `list` shows, and `gauge/last_error`.
+    #[test]
+    fn data_flash_that_can_only_be_read_is_said_while_it_is_so() {
+        for (chip, reach, is_said) in [
+            ("bq34z100-g1", Reach::smbus(2, false), true),
+            ("bq34z100-g1", Reach::smbus(32, false), false),
+            ("bq27520-g3", Reach::smbus(2, false), false),
+        ] {
+            let mut rig = Rig::of(chip, Run::default());
+            rig.sim.set_reach(reach);
+            rig.start().expect("it answers");
+            let says = "data flash can only be read: the adapter carries writes of 3 bytes";
+            assert_eq!(told(&rig).starts_with(says), is_said, "{chip} {reach:?}: {}", told(&rig));
+            rig.sim.set_reach(Reach::FULL);
+            rig.poll_after(INTERVAL);
+            assert_eq!(told(&rig), "", "{chip}: another adapter");
         }
     }
 

@@ -87,7 +87,8 @@ impl Owner {
         self.note_battery(&registers);
         self.readings.note_measurement(&mut self.access, &registers);
         let unmeasured = self.readings.unmeasured();
-        amiss::tell(self.shared(), &registers, unmeasured, self.memory.is_managed());
+        let can_write = self.access.gauge().check_writes();
+        amiss::tell(self.shared(), &registers, unmeasured, self.memory.is_managed(), can_write);
         self.publish_poll(taken, number, registers);
         Ok(())
     }

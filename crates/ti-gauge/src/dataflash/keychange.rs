@@ -182,6 +182,7 @@ fn prepare(
     waited: Duration,
 ) -> Result<(&'static KeyBlock, Option<Plan>, Duration)> {
     let block = block_of(gauge.chip, change.name)?;
+    gauge.check_writes()?;
     check_new(gauge, change)?;
     // Making a change once more settles it, if it was cut short.
     let left = pending_keys(flash);

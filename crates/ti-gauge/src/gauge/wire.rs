@@ -11,7 +11,8 @@ use std::time::Duration;
 use super::Gauge;
 use super::effects::Seen;
 use super::statistics::Statistics;
-use crate::error::{Cause, Error, Result, Step};
+use crate::codec::WINDOW;
+use crate::error::{Cause, Error, Reason, Result, Step};
 use gauge_bus::trace::Event;
 use gauge_bus::{Bus, BusError, Reach, wire_bytes};
 
@@ -274,6 +275,16 @@ impl Gauge {
 
     pub(super) fn takes_bytes(&self) -> bool {
         self.wire.takes.write <= Reach::ONE_BYTE_A_WRITE.write
+    }
+
+    /// Refuses a change of data flash if no block of it can be written: one message carries it, or single bytes do.
+    pub fn check_writes(&mut self) -> Result<()> {
+        let (reach, bytes) = (self.reach(), 1 + WINDOW as u16);
+        if reach.write >= bytes || self.takes_bytes() || self.chip.byte_writes_above_hz.is_some() {
+            return Ok(());
+        }
+        let reason = Reason::ShortWrites { greatest: reach.write, bytes };
+        Err(Error::of(self.chip.name, reason).at(Step::Check))
     }
 
     /// Makes sure that no kernel driver has taken the address.

@@ -239,7 +239,7 @@ impl Run {
         for version in ["firmware", "hardware"] {
             let _ = sim.set(version, "printed");
         }
-        sim.set_reach(rig::reach());
+        sim.set_reach(rig::reach_for(chip));
         clock.sleep(Duration::from_secs(5));
         let rig = Rig::on(chip, sim.clone(), clock.clone());
         rig.calibrate(3);

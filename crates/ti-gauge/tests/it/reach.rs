@@ -83,12 +83,16 @@ fn what_must_not_happen_twice_is_never_cut() {
             rig.gauge.command_once(0x0041).expect_err("a word"),
             rig.gauge.close().expect_err("a word"),
             rig.gauge.identify().map(drop).expect_err("a word"),
-            rig.write(at.0, at.1, "3100").expect_err("a word"),
         ] {
             assert_eq!(error.cause(), Cause::Bus(refused), "{chip}: {error}");
             assert!(error.to_string().contains("Control("), "{error}");
             assert!(error.to_string().contains("a message of 3 bytes, and the adapter carries 2"), "{error}");
         }
+        assert_eq!(
+            rig.write(at.0, at.1, "3100").map_err(|error| error.cause()),
+            Err(Cause::ReadOnly),
+            "{chip}"
+        );
         assert_eq!(rig.log(), Vec::<String>::new(), "{chip}");
     }
 }
@@ -104,25 +108,73 @@ fn a_gauge_that_takes_single_bytes_is_written_on_an_adapter_that_carries_no_more
     }
 }
 
-/// The block is filled in messages that the adapter carries, and committed by one.
+/// The messages that fill the window, and those that commit it.
+fn filled(rig: &Rig) -> (Vec<String>, usize) {
+    let sent = rig.log();
+    let begins = |line: &&String, starts: &[&str]| starts.iter().any(|start| line.starts_with(start));
+    let commits = sent.iter().filter(|line| begins(line, &["W 60"])).count();
+    (sent.iter().filter(|line| begins(line, &["W 4", "W 5"])).cloned().collect(), commits)
+}
+
+/// Changes each byte of Manufacturer Info, which is a block.
+fn write_block(rig: &mut Rig, subclass: u8) -> ti_gauge::error::Result<Outcome> {
+    let change = |at| Rig::change_of(rig.gauge.chip, subclass, at, &format!("0x{:02x}", at + 1));
+    let changes: Vec<_> = (0..32).map(change).collect();
+    rig.dataflash.write(&mut rig.gauge, &changes, Duration::ZERO)
+}
+
+/// Where a manual says that the gauge takes single bytes, or a user, the block is filled in messages that the adapter carries,
+/// and committed by one.
 #[test]
 fn the_window_is_filled_in_several_messages() {
-    let mut rig = rig_within("bq34z100-g1", Reach::of_data(2));
-    let written = rig.write(48, 31, "Pack 7");
-    assert!(matches!(written, Ok(Outcome::Written { .. })), "{written:?}");
-    let sent = rig.log();
-    let filled: Vec<_> =
-        sent.iter().filter(|line| line.starts_with("W 4") || line.starts_with("W 5")).collect();
-    let text = ["W 40 50 61", "W 42 63 6B", "W 44 20 37", "W 46 00 00", "W 48 00 00", "W 4A 00"];
-    assert_eq!(filled[0], "W 5F 06");
-    assert_eq!(filled[1..], text);
-    assert_eq!(sent.iter().filter(|line| line.starts_with("W 60")).count(), 2, "two blocks");
+    let mut rig = rig_within("bq27520-g3", Reach::smbus(2, false));
+    write_block(&mut rig, 57).expect("by the manual");
+    let (sent, commits) = filled(&rig);
+    assert_eq!((sent.len(), &*sent[0], &*sent[15], commits), (16, "W 40 01 02", "W 5E 1F 20", 1));
 
-    let mut rig = rig_within("bq34110", Reach::of_data(2));
-    rig.write(FLAT, 0x4000, "0.5").expect("in two messages");
-    let sent = rig.log();
-    let at = sent.iter().position(|line| line.starts_with("W 40")).expect("it is filled");
-    assert!(sent[at + 1].starts_with("W 42") && sent[at + 2].starts_with("W 60"), "{:?}", &sent[at..at + 3]);
+    let takes = Reach::ONE_BYTE_A_WRITE;
+    let mut rig = Rig::with("bq34z100-g1", Keys::default(), takes);
+    rig.sim.set_reach(Reach::smbus(2, false));
+    rig.sim.clear_log();
+    rig.write(48, 31, "Pack 7").expect("with --byte-writes");
+    let (sent, commits) = filled(&rig);
+    assert_eq!(sent[..3], ["W 5F 06", "W 40 50", "W 41 61"]);
+    assert_eq!(commits, 2, "two blocks");
+}
+
+/// A block of data flash, its register and no more: i801 and i2c-stub carry that, and nothing is cut.
+#[test]
+fn a_block_and_its_register_fit_exactly_into_a_command() {
+    let mut rig = rig_within("bq34z100-g1", Reach::smbus(32, true));
+    write_block(&mut rig, 58).expect("one message");
+    let bytes: String = (1..=32).map(|byte| format!(" {byte:02X}")).collect();
+    assert_eq!(filled(&rig), (vec![format!("W 40{bytes}")], 1));
+    let mut rig = rig_within("bq34110", Reach::smbus(32, true));
+    rig.write(FLAT, 0x41F5, "3100").expect("it is written");
+    let (sent, commits) = filled(&rig);
+    assert_eq!((&*sent[0], commits), ("W 40 0C 1C", 1));
+    rig.gauge.write(0x40, &[0x5a; WINDOW]).expect("one message");
+}
+
+/// A host with words alone, such as piix4. What a row may have to be put back is a whole block, so a change of two bytes is
+/// refused as well.
+#[test]
+fn data_flash_that_cannot_be_written_as_a_whole_is_only_read() {
+    for (chip, at) in [("bq34z100-g1", (80, 53)), ("bq34z100-r2", (80, 53)), ("bq34110", (FLAT, 0x41F5))] {
+        for reach in [Reach::smbus(2, false), Reach::of_data(31)] {
+            let mut rig = rig_within(chip, reach);
+            let before = rig.read(at.0, at.1).expect("it is read");
+            rig.sim.clear_log();
+            let error = rig.write(at.0, at.1, "3100").expect_err("it is refused");
+            assert_eq!((error.cause(), error.errno()), (Cause::ReadOnly, 30), "{chip}: {error}");
+            let says =
+                format!("data flash can only be read: the adapter carries writes of {} bytes", reach.write);
+            assert!(error.to_string().contains(&says), "{error}");
+            assert_eq!(rig.log(), Vec::<String>::new(), "{chip}: nothing was sent");
+            assert_eq!(rig.read(at.0, at.1), Ok(before), "{chip}");
+            assert_eq!(rig.seal(), Seal::Sealed, "{chip}");
+        }
+    }
 }
 
 /// The sum of a block is that of its bytes in any order, so a message that was read two bytes too early is not noticed by it.
@@ -190,7 +242,8 @@ fn a_window_that_never_reads_the_same_is_an_error() {
 #[test]
 fn a_commit_that_waits_for_rows_of_the_gauges_own_is_not_taken_for_none() {
     for (chip, at, length) in [("bq34z100-r2", (80, 53), 2), ("bq34110", (FLAT, 0x41F5), 2)] {
-        for reach in [Reach::FULL, Reach::of_data(3), Reach::of_data(2)] {
+        for read in [u16::MAX, 3, 2] {
+            let reach = Reach { read, ..Reach::FULL };
             for every in ["1", "7", "20", "50"] {
                 let mut rig = rig_within(chip, reach);
                 for (knob, text) in [("commit_ms", "218"), ("commit_busy", "old"), ("rewrite_every", every)] {

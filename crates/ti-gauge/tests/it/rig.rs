@@ -20,6 +20,16 @@ thread_local! {
     static REACH: Cell<Reach> = const { Cell::new(Reach::FULL) };
 }
 
+/// A message with all of a block.
+const WHOLE: u16 = 33;
+
+/// What the adapters of this thread's simulated gauges carry. Data flash of most parts cannot be written in pieces.
+pub(crate) fn reach_for(chip: &Chip) -> Reach {
+    let reach = REACH.get();
+    let least = if chip.byte_writes_above_hz.is_some() { 0 } else { WHOLE };
+    Reach { write: reach.write.max(least), ..reach }
+}
+
 /// What the adapters of this thread's simulated gauges carry.
 pub(crate) fn reach() -> Reach {
     REACH.get()
@@ -57,10 +67,10 @@ impl Rig {
     pub(crate) fn with(chip: &str, keys: Keys, reach: Reach) -> Self {
         let clock = Arc::new(SimClock::new());
         let sim = Sim::new(chip, &Options::default(), clock.clone()).expect("a chip that is simulated");
-        sim.be_strict();
-        sim.set_reach(REACH.get());
-        sim.keep_log(true);
         let table = Chip::by_name(chip).expect("a chip in the tables");
+        sim.be_strict();
+        sim.set_reach(reach_for(table));
+        sim.keep_log(true);
         let mut gauge = Gauge::new(table, Box::new(sim.bus()), clock.clone(), keys).within(reach);
         // A gauge answers about 250 ms after power-up.
         clock.sleep(Duration::from_secs(1));

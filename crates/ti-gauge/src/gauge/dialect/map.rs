@@ -224,16 +224,17 @@ fn in_pieces(gauge: &mut Gauge, code: u8, into: &mut [u8], most: usize) -> Resul
     Err(BusError::Unsteady)
 }
 
-/// How many bytes one message has. Only what fills the window is cut, unless the gauge is known to take single bytes.
+/// How many bytes one message has. Only a gauge that is known to take single bytes gets less than all of them.
 fn piece(gauge: &mut Gauge, code: u8, length: usize) -> Result<usize, BusError> {
     // The manual's rule applies to Control() too (SLUSBH1C 9.5.4.3); elsewhere Control() is only written as a word.
     let by_manual = gauge.chip.byte_writes_above_hz.is_some();
     let is_word = code == CONTROL && !by_manual;
+    let is_cut = by_manual || !is_word && gauge.takes_bytes();
     let reach = if is_word { gauge.carried() } else { gauge.reach() };
     match usize::from(reach.write).saturating_sub(1) {
         most if length <= most => Ok(length.max(1)),
-        most @ 1.. if DATA.contains(&code) && usize::from(code) + length <= DATA.end.into() => Ok(most),
-        1.. if by_manual || !is_word && gauge.takes_bytes() => Ok(1),
+        most @ 1.. if is_cut && DATA.contains(&code) => Ok(most),
+        1.. if is_cut => Ok(1),
         _ => Err(BusError::TooLong { bytes: 1 + length as u16, most: reach.write }),
     }
 }
