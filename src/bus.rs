@@ -77,8 +77,10 @@ struct Wired<B> {
 impl<B: Bus> Target for Wired<B> {
     fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), Errno> {
         self.bus.transfer(write, read).map_err(|error| match error {
-            // What is not recorded is not acknowledged.
-            BusError::NoAck | BusError::ReadOnly | BusError::NotRecorded => Errno::NXIO,
+            // What is not recorded is not acknowledged, nor is what was not sent.
+            BusError::NoAck | BusError::ReadOnly | BusError::NotRecorded | BusError::WriteDisabled => {
+                Errno::NXIO
+            }
             BusError::ArbitrationLost => Errno::AGAIN,
             BusError::Timeout | BusError::Hung(_) | BusError::TooSlow { .. } => Errno::TIMEDOUT,
             BusError::Gone => Errno::NODEV,

@@ -17,7 +17,7 @@ use super::{Content, Item, Mode, Node, Operations, Shape, find, not_writable};
 use crate::report;
 use gauge_owner::{Answers, Done, Failure, FileOperation, Operation, operations as op};
 use ti_gauge::authentication;
-use ti_gauge::chip::{Bit, Register, Role, Tier, snake_case};
+use ti_gauge::chip::{Bit, Limited, Register, Role, Tier, snake_case};
 
 struct File {
     name: &'static str,
@@ -267,7 +267,7 @@ fn can_calibrate(gauge: &Supply) -> bool {
 }
 
 fn control_status(gauge: &Supply) -> Option<String> {
-    if !gauge.chip().has_table() {
+    if gauge.published().limited.is_some_and(Limited::is_never_asked) {
         return None;
     }
     set_bits(gauge.chip().control_status, gauge.fresh()?.control_status.into())

@@ -254,6 +254,24 @@ fn a_mux_is_shown_with_the_buses_to_use() {
 }
 
 #[test]
+fn a_host_that_lets_no_write_through_is_found() {
+    let system = System::new();
+    bridge(&system, 3, "i801_smbus", "SMBus I801 adapter at efa0");
+    let config = |byte: char| format!("{}{byte}{}", "\0".repeat(64), "\0".repeat(191));
+    system.write("sys/devices/usb/3/config", &config('\u{1}'));
+    let text = String::from_utf8(system.doctor(&[]).stdout).expect("text");
+    assert!(!text.contains("SPD"), "{text}");
+    system.write("sys/devices/usb/3/config", &config('\u{11}'));
+    system.says("ok", "i2c-3 (SMBus I801", &["SPD Write Disable is set: nothing is written to 0x50 to 0x57"]);
+    system.write("etc/gaugefs/i2c-3.toml", "[[gauge]]\n");
+    system.says(
+        "problem",
+        "i2c-3 (SMBus I801",
+        &["only the standard commands", "the settings of the firmware"],
+    );
+}
+
+#[test]
 fn a_membership_that_needs_a_new_session_is_found() {
     let system = System::new();
     system.write("proc/self/status", "Uid:\t4711\t4711\nGid:\t50\t50\nGroups:\t50\n");

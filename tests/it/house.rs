@@ -932,7 +932,7 @@ fn registers_of_block_access_stand_behind_the_dialect() {
         "ti-gauge image/flashstream",
     ];
     /// Other numbers of that size: where they stand, and how often.
-    const OTHERS: [(&str, &str, usize); 23] = [
+    const OTHERS: [(&str, &str, usize); 26] = [
         // The address of all gauges.
         ("gauge-bus ", "0x55", 1),
         // Subclasses.
@@ -959,6 +959,10 @@ fn registers_of_block_access_stand_behind_the_dialect() {
         // Bytes of a firmware's marks.
         ("ti-gauge rom", "0x3f", 1),
         ("ti-gauge rom", "0x54", 2),
+        // A host's register, and the addresses that it protects.
+        ("gauge-bus linux/spd", "0x40", 1),
+        ("gauge-bus linux/spd", "0x50", 1),
+        ("gauge-bus linux/spd", "0x57", 1),
         // The kernel's number of its I2C devices, and permissions of files.
         ("gauge-bus linux", "89", 1),
         ("gauge-owner key_file", "0o077", 1),

@@ -76,6 +76,7 @@ impl embedded_hal::i2c::Error for BusError {
             | BusError::Busy
             | BusError::HasMux
             | BusError::ReadOnly
+            | BusError::WriteDisabled
             | BusError::NotRecorded
             | BusError::MaybeNoAck(_)
             | BusError::Hung(_)

@@ -102,6 +102,8 @@ pub enum BusError {
     },
     /// What belongs together was read in several messages, and differs each time.
     Unsteady,
+    /// The host sends no write to this address: SPD Write Disable is set.
+    WriteDisabled,
     /// Any other error number from the adapter.
     Other(i32),
 }
@@ -181,6 +183,12 @@ impl BusError {
             BusError::Unsteady => {
                 ("what it reads in several messages differs each time; check the bus", Errno::IO, true)
             }
+            BusError::WriteDisabled => (
+                "the host sends no write to 0x50 to 0x57 (SPD Write Disable, which `dmesg | grep SPD` shows); switch that off \
+                 in the settings of its firmware, or connect the gauge to another adapter",
+                Errno::ROFS,
+                false,
+            ),
             BusError::TooLong { bytes, most } => {
                 let text = format!(
                     "a message of {bytes} bytes, and the adapter carries {most} at most; connect the gauge to another one"
@@ -229,6 +237,7 @@ impl BusError {
             BusError::ReadOnly,
             BusError::NotRecorded,
             BusError::Unsteady,
+            BusError::WriteDisabled,
         ];
         let found = known.into_iter().find(|error| error.row().0 == text);
         found.unwrap_or(BusError::Other(Errno::IO.raw_os_error()))

@@ -26,11 +26,13 @@ use crate::{Reach, regular};
 mod adapter;
 mod mux;
 mod smbus;
+mod spd;
 mod target;
 
 use adapter::Row;
 pub use adapter::{BusClock, certain, clock};
 pub use mux::{Mux, connected, described, muxes};
+pub use spd::write_disable;
 pub use target::LinuxBus;
 
 /// Major number of the i2c-dev character devices; the minor number is the adapter's.

@@ -112,7 +112,9 @@ impl Outlook {
             | Cause::Protocol
             | Cause::TimedOut
             | Cause::NoAnswer => Self::Later,
-            Cause::Bus(BusError::ReadOnly | BusError::NotRecorded | BusError::Busy) => Self::Never,
+            Cause::Bus(
+                BusError::ReadOnly | BusError::WriteDisabled | BusError::NotRecorded | BusError::Busy,
+            ) => Self::Never,
             Cause::Bus(_) => Self::Later,
             Cause::Adapter(ErrorKind::NotFound | ErrorKind::Forbidden) => Self::AtBoot,
             _ => Self::Never,

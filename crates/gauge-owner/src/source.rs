@@ -9,14 +9,14 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use nix::errno::Errno;
 
-use crate::error::{Cause, Error, Result};
+use crate::error::{Cause, Error, Result, Step};
 use crate::lock::{self, Lock};
 use crate::options::GaugeOptions;
 use gauge_bus::clock::Clock;
 use gauge_bus::error::ErrorKind;
 use gauge_bus::linux::{Adapter, LinuxBus};
 use gauge_bus::replay::{Recording, Replay};
-use gauge_bus::{Bus, GAUGE_ADDRESS, Reach};
+use gauge_bus::{Bus, BusError, GAUGE_ADDRESS, Reach};
 use gauge_sim::scenario::Scenario;
 use gauge_sim::{self, Level, Sim, SimBus};
 use gaugefs_client::mounts;
@@ -278,6 +278,17 @@ fn power_up(
     Ok((sim, bus))
 }
 
+/// Only a gauge that is asked has to be written to.
+fn named(error: Error) -> Error {
+    let bus = match error.cause() {
+        Cause::Bus(bus @ BusError::WriteDisabled) => bus,
+        _ => return error,
+    };
+    let why =
+        format!("it cannot be asked which part it is: {bus}; with --chip its standard commands are read");
+    Error::new("", Cause::Bus(bus), why).at(Step::Identify)
+}
+
 /// A gauge on a bus that is there; without a chip, the gauge is asked.
 fn on_bus(
     bus: &Path,
@@ -298,7 +309,7 @@ fn on_bus(
         Some(chip) => chip,
         None => {
             let clock_hz = adapter.clock_hz();
-            probe::find(subject, &Target { open: &open, clock, reach, clock_hz })?
+            probe::find(subject, &Target { open: &open, clock, reach, clock_hz }).map_err(named)?
         }
     };
     Ok(Opened {

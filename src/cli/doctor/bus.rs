@@ -7,11 +7,13 @@ use std::os::unix::fs::{FileTypeExt, MetadataExt};
 
 use super::host::Host;
 use super::{Finding, ok, problem, warning};
-use gauge_bus::linux::{Adapter, adapters, clock, connected, described, driver, muxes};
+use gauge_bus::linux::{Adapter, adapters, clock, connected, described, driver, muxes, write_disable};
 use gauge_bus::{GAUGE_ADDRESS, Reach};
 
 /// Fastest clock at which this controller tolerates clock stretching.
 const SLOW_HZ: u32 = 50_000;
+/// A block of data flash, in bytes.
+const BLOCK: u16 = 32;
 /// The kernel's name of a controller that shortens bits when a target stretches the clock.
 const NO_STRETCHING: &str = "bcm2835";
 
@@ -25,6 +27,7 @@ pub(super) fn check(host: &Host, configured: &[String]) -> Vec<Finding> {
         findings.push(adapter(host, *number, name, wanted));
         findings.extend(mux(host, *number, wanted));
         findings.extend(stretching(host, *number, name));
+        findings.extend(writes(host, *number, name, wanted));
         findings.extend(drivers(host, *number));
     }
     findings
@@ -138,6 +141,9 @@ fn adapter(host: &Host, number: u64, name: &str, wanted: bool) -> Finding {
 fn carried(reach: Reach) -> String {
     let messages = match reach {
         Reach { smbus: false, .. } => "plain I2C".into(),
+        Reach { write: ..=BLOCK, .. } => {
+            "SMBus commands without I2C blocks: the data flash of most parts can only be read".into()
+        }
         Reach { read, .. } => format!("SMBus commands of up to {read} bytes"),
     };
     format!("{messages}, packet error codes {}checked", if reach.pec { "" } else { "not " })
@@ -187,6 +193,18 @@ fn stretching(host: &Host, number: u64, name: &str) -> Option<Finding> {
     Some(warning(format!("i2c-{number} ({name})"), says, remedy))
 }
 
+/// The firmware of many machines lets no write through to where gauges are.
+fn writes(host: &Host, number: u64, name: &str, wanted: bool) -> Option<Finding> {
+    let says = "SPD Write Disable is set: nothing is written to 0x50 to 0x57, so only the standard commands of a gauge can be \
+                read there";
+    let remedy = "Switch it off in the settings of the firmware, or connect the gauge to another adapter.";
+    let what = format!("i2c-{number} ({name})");
+    (write_disable(host.root(), number) == Some(true)).then(|| match wanted {
+        true => problem(what, says, remedy),
+        false => ok(what, says),
+    })
+}
+
 /// Kernel drivers bound to gauges.
 fn drivers(host: &Host, number: u64) -> Vec<Finding> {
     let bound = host.names("/sys/bus/i2c/devices").into_iter().filter_map(|device| {
@@ -218,7 +236,11 @@ mod tests {
         let says = [
             (Reach { pec: false, ..Reach::FULL }, "plain I2C, packet error codes not checked"),
             (Reach::smbus(32, true), "SMBus commands of up to 32 bytes, packet error codes checked"),
-            (Reach::smbus(2, false), "SMBus commands of up to 2 bytes, packet error codes not checked"),
+            (
+                Reach::smbus(2, false),
+                "SMBus commands without I2C blocks: the data flash of most parts can only be read, packet error codes not \
+                 checked",
+            ),
         ];
         for (reach, words) in says {
             assert_eq!(carried(reach), words);

@@ -13,7 +13,7 @@ use super::{crates, files, without_tests};
 
 /// The most lines of each crate.
 const LINES: [(&str, usize); 10] = [
-    ("gauge-bus", 2_860),
+    ("gauge-bus", 2_930),
     ("gauge-owner", 7_460),
     ("gauge-sim", 10_300),
     ("gauge-station", 3_800),

@@ -15,6 +15,7 @@ use nix::errno::Errno;
 use nix::libc;
 
 use super::adapter::Row;
+use super::spd::Writes;
 use super::{Adapter, functions, hold, reach, smbus};
 use crate::bounded::{Bounded, PATIENCE};
 use crate::clock::Clock;
@@ -36,6 +37,7 @@ struct Target {
     row: Option<&'static Row>,
     /// What the adapter that was there last carries.
     reach: Reach,
+    writes: Writes,
     clock: Arc<dyn Clock>,
     /// `None` while the adapter is unplugged.
     device: Option<LinuxI2CDevice>,
@@ -89,8 +91,10 @@ impl LinuxBus {
         let last = clock.now().saturating_sub(BUS_FREE);
         let row = open.as_ref().and_then(|_| adapter.row());
         let reach = open.as_ref().map_or(Reach::FULL, |(device, _)| carried(device, row));
+        let writes = Writes::to(Path::new("/"), number, address);
         let (device, above) = open.map_or((None, Vec::new()), |(device, above)| (Some(device), above));
-        let target = Target { adapter, address, row, reach, clock: clock.clone(), device, above, last };
+        let target =
+            Target { adapter, address, row, reach, writes, clock: clock.clone(), device, above, last };
         let named = (number, target.adapter.to_string());
         Self { target: Bounded::new(target, named, PATIENCE, clock), name }
     }
@@ -120,6 +124,7 @@ impl Target {
                 self.adapter.refuse_mux().map_err(|_| BusError::HasMux)?;
                 self.above = hold_all(&device, &self.adapter, self.address).map_err(|_| BusError::Busy)?;
                 self.reach = carried(&device, self.row);
+                self.writes = Writes::to(Path::new("/"), self.adapter.number(), self.address);
                 Ok(gone.insert(device))
             }
         }
@@ -145,8 +150,13 @@ impl Bus for Target {
         let begun = clock.now();
         let moved = send(device, reach, write, read);
         self.last = clock.now();
+        let is_write = read.is_empty();
         match moved {
-            Ok(answer) => answer,
+            Ok(answer) => answer.inspect(|()| {
+                if is_write {
+                    self.writes.passed();
+                }
+            }),
             Err(_) if !self.adapter.is_there() => {
                 self.close();
                 Err(BusError::Gone)
@@ -154,7 +164,12 @@ impl Bus for Target {
             Err(error) => {
                 let (errno, took) = (errno(&error), self.last.saturating_sub(begun));
                 let nack = self.row.and_then(|row| row.nack(errno, !write.is_empty(), took));
-                Err(nack.unwrap_or_else(|| transfer_error(errno)))
+                let error = nack.unwrap_or_else(|| transfer_error(errno));
+                let is_read = || matches!(send(device, reach, &[], &mut [0]), Ok(Ok(())));
+                match is_write && error.may_be_no_ack() && self.writes.refused(is_read) {
+                    true => Err(BusError::WriteDisabled),
+                    false => Err(error),
+                }
             }
         }
     }

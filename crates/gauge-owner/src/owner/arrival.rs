@@ -31,7 +31,7 @@ impl Owner {
 
     /// Compares a gauge, and its pack without a key, with the one before. Another one arrives with the next poll.
     pub(super) fn recognise(&mut self) -> Result<()> {
-        if self.access.schedule().is_gone() || self.access.doubts() || !self.access.chip().has_table() {
+        if self.access.schedule().is_gone() || self.access.doubts() || !self.shared().is_asked() {
             return Ok(());
         }
         let (answers, limited) = self.identity.ask(self.access.gauge())?;

@@ -14,7 +14,7 @@ use super::crew::Member;
 use super::now::{self, Content, Presence};
 use super::operation::Request;
 use super::{Attempt, Done, Operation, Origin, Report};
-use crate::error::{Cause, Details, Error, Result};
+use crate::error::{Details, Error, Result};
 use crate::options::GaugeOptions;
 use gauge_bus::clock::Clock;
 use ti_gauge::authentication::{Message, Order};
@@ -126,7 +126,7 @@ impl Published {
     /// The reason to send nothing but standard commands to the gauge, if there is one.
     pub fn limitation(&self, chip: &Chip) -> Option<Error> {
         let limited = self.limited?;
-        Some(Error::new(limited.name(chip), Cause::NotPermitted, limited.why(chip, &self.answers)))
+        Some(Error::new(limited.name(chip), limited.cause(), limited.why(chip, &self.answers)))
     }
 }
 
@@ -297,6 +297,11 @@ impl Shared {
     /// Another presence begins: whatever was read of the gauge is read again before anything follows from it.
     pub(super) fn begin_presence(&self) {
         self.publish(|published| published.presence = now::presence());
+    }
+
+    /// Whether subcommands are sent to it.
+    pub(super) fn is_asked(&self) -> bool {
+        !self.published().limited.is_some_and(Limited::is_never_asked)
     }
 
     pub(super) fn limitation(&self) -> Option<Error> {

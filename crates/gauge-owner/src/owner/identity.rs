@@ -6,7 +6,8 @@ use std::time::Duration;
 
 use super::Answers;
 use super::access::Access;
-use crate::error::{Error, Result, Step};
+use crate::error::{Cause, Error, Result, Step};
+use gauge_bus::BusError;
 use ti_gauge::chip::{Chip, Limited, Recognised, recognise};
 use ti_gauge::gauge::{Gauge, agreed};
 use ti_gauge::probe;
@@ -50,7 +51,12 @@ impl Identity {
             probe::check(access.gauge())?;
         }
         let identity = match has_table {
-            true => self.ask(access.gauge())?,
+            true => match self.ask(access.gauge()) {
+                Err(error) if error.cause() == Cause::Bus(BusError::WriteDisabled) => {
+                    (Answers::default(), Some(Limited::WriteDisabled))
+                }
+                answered => answered?,
+            },
             false => {
                 self.asked = access.now();
                 (Answers::default(), Some(Limited::NoTable))

@@ -108,7 +108,8 @@ impl Owner {
         let is_configured = self.memory.is_configured(self.access.shared(), &registers);
         let control_status = self.access.control_status();
         let primary = self.access.chip().condition.primary.as_ref();
-        let has_current = primary.is_none_or(|primary| control_status & primary.active != 0);
+        let is_asked = self.shared().is_asked();
+        let has_current = primary.is_none_or(|primary| !is_asked || control_status & primary.active != 0);
         let snapshot =
             Snapshot { taken, number, registers, control_status, is_valid, is_configured, has_current };
         self.shared().publish(|published| {

@@ -61,7 +61,7 @@ impl Readings {
         }
         // A primary cell is measured only while CONTROL_STATUS says so.
         let shows_measuring = self.unmeasured > 0 || chip.condition.primary.is_some();
-        if chip.has_table() && (slow || statics || shows_measuring) {
+        if access.shared().is_asked() && (slow || statics || shows_measuring) {
             access.read_status()?;
         }
         let mut registers = self.read_polled(access.gauge())?;
@@ -135,7 +135,10 @@ fn has_measured(access: &Access, registers: &Registers) -> bool {
         read(registers, Role::Flags).zip(before).is_some_and(|(now, before)| now & !before & starts != 0);
     let shows = |(shown_in, bit)| match shown_in {
         Source::Command(_) => word(chip, registers, shown_in).is_some_and(|word| word & bit != 0),
-        Source::Status | Source::Answer(_) => access.control_status() & bit != 0,
+        // What nothing can ask for is taken for set.
+        Source::Status | Source::Answer(_) => {
+            !access.shared().is_asked() || access.control_status() & bit != 0
+        }
     };
     chip.condition.complete.is_none_or(shows) && read(registers, Role::VoltageNow) != Some(0) && !has_started
 }

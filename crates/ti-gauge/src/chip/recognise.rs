@@ -2,6 +2,9 @@
 
 //! Recognises a part by its answers.
 
+use crate::error::Cause;
+use gauge_bus::BusError;
+
 use super::{Answers, CHIPS, Chip, Identity, SIBLINGS, Sibling};
 
 /// The result of recognising a part.
@@ -28,6 +31,8 @@ pub enum Limited {
     Unproven,
     /// The chip has no table.
     NoTable,
+    /// The host of its bus sends no write to its address.
+    WriteDisabled,
 }
 
 impl Limited {
@@ -35,8 +40,18 @@ impl Limited {
     pub fn name(self, chip: &Chip) -> &'static str {
         match self {
             Limited::Sibling(sibling) => sibling.name,
-            Limited::Unproven | Limited::NoTable => chip.model,
+            Limited::Unproven | Limited::NoTable | Limited::WriteDisabled => chip.model,
         }
+    }
+
+    /// Whether it is sent nothing but the registers' numbers.
+    pub fn is_never_asked(self) -> bool {
+        matches!(self, Limited::NoTable | Limited::WriteDisabled)
+    }
+
+    /// The cause of a refusal of everything else.
+    pub fn cause(self) -> Cause {
+        if matches!(self, Limited::WriteDisabled) { Cause::ReadOnly } else { Cause::NotPermitted }
     }
 
     /// Why it is limited, and what would change that.
@@ -46,6 +61,10 @@ impl Limited {
                 let why =
                     "no table describes its data flash and subcommands; only standard commands are read";
                 return why.to_string();
+            }
+            Limited::WriteDisabled => {
+                let why = BusError::WriteDisabled;
+                return format!("only standard commands are read, and there is no df: {why}");
             }
             Limited::Unproven => format!(
                 "firmware 0x{:04x}, hardware 0x{:04x}",

@@ -1,5 +1,7 @@
 // SPDX-License-Identifier: MIT
 
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::Duration;
 
 use super::super::identity::check_identity;
@@ -7,9 +9,9 @@ use super::super::rig::{INTERVAL, Rig};
 use super::super::{Answers, Run, Seal, operations as op};
 use super::*;
 use crate::error::{Cause, Error};
-use gauge_bus::Bus as _;
 use gauge_bus::clock::Clock as _;
-use ti_gauge::chip::{Chip, Limited};
+use gauge_bus::{Bus as _, BusError};
+use ti_gauge::chip::{CHIPS, Chip, Limited};
 use ti_gauge::dataflash::Change;
 use ti_gauge::value::Value;
 
@@ -455,4 +457,60 @@ fn a_gauge_that_is_missing_at_first_is_opened_by_a_later_poll() {
     rig.owner.poll_on_time();
     let published = rig.handle.published();
     assert!(published.snapshot.is_some() && published.answers.device_type == 0x0100);
+}
+
+/// SPD Write Disable of an i801: no write gets through, and reads do.
+struct Protected {
+    bus: Box<dyn gauge_bus::Bus>,
+    writes: Arc<AtomicU32>,
+}
+
+impl gauge_bus::Bus for Protected {
+    fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> std::result::Result<(), BusError> {
+        if read.is_empty() {
+            self.writes.fetch_add(1, Ordering::Relaxed);
+            return Err(BusError::WriteDisabled);
+        }
+        self.bus.transfer(write, read)
+    }
+
+    fn inner(&mut self) -> Option<&mut dyn gauge_bus::Bus> {
+        Some(&mut *self.bus)
+    }
+}
+
+/// Its registers are read, and nothing more is tried after the first answer was refused.
+#[test]
+fn a_gauge_to_which_nothing_can_be_written_shows_its_standard_commands() {
+    for chip in CHIPS {
+        let writes = Arc::new(AtomicU32::new(0));
+        let counted = writes.clone();
+        let run = Run { unverified: true, ..Run::default() };
+        let mut rig =
+            Rig::on(chip.name, run, |bus| Box::new(Protected { bus: Box::new(bus), writes: counted }));
+        rig.start().unwrap_or_else(|error| panic!("{}: {error}", chip.name));
+        let published = rig.handle.published();
+        assert!(
+            published.last_error.contains("SPD Write Disable"),
+            "{}: {}",
+            chip.name,
+            published.last_error
+        );
+        for _ in 0..20 {
+            rig.poll_after(INTERVAL);
+        }
+        let published = rig.handle.published();
+        let snapshot = published.snapshot.as_ref().expect("it is polled");
+        assert!(snapshot.is_valid && snapshot.has_current && !published.is_failing, "{}", chip.name);
+        assert_eq!(writes.load(Ordering::Relaxed), 1, "{}: only its type was asked for", chip.name);
+        let row = chip.subclasses.iter().find_map(|class| Some((class, class.parameters.first()?)));
+        let Some(row) = row else { continue };
+        let bytes = vec![0; row.1.kind.size()];
+        let change = Change::of_value(chip, row, &chip.layout.decode(row.1.kind, &bytes), true);
+        let Ok(change) = change else { continue };
+        let refused = rig.ask(&op::WRITE, vec![change]).expect_err("nothing is written");
+        assert_eq!(refused.cause(), Cause::ReadOnly, "{}: {refused}", chip.name);
+        rig.ask(&op::SEAL, Seal::Unsealed).expect_err("nor unsealed");
+        assert_eq!(writes.load(Ordering::Relaxed), 1, "{}", chip.name);
+    }
 }
