@@ -139,6 +139,6 @@ fn every_wait_of_a_pack_has_its_reason_in_the_document() {
         assert!(flat.contains(&told), "the page has no `{told}`");
     }
     let (whole, _) = programmed(None);
-    let told = format!("An image of all values takes {:.1} s.", whole.seconds.expect("it is measured"));
+    let told = format!("An image of all values takes {:.1} s", whole.seconds.expect("it is measured"));
     assert!(flat.contains(&told), "the page has no `{told}`");
 }
