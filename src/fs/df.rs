@@ -139,7 +139,7 @@ impl Operations for Staging<'_> {
     fn content(&self) -> Content {
         let Some(staged) = self.0.staged() else {
             return Content::Bytes(match self.0.handle.progress() {
-                Some((done, all)) => format!("committing {done}/{all}\n").into_bytes(),
+                Some(progress) => format!("{progress}\n").into_bytes(),
                 None => IDLE.to_vec(),
             });
         };

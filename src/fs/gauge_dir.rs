@@ -71,6 +71,7 @@ static FILES: &[File] = &[
     file("last_error_facts", Mode::Public, |gauge| {
         gauge.published().failed.as_ref().map_or_else(empty, |failed| line(&failed.facts))
     }),
+    file("progress", Mode::Public, |gauge| line(gauge.handle.progress().as_deref().unwrap_or("idle"))),
 ];
 
 /// Files with a common rule and mode 0444.
@@ -310,6 +311,11 @@ fn last_error(gauge: &Supply) -> Option<String> {
     let published = gauge.published();
     let owed = Some((published.owed_since, &*published.owed)).filter(|(_, owed)| !owed.is_empty());
     let shown = owed_and(owed, published.failed.as_ref().map(|failed| (failed, &*published.last_error)))?;
+    let shown = match (shown.trim_end(), gauge.handle.long_progress()) {
+        (_, None) => shown,
+        ("", Some(progress)) => line(progress)?,
+        (shown, Some(progress)) => line(format_args!("{shown}; {progress}"))?,
+    };
     let amiss = published.amiss.as_ref().filter(|_| published.snapshot.is_some());
     match (shown.trim_end(), amiss) {
         (_, None) => Some(shown),

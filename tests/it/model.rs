@@ -123,6 +123,7 @@ impl Model {
             ("model_name", Class::Steady),
             ("gauge/last_error", Class::Steady),
             ("gauge/last_error_facts", Class::Steady),
+            ("gauge/progress", Class::Steady),
             ("gauge/presence", Class::Steady),
             ("gauge/statistics/polls", Class::Steady),
             ("voltage_now", Class::Measured),

@@ -111,6 +111,7 @@ static FILES: &[(&str, &str)] = &[
     ("age_ms", "ms"),
     ("last_error", ""),
     ("last_error_facts", ""),
+    ("progress", ""),
 ];
 
 /// A file of `gauge/` with its own text.

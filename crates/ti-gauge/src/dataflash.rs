@@ -22,7 +22,7 @@ use crate::authentication::Order;
 use crate::chip::{Chip, FLAT, Kind, Source, Subclass};
 use crate::codec::WINDOW;
 use crate::error::{Cause, Error, Result, Step};
-use crate::gauge::{Answers, Gauge, Moment, Seal};
+use crate::gauge::{Answers, Gauge, Moment, Phase, Seal};
 use crate::journal::{Entry, Journal};
 use crate::keys::KeyChange;
 
@@ -253,6 +253,7 @@ impl DataFlash {
         if is_broken {
             self.knowledge.suspect(gauge.chip);
         }
+        let unread = self.knowledge.unread_marks(gauge.chip);
         // Marks for later comparison. Failing to read them must not fail the read.
         match self.knowledge.learn_marks(gauge) {
             Ok(Some(row)) if is_broken => {
@@ -263,9 +264,11 @@ impl DataFlash {
             Err(error) => log::debug!("{}: {error}", gauge.chip.name),
         }
         self.knowledge.refer(gauge, session);
-        let read = wanted.iter().map(|subclass| self.knowledge.read_subclass(gauge, subclass));
-        let read = read.collect::<Result<_>>()?;
-        self.knowledge.learn_gate(gauge)?;
+        let mut read = Vec::with_capacity(wanted.len());
+        for subclass in wanted {
+            read.push(self.knowledge.read_subclass(gauge, subclass, &unread)?.0);
+        }
+        self.knowledge.take_gate(gauge.chip, wanted);
         gauge.note_open();
         Ok(read)
     }
@@ -283,8 +286,7 @@ impl DataFlash {
             if goal == Seal::Sealed {
                 return Ok(());
             }
-            sequence(gauge).enable(gauge)?;
-            this.knowledge.learn_gate(gauge)
+            sequence(gauge).enable(gauge)
         });
         self.noted(outcome)
     }
@@ -303,6 +305,18 @@ impl DataFlash {
     /// Makes all changes, or none, in one transaction.
     pub fn write(&mut self, gauge: &mut Gauge, changes: &[Change], waited: Duration) -> Result<Outcome> {
         self.write_with(gauge, changes, WriteOptions::default(), waited)
+    }
+
+    /// Writes after reading subclasses in the same session: nothing is written unless `first` takes what they hold.
+    pub fn write_after(
+        &mut self,
+        gauge: &mut Gauge,
+        changes: &[Change],
+        first: First<'_>,
+        waited: Duration,
+    ) -> Result<Outcome> {
+        let options = WriteOptions { first: Some(first), ..WriteOptions::default() };
+        self.write_with(gauge, changes, options, waited)
     }
 
     /// Makes every check of a write, with the gauge unsealed meanwhile, and programs nothing.
@@ -455,7 +469,7 @@ impl DataFlash {
         gauge: &mut Gauge,
         changes: &[Change],
         found: &Found,
-        options: WriteOptions<'_>,
+        mut options: WriteOptions<'_>,
         session: &mut Session,
     ) -> Result<Outcome> {
         options.since.map_or(Ok(()), |since| assure_same(gauge, since))?;
@@ -464,6 +478,14 @@ impl DataFlash {
             session.pack.begin(gauge);
         }
         self.knowledge.check_signature(gauge)?;
+        let found = &match options.first.take() {
+            None => *found,
+            Some(first) => {
+                self.read_first(gauge, first, session)?;
+                // What was found is from before, and some seconds old on a slow bus.
+                self.knowledge.look_again(gauge, found, changes)?
+            }
+        };
         if options.calibrate {
             session.enter_calibration(gauge)?;
         }
@@ -478,7 +500,7 @@ impl DataFlash {
         }
         let reset = changes.iter().any(|change| change.kind(gauge.chip) == Kind::Reset);
         let mut job = self.record_plan(gauge, session, planned, reset, options.care)?;
-        gauge.statistics.progress.begin(job.changed().count());
+        gauge.statistics.progress.begin(Phase::Committing, job.changed().count(), gauge.clock.now());
         (job.in_window, job.was_lost, job.care) = (in_window, found.lost, options.care);
         job.copied = Copied::of(gauge.chip, changes, &old);
         session.stays_open = options.is_restoration() && found.lost && found.seal != Seal::Sealed;
@@ -493,6 +515,26 @@ impl DataFlash {
             Landed::There => Ok(Outcome::Written { reset, old }),
             Landed::Back(error) | Landed::Unknown(error) => Err(error),
         }
+    }
+
+    fn read_first(&mut self, gauge: &mut Gauge, first: First<'_>, session: &mut Session) -> Result<()> {
+        let unread = self.knowledge.unread_marks(gauge.chip);
+        if let Some(row) = self.knowledge.learn_marks(gauge)? {
+            return Err(self.knowledge.other_pack(gauge, row));
+        }
+        self.knowledge.refer(gauge, session);
+        let count = first.wanted.iter().map(|subclass| io::blocks_of(subclass)).sum();
+        gauge.statistics.progress.begin(Phase::Saving, count, gauge.clock.now());
+        let mut read = Vec::with_capacity(first.wanted.len());
+        for subclass in first.wanted {
+            let (bytes, other) = self.knowledge.read_subclass(gauge, subclass, &unread)?;
+            if let Some(row) = other {
+                return Err(self.knowledge.other_pack(gauge, row));
+            }
+            read.push(bytes);
+        }
+        self.knowledge.take_gate(gauge.chip, first.wanted);
+        (first.take)(read)
     }
 
     /// Confirms a gauge that may have been exchanged since it was confirmed. Nothing was written yet.
@@ -650,6 +692,14 @@ fn is_forgotten(chip: &Chip, changes: &[Change], old: &[Vec<u8>]) -> bool {
 
 pub(crate) type Accept<'a> = &'a mut dyn FnMut(&mut Gauge) -> Result<()>;
 
+/// What is read in the session of a write before anything is written.
+pub struct First<'a> {
+    /// The subclasses that are read.
+    pub wanted: &'a [&'static Subclass],
+    /// Gets their bytes. Nothing is written after an error.
+    pub take: &'a mut dyn FnMut(Vec<Vec<u8>>) -> Result<()>,
+}
+
 /// What a write does besides, or otherwise.
 #[derive(Default)]
 pub(crate) struct WriteOptions<'a> {
@@ -660,6 +710,7 @@ pub(crate) struct WriteOptions<'a> {
     pub(crate) calibrate: bool,
     /// After the reset: if this fails, the old values go back. The write has to need a reset.
     pub(crate) accept: Option<Accept<'a>>,
+    pub(crate) first: Option<First<'a>>,
     pub(crate) only_check: bool,
     /// What is written was measured on the gauge that has answered since then, and is for no other one.
     pub(crate) since: Option<Moment>,

@@ -36,7 +36,7 @@ use seal::Looks;
 pub(crate) use seal::SEAL_LAG;
 pub(crate) use state::Look;
 pub use state::{ALONG, Seal};
-pub use statistics::{Progress, Statistics};
+pub use statistics::{Phase, Progress, Statistics};
 use wire::Wire;
 
 const CONTROL_STATUS: u16 = 0x0000;

@@ -48,13 +48,19 @@ impl Bar {
     }
 }
 
-/// The line for `committing 12/40`.
+/// The line for `committing 12/40`, or for `saving 12/40`.
 fn line(text: &str) -> Option<String> {
-    let (done, all) = text.trim().strip_prefix("committing ")?.split_once('/')?;
+    let (phase, blocks) = text.trim().split_once(' ')?;
+    let (done, all) = blocks.split_once('/')?;
+    let what = match phase {
+        "committing" => "blocks",
+        "saving" => "blocks saved before the first write",
+        _ => return None,
+    };
     let (done, all): (u32, u32) = (done.parse().ok()?, all.parse().ok()?);
     let filled = done.min(all) * WIDTH / all.max(1);
     let bar: String = (0..WIDTH).map(|at| if at < filled { '#' } else { '.' }).collect();
-    Some(format!("[{bar}] {done} of {all} blocks"))
+    Some(format!("[{bar}] {done} of {all} {what}"))
 }
 
 #[cfg(test)]
@@ -65,6 +71,10 @@ mod tests {
     fn the_bar_shows_the_share_of_programmed_blocks() {
         assert_eq!(line("idle\n"), None);
         assert_eq!(line("committing x/3\n"), None);
+        assert_eq!(
+            line("saving 1/3\n").as_deref(),
+            Some("[##########....................] 1 of 3 blocks saved before the first write")
+        );
         assert_eq!(
             line("committing 0/3\n").as_deref(),
             Some("[..............................] 0 of 3 blocks")

@@ -14,7 +14,7 @@ use super::{crates, files, without_tests};
 /// The most lines of each crate.
 const LINES: [(&str, usize); 10] = [
     ("gauge-bus", 2_930),
-    ("gauge-owner", 7_460),
+    ("gauge-owner", 7_480),
     ("gauge-sim", 10_300),
     ("gauge-station", 3_800),
     ("gaugefs", 17_700),
@@ -22,7 +22,7 @@ const LINES: [(&str, usize); 10] = [
     ("gaugefs-host", 600),
     ("gaugefs-screen", 6_120),
     ("i2c-server", 1_190),
-    ("ti-gauge", 27_200),
+    ("ti-gauge", 27_420),
 ];
 
 /// The least lines of code to one of comment in each crate, in tenths. What others use has a line for each public item.
@@ -88,7 +88,7 @@ const GAUGE: [(&str, &str); 36] = [
     ("ti-gauge", "dataflash/rules.rs Wear"),
 ];
 /// The most fields of all of them. Thirty are options that people set, twelve are counters that they read.
-const GAUGE_FIELDS: usize = 258;
+const GAUGE_FIELDS: usize = 259;
 
 /// The files of a crate that are product, and their text without tests.
 fn product(folder: &Path) -> BTreeMap<PathBuf, String> {

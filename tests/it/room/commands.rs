@@ -297,6 +297,7 @@ pub(crate) fn shown(gauge: &str) -> Vec<(String, String)> {
         "age_ms",
         "last_error",
         "last_error_facts",
+        "progress",
         "control",
         "refresh",
         "report",

@@ -5,12 +5,14 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::ptr;
+use std::sync::Arc;
 use std::time::Duration;
 
 use jiff::{SignedDuration, Timestamp};
 
 use super::Presence;
 use super::access::Access;
+use super::handle::Shared;
 use super::signed::{is_own as is_of_this_host, signed, temporary, unsigned};
 use crate::error::{Error, Result};
 use gauge_bus::regular;
@@ -173,8 +175,13 @@ impl Backups {
         waited: Duration,
     ) -> Result<()> {
         let chip = access.chip();
+        let read = access.read(&readable(chip), waited)?;
+        self.check_read(chip, &read, changes)
+    }
+
+    /// The same of what was read.
+    fn check_read(&self, chip: &'static Chip, read: &[Arc<[u8]>], changes: &[Change]) -> Result<()> {
         let readable = readable(chip);
-        let read = access.read(&readable, waited)?;
         let bytes = |(subclass, parameter): Row| {
             let index = chip.subclasses.iter().position(|row| ptr::eq(row, subclass))?;
             let content = &read[readable.iter().position(|&at| at == index)?];
@@ -213,27 +220,41 @@ impl Backups {
         Err(dataflash::says_erased(&lost, &remedy))
     }
 
-    /// Saves the configuration, once after an arrival. An erased row that these changes do not write is refused.
-    pub(super) fn save(&mut self, access: &mut Access, changes: &[Change], waited: Duration) -> Result<()> {
-        let now = access.shared().published().presence;
-        let Some(backup) = self.folder.as_ref().filter(|_| !self.is_saved(now)) else {
-            return Ok(());
-        };
-        self.check_erased(access, changes, waited).map_err(|error| error.within("backup"))?;
-        let chip = access.chip();
-        let readable = readable(chip);
+    /// The subclasses to be read and saved before a first write, by their indices; `None` once they are saved.
+    pub(super) fn unsaved(&self, shared: &Shared) -> Option<Vec<usize>> {
+        let is_due = self.folder.is_some() && !self.is_saved(shared.published().presence);
+        is_due.then(|| readable(shared.chip))
+    }
+
+    /// Saves the configuration, once after an arrival.
+    pub(super) fn save(&mut self, access: &mut Access, waited: Duration) -> Result<()> {
+        let Some(readable) = self.unsaved(access.shared()) else { return Ok(()) };
         let read = access.read(&readable, waited).map_err(|error| error.within("backup"))?;
-        let published = access.shared().published();
-        let read = readable.iter().zip(&read).map(|(&index, bytes)| (index, &**bytes));
+        self.save_read(&access.shared().clone(), &read, &[])
+    }
+
+    /// Saves what was read of [`Self::unsaved`]. An erased row that these changes do not write is refused.
+    pub(super) fn save_read(
+        &mut self,
+        shared: &Shared,
+        read: &[Arc<[u8]>],
+        changes: &[Change],
+    ) -> Result<()> {
+        let Some(backup) = &self.folder else { return Ok(()) };
+        let chip = shared.chip;
+        self.check_read(chip, read, changes).map_err(|error| error.within("backup"))?;
+        let published = shared.published();
+        let readable = readable(chip);
+        let read = readable.iter().zip(read).map(|(&index, bytes)| (index, &**bytes));
         let image = Image::of_flash(chip, Some(published.answers.firmware_version), read);
         let snapshot = published.snapshot.as_ref();
         let serial = snapshot.and_then(|snapshot| snapshot.value(serial_number(chip)?));
-        let prefix = &access.shared().prefix;
+        let prefix = &shared.prefix;
         match backup.save(&image, serial.unwrap_or_default() as u16, Timestamp::now())? {
             Saved::Written(path) => log::info!("{prefix}configuration saved in {}", path.display()),
             Saved::There(path) => log::info!("{prefix}configuration is as saved in {}", path.display()),
         }
-        self.note_saved(now);
+        self.note_saved(published.presence);
         Ok(())
     }
 }
@@ -435,7 +456,7 @@ mod tests {
             rig.owner.open().expect("it answers");
             let begun = rig.clock.now();
             let owner = &mut *rig.owner;
-            owner.backups.save(&mut owner.access, &[], Duration::ZERO).expect("the default key");
+            owner.backups.save(&mut owner.access, Duration::ZERO).expect("the default key");
             let taken = rig.clock.now() - begun;
             assert!(taken < Duration::from_secs(8), "{}: {taken:?}", chip.name);
             println!("{}: {taken:?}", chip.name);

@@ -22,7 +22,7 @@ pub(super) fn calibrate(access: &mut Access, backups: &mut Backups, job: Job, as
         access.pay();
     }
     if job != Job::Leave && access.owed().is_none() {
-        backups.save(access, &[], asked.waited)?;
+        backups.save(access, asked.waited)?;
     }
     let waited = asked.waited + access.now().saturating_sub(begun);
     let mut tell = |text: &str| {

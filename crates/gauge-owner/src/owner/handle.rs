@@ -22,9 +22,12 @@ use ti_gauge::calibration::Measured;
 use ti_gauge::chip::{Chip, Limited, Parameter, Register, Role, Subclass};
 use ti_gauge::dataflash::{Change, Place};
 use ti_gauge::epoch::{Epoch, Fact};
-use ti_gauge::gauge::{Answers, Gauge, Seal, Statistics};
+use ti_gauge::gauge::{Answers, Gauge, Phase, Seal, Statistics};
 use ti_gauge::registers::Registers;
 use ti_gauge::value::{Type, Value};
+
+/// A write that takes longer shows in `gauge/last_error` how far it is.
+const LONG_WRITE: Duration = Duration::from_secs(3);
 
 /// All registers of one poll.
 #[derive(Clone, Debug)]
@@ -541,9 +544,19 @@ impl Handle {
         self.shared.statistics.list()
     }
 
-    /// Blocks that the current write has programmed, and all its blocks; `None` while nothing is written.
-    pub fn progress(&self) -> Option<(u32, u32)> {
-        self.shared.statistics.progress.get()
+    /// What the current write is at, such as `committing 3/4`; `None` while nothing is written.
+    pub fn progress(&self) -> Option<String> {
+        let (phase, done, all) = self.shared.statistics.progress.get()?;
+        let phase = if phase == Phase::Saving { "saving" } else { "committing" };
+        Some(format!("{phase} {done}/{all}"))
+    }
+
+    /// The same of a write that takes unusually long.
+    pub fn long_progress(&self) -> Option<String> {
+        let progress = self.progress()?;
+        let since = self.shared.statistics.progress.since();
+        let taken = self.shared.clock.now().saturating_sub(since);
+        (taken >= LONG_WRITE).then(|| format!("writing for {} s: {progress} blocks", taken.as_secs()))
     }
 
     /// Puts the failure of an attempt that was refused before a request into the log and into `gauge/last_error`.

@@ -9,6 +9,7 @@ use std::time::Duration;
 use super::access::Access;
 use super::attempt::Importance;
 use super::calibrate::calibrate;
+use super::handle::Shared;
 use super::operation::{Asked, Operation, QUEUE_LIMIT};
 use super::report::{self, Recording};
 use super::{Attempt, Owner, Presence, Seal, Wish, words, written};
@@ -229,12 +230,17 @@ impl Owner {
         if self.access.owed().is_some() {
             self.access.pay();
         }
-        // While something is still owed the write is refused, and what data flash holds is no configuration.
-        if self.access.owed().is_none() {
-            self.backups.save(&mut self.access, changes, waited)?;
-        }
         let waited = waited + self.access.now().saturating_sub(begun);
-        let outcome = self.access.run(|dataflash, gauge| dataflash.write(gauge, changes, waited));
+        // While something is still owed the write is refused, and what data flash holds is no configuration.
+        let unsaved = self.backups.unsaved(self.shared()).filter(|_| self.access.owed().is_none());
+        let outcome = match unsaved {
+            None => self.access.run(|dataflash, gauge| dataflash.write(gauge, changes, waited)),
+            Some(wanted) => {
+                let backups = &mut self.backups;
+                let save = |shared: &Shared, read: &[Arc<[u8]>]| backups.save_read(shared, read, changes);
+                self.access.write_after(changes, &wanted, save, waited)
+            }
+        };
         match &outcome {
             Ok(Outcome::Unchanged) => {}
             Ok(Outcome::Written { reset: false, .. }) => {

@@ -18,6 +18,8 @@ use ti_gauge::dataflash::{Change, Row};
 use ti_gauge::notation;
 use ti_gauge::value::Value;
 
+mod costs;
+
 use super::rig::{INTERVAL, Rig};
 use super::{GaugeOptions, Run, Seal, operations as op};
 
@@ -50,6 +52,11 @@ const BLOCK: u16 = 33;
 const KNOBS: [(&str, &str); 4] =
     [("commit_busy", "nack"), ("reset_busy", "nack"), ("early", "previous"), ("load_ms", "0")];
 
+/// Every parameter may be written.
+fn options() -> GaugeOptions {
+    GaugeOptions { allow_unproven: true, ..GaugeOptions::default() }
+}
+
 /// A gauge, and what was sent to it.
 struct Wire {
     rig: Rig,
@@ -71,8 +78,7 @@ impl Wire {
             let bus = Trace::new(Box::new(bus), GAUGE_ADDRESS, &trace, clock, chip.name, true);
             Box::new(bus.expect("a trace"))
         };
-        let options = GaugeOptions { allow_unproven: true, ..GaugeOptions::default() };
-        let run = Run { options, ..Run::default() };
+        let run = Run { options: options(), ..Run::default() };
         let rig = Rig::on(chip.name, run, recorded);
         for (knob, setting) in KNOBS {
             rig.sim.set(knob, setting).unwrap_or_else(|error| panic!("{}: {error}", chip.name));
@@ -228,7 +234,8 @@ const REACHES: [Reach; 6] = [
 
 /// Values without those that count measurements, and so move with time.
 fn still(values: &str) -> Vec<&str> {
-    let moves = |line: &&str| line.starts_with("AnalogCount") || line.starts_with("Cal_Count");
+    let counts = ["AnalogCount", "Cal_Count", "StateTime"];
+    let moves = |line: &&str| counts.iter().any(|name| line.starts_with(name));
     values.lines().filter(|line| !moves(line)).collect()
 }
 

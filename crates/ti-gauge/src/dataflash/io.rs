@@ -4,12 +4,13 @@
 
 use std::time::Duration;
 
+use super::pack::Known;
 use super::schemes::{Care, sequence};
 use super::window::{Planned, Window, holds_keys, learned, locate};
 use crate::chip::{Chip, Subclass};
 use crate::codec::WINDOW;
 use crate::error::{Cause, Error, Reason, Result, Step};
-use crate::gauge::{Gauge, Seal};
+use crate::gauge::{Gauge, Phase, Seal};
 
 /// Looks at a block after its commit: programming takes up to 250 ms, with the old content or no answer meanwhile.
 const VERIFIES: u32 = 8;
@@ -28,17 +29,27 @@ pub(super) fn read_byte(gauge: &mut Gauge, (subclass, offset): (u8, u16)) -> Res
 pub(super) fn read_subclass(
     gauge: &mut Gauge,
     subclass: &Subclass,
+    read: &Known,
     mut note: impl FnMut(Window, &[u8; WINDOW]),
 ) -> Result<Vec<u8>> {
     let length = usize::from(subclass.stored());
     let mut bytes = Vec::with_capacity(length);
     while bytes.len() < length {
         let (place, at) = locate(subclass.id, subclass.start() + bytes.len() as u16);
-        let window = sequence(gauge).load(gauge, place, Care::Quick)?;
+        let window = match read.get(place) {
+            Some(window) => window,
+            None => sequence(gauge).load(gauge, place, Care::Quick)?,
+        };
         note(place, &window);
+        gauge.statistics.progress.step(Phase::Saving);
         bytes.extend_from_slice(&window[at..WINDOW.min(at + length - bytes.len())]);
     }
     Ok(bytes)
+}
+
+pub(super) fn blocks_of(subclass: &Subclass) -> usize {
+    let (_, at) = locate(subclass.id, subclass.start());
+    (at + usize::from(subclass.stored())).div_ceil(WINDOW)
 }
 
 /// Loads a block of known content again, as it is now: learned bytes may have moved, and the checksum covers them.

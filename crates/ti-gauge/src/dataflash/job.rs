@@ -12,7 +12,7 @@ use super::state::{Copied, has_lost_memory};
 use super::window::{Planned, Window};
 use crate::codec::{Bytes, WINDOW};
 use crate::error::{Cause, Error, Reason, Result, Step};
-use crate::gauge::Gauge;
+use crate::gauge::{Gauge, Phase};
 
 /// Between two looks that show whether a byte moves by itself. Gauges measure once a second.
 const MOVES: Duration = Duration::from_millis(1200);
@@ -103,7 +103,8 @@ impl Job {
             let block =
                 if in_window { seen.block.clone() } else { reload(gauge, &seen.to_new(), Care::Sure)? };
             session.go_forward(gauge);
-            store(gauge, session, &block, &mut touched).map(|()| gauge.statistics.progress.step())
+            store(gauge, session, &block, &mut touched)
+                .map(|()| gauge.statistics.progress.step(Phase::Committing))
         });
         self.touched = touched;
         outcome
@@ -125,7 +126,7 @@ impl Job {
             seen.stored = sequence(gauge).load(gauge, seen.block.place, Care::Quick)?;
             seen.held = classify(&seen.block, &seen.stored);
             if seen.held == Held::New {
-                gauge.statistics.progress.step();
+                gauge.statistics.progress.step(Phase::Committing);
             }
         }
         session.assure(gauge).map(drop)

@@ -141,12 +141,10 @@ impl Knowledge {
     /// Reads, once after an arrival, what distinguishes the pack. Returns what shows another one, which is then in doubt.
     pub(super) fn learn_marks(&mut self, gauge: &mut Gauge) -> Result<Option<Row>> {
         let mut other = None;
-        for place in pack::mark_windows(gauge.chip) {
-            if self.known().get(place).is_none() {
-                let content = sequence(gauge).load(gauge, place, Care::Quick)?;
-                other = other.or(self.fingerprint().contradicts(gauge.chip, place, &content));
-                self.note_block(gauge, place, content);
-            }
+        for place in self.unread_marks(gauge.chip) {
+            let content = sequence(gauge).load(gauge, place, Care::Quick)?;
+            other = other.or(self.fingerprint().contradicts(gauge.chip, place, &content));
+            self.note_block(gauge, place, content);
         }
         self.fingerprint = Fact::default();
         if other.is_some() {
@@ -155,19 +153,31 @@ impl Knowledge {
         Ok(other)
     }
 
+    /// The blocks that [`Self::learn_marks`] is about to read.
+    pub(super) fn unread_marks(&self, chip: &'static Chip) -> Vec<Window> {
+        let windows = pack::mark_windows(chip).into_iter();
+        windows.filter(|place| self.known().get(*place).is_none()).collect()
+    }
+
+    /// Reads a whole subclass. Blocks of it that this session has just `read` are taken as they were then. Also returns what
+    /// shows that it is another pack, which is in doubt then.
     pub(super) fn read_subclass(
         &mut self,
         gauge: &mut Gauge,
         subclass: &'static Subclass,
-    ) -> Result<Vec<u8>> {
-        let chip = gauge.chip;
-        io::read_subclass(gauge, subclass, |place, content| {
-            if chip.volatile.is_none() && self.contradicted_mark(chip, place, content).is_some() {
+        read: &[Window],
+    ) -> Result<(Vec<u8>, Option<Row>)> {
+        let (chip, read, mut other) = (gauge.chip, self.known().only(read), None);
+        let bytes = io::read_subclass(gauge, subclass, &read, |place, content| {
+            let row = self.contradicted_mark(chip, place, content).filter(|_| chip.volatile.is_none());
+            if let Some(row) = row {
+                other = other.or(Some(row));
                 self.now.forget_pack();
                 self.doubt_pack();
             }
             self.known.in_epoch(self.now.pack).note(chip, place, *content);
-        })
+        });
+        bytes.map(|bytes| (bytes, other))
     }
 
     pub(super) fn note_block(&mut self, gauge: &Gauge, place: Window, content: [u8; WINDOW]) {

@@ -31,6 +31,12 @@ impl Known {
         self.0.get(&(place.subclass, place.base)).copied()
     }
 
+    /// These blocks of them, as far as they are known.
+    pub(super) fn only(&self, places: &[Window]) -> Self {
+        let known = places.iter().filter_map(|place| Some(((place.subclass, place.base), self.get(*place)?)));
+        Self(known.collect())
+    }
+
     pub(super) fn forget(&mut self, place: Window) {
         self.0.remove(&(place.subclass, place.base));
     }

@@ -167,6 +167,7 @@ impl Gauge {
             let _ = self.dialect.deselect(self);
         }
         self.presence.attend(attended);
+        self.forget_shown();
         self.rest();
     }
 }

@@ -3,6 +3,7 @@
 //! What is counted of a gauge's traffic, and the progress of a write.
 
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
 
 use super::effects::Effects;
 
@@ -35,32 +36,59 @@ pub struct Statistics {
     pub progress: Progress,
 }
 
-/// Blocks that the current write has programmed, and their total.
+/// What a write is at.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Phase {
+    /// Blocks are read and saved before anything is written.
+    Saving,
+    /// Blocks are programmed.
+    Committing,
+}
+
+/// What the current write is at: its phase, the blocks of that that are done, and their total.
 #[derive(Debug, Default)]
-pub struct Progress(AtomicU64);
+pub struct Progress {
+    /// Blocks done, above the number of blocks and [`Self::SAVES`]; 0 while nothing is written.
+    blocks: AtomicU64,
+    /// When it began, in milliseconds of the gauge's clock.
+    since: AtomicU64,
+}
 
 impl Progress {
-    /// Starts a write of `blocks` blocks.
-    pub fn begin(&self, blocks: usize) {
-        self.0.store(blocks as u64, Ordering::Relaxed);
+    const SAVES: u64 = 1 << 31;
+
+    /// Starts a phase of `blocks` blocks, at that time.
+    pub fn begin(&self, phase: Phase, blocks: usize, now: Duration) {
+        if self.get().is_none() {
+            self.since.store(now.as_millis().try_into().unwrap_or(u64::MAX), Ordering::Relaxed);
+        }
+        let saves = if phase == Phase::Saving { Self::SAVES } else { 0 };
+        self.blocks.store(blocks as u64 | saves, Ordering::Relaxed);
     }
 
-    /// Counts a block that was programmed and verified, while a write is in progress.
-    pub fn step(&self) {
-        if self.get().is_some() {
-            self.0.fetch_add(1 << 32, Ordering::Relaxed);
+    /// Counts a block of that phase, while it is going on.
+    pub fn step(&self, phase: Phase) {
+        if self.get().is_some_and(|(now, ..)| now == phase) {
+            self.blocks.fetch_add(1 << 32, Ordering::Relaxed);
         }
     }
 
     /// Ends the write, whatever its outcome.
     pub fn end(&self) {
-        self.0.store(0, Ordering::Relaxed);
+        self.blocks.store(0, Ordering::Relaxed);
     }
 
-    /// Blocks done and total; `None` while no write is in progress.
-    pub fn get(&self) -> Option<(u32, u32)> {
-        let both = self.0.load(Ordering::Relaxed);
-        (both != 0).then_some(((both >> 32) as u32, both as u32))
+    /// The phase, the blocks done and the total; `None` while no write is in progress.
+    pub fn get(&self) -> Option<(Phase, u32, u32)> {
+        let both = self.blocks.load(Ordering::Relaxed);
+        let phase = if both & Self::SAVES == 0 { Phase::Committing } else { Phase::Saving };
+        let total = both & (Self::SAVES - 1);
+        (both != 0).then_some((phase, (both >> 32) as u32, total as u32))
+    }
+
+    /// When the write began, by the gauge's clock.
+    pub fn since(&self) -> Duration {
+        Duration::from_millis(self.since.load(Ordering::Relaxed))
     }
 }
 

@@ -18,6 +18,7 @@ use gauge_bus::{Bus, BusError, Reach, wire_bytes};
 
 mod pace;
 mod recognise;
+mod shown;
 
 /// Pauses before further attempts. A gauge that programs a row, at any time, stretches the clock or is silent for 250 ms.
 const PAUSES: [Duration; 5] = [
@@ -47,6 +48,8 @@ pub(super) struct Wire {
     /// When the last wait was to end.
     rested: Cell<Duration>,
     pace: pace::Pace,
+    /// What the window shows.
+    shown: shown::Shown,
     /// No transfer starts after it, so that write(2) returns in time.
     limit: Option<Limit>,
 }
@@ -72,6 +75,7 @@ impl Wire {
             silence: Duration::ZERO,
             rested: Cell::default(),
             pace: pace::Pace::default(),
+            shown: shown::Shown::default(),
             limit: None,
         }
     }
@@ -173,8 +177,10 @@ impl Gauge {
         self.note(write, read, outcome);
         if self.wire.secrets > 0 {
             self.effects.forget();
+            self.wire.shown.forget();
         } else {
             let touches = self.dialect.touches(write);
+            self.wire.shown.transfer(&touches, outcome);
             let shown = match write {
                 [start] => Some(self.dialect.shows(*start, read)),
                 _ => None,

@@ -8,6 +8,7 @@ mod anonymous;
 mod calibration;
 mod change;
 mod defaults;
+mod early;
 mod ensemble;
 mod exchange;
 mod faults;

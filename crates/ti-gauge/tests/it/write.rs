@@ -46,7 +46,9 @@ fn the_bytes_on_the_wire_match_the_manuals_example() {
     // The pin of an external divider, and a limit with which the bit leaves flash open.
     assert_eq!(rig.write(68, 0, "0"), Ok(WRITTEN));
     rig.sim.set("voltage_mv", "850").expect("a knob");
-    rig.read(104, 0).expect("the gate and the calibration are known from here on");
+    let rows = rig.gauge.chip.subclasses.iter().filter(|row| [68, 104].contains(&row.id)).collect::<Vec<_>>();
+    let read = rig.dataflash.read(&mut rig.gauge, &rows, Duration::ZERO);
+    read.expect("the gate and the calibration are known from here on");
     rig.sim.clear_log();
     assert_eq!(rig.write(64, 0, "0x0961"), Ok(WRITTEN));
     let sent: Vec<_> = rig.log().into_iter().filter(|line| line.starts_with('W')).collect();

@@ -10,7 +10,7 @@ use super::super::handle::Shared;
 use super::Access;
 use crate::error::{Cause, Error, Result};
 use ti_gauge::chip::Subclass;
-use ti_gauge::dataflash::Place;
+use ti_gauge::dataflash::{Change, First, Outcome, Place};
 
 impl Access {
     /// Returns the bytes of subclasses. Those that are not kept are read together, while the gauge is unsealed once.
@@ -55,6 +55,33 @@ impl Access {
         if let Some(read) = read {
             let _ = self.keep(&wanted, read);
         }
+    }
+
+    /// Writes parameters after reading subclasses, as far as these are not kept, in the same session. Nothing is written unless
+    /// `take` takes what all of them hold.
+    pub(in super::super) fn write_after(
+        &mut self,
+        changes: &[Change],
+        wanted: &[usize],
+        mut take: impl FnMut(&Shared, &[Arc<[u8]>]) -> Result<()>,
+        waited: Duration,
+    ) -> Result<Outcome> {
+        let kept: Vec<_> = wanted.iter().map(|&index| self.shared.kept(index)).collect();
+        let unread = wanted.iter().zip(&kept).filter(|(_, kept)| kept.is_none());
+        let unread: Vec<usize> = unread.map(|(&index, _)| index).collect();
+        let (rows, shared, poll) = (self.rows(&unread), self.shared.clone(), self.schedule.number());
+        let mut take = |read: Vec<Vec<u8>>| {
+            let read: Vec<Arc<[u8]>> = read.into_iter().map(Arc::from).collect();
+            for (&index, bytes) in unread.iter().zip(&read) {
+                shared.keep(index, bytes.clone(), poll);
+            }
+            report_quirks(&shared);
+            let mut read = read.into_iter();
+            let all = kept.iter().filter_map(|kept| kept.clone().or_else(|| read.next()));
+            take(&shared, &all.collect::<Vec<_>>())
+        };
+        let first = First { wanted: &rows, take: &mut take };
+        self.run(|dataflash, gauge| dataflash.write_after(gauge, changes, first, waited))
     }
 
     fn rows(&self, wanted: &[usize]) -> Vec<&'static Subclass> {

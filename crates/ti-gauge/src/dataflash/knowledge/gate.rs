@@ -3,7 +3,7 @@
 //! What only an open gauge shows before a write: whether the table's addresses fit, and whether the gate stays open.
 
 use super::Knowledge;
-use crate::chip::{Role, Scheme};
+use crate::chip::{Chip, Role, Scheme, Subclass};
 use crate::dataflash::Change;
 use crate::dataflash::blocks::arrange;
 use crate::dataflash::checks::{Setting, both, calibration_enabled, place_of, remedy, short_word};
@@ -53,6 +53,25 @@ impl Knowledge {
             self.gate.learn(self.now.values, (limit as i16, divider.unwrap_or(1)));
         }
         Ok(())
+    }
+
+    /// Takes limit and divider from subclasses that this session has read, if both are in them.
+    pub(in crate::dataflash) fn take_gate(&mut self, chip: &'static Chip, read: &[&'static Subclass]) {
+        let Some(gate) = &chip.gate else { return };
+        let word = |row: (u8, u16)| {
+            let is_in = |subclass: &&Subclass| {
+                subclass.id == row.0
+                    && (subclass.start()..subclass.start() + subclass.stored()).contains(&row.1)
+            };
+            read.iter().copied().find(|subclass| is_in(subclass))?;
+            let (place, at) = place_of(row);
+            let window = self.known().get(place)?;
+            Some(chip.layout.word([window[at], window[at + 1]]))
+        };
+        let divider = gate.divider.map_or(Some(1), &word);
+        if let Some((limit, divider)) = word(gate.limit).zip(divider) {
+            self.gate.learn(self.now.values, (limit as i16, divider));
+        }
     }
 
     fn word(&mut self, gauge: &mut Gauge, row: (u8, u16)) -> Result<u16> {

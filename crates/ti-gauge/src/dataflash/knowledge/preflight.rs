@@ -209,6 +209,17 @@ impl Knowledge {
         self.agree(gauge, first, second, changes)
     }
 
+    /// Looks once more at a gauge that is open now.
+    pub(in crate::dataflash) fn look_again(
+        &mut self,
+        gauge: &mut Gauge,
+        found: &Found,
+        changes: &[Change],
+    ) -> Result<Found> {
+        let now = Found { seal: found.seal, ..read_state(gauge)? };
+        self.agree(gauge, found, now, changes)
+    }
+
     fn agree(
         &mut self,
         gauge: &mut Gauge,

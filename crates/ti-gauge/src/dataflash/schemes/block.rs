@@ -3,7 +3,10 @@
 //! Unsealed block access (SLUSBZ5D 7.3.3.1): BlockDataControl, DataFlashClass, DataFlashBlock, a window
 //! of 32 bytes, and a checksum that commits them.
 
-use super::{Care, FIRST_LOOK, NEXT_LOOK, SECOND_LOOK, Sequence, look_early, look_twice, settle, wait_until};
+use super::{
+    Before, Care, Early, FIRST_LOOK, NEXT_LOOK, SECOND_LOOK, Sequence, look_twice, note_shown, settle,
+    wait_until,
+};
 use crate::chip::Kind;
 use crate::codec::{WINDOW, checksum};
 use crate::dataflash::window::{Planned, Window};
@@ -33,18 +36,15 @@ impl Sequence for Block {
     }
 
     fn load(&self, gauge: &mut Gauge, place: Window, care: Care) -> Result<[u8; WINDOW]> {
-        if care == Care::Quick
-            && gauge.chip.volatile.is_some()
-            && let Some(before) = another_window(gauge, place)?
-            && let Some(window) = load_after(gauge, &before, place)?
-        {
-            return Ok(window);
-        }
         let selection = [place.subclass, block_of(place)?];
+        let mut before = if care == Care::Quick { before(gauge, place)? } else { None };
         let (mut failed, mut others) = (false, Vec::new());
         while others.len() < SELECTIONS {
-            match load_once(gauge, place) {
-                Ok(Shown { echo, window }) if echo == selection => return Ok(window),
+            match load_once(gauge, place, before.take().as_ref()) {
+                Ok(Shown { echo, window }) if echo == selection => {
+                    note_shown(gauge, place, window);
+                    return Ok(window);
+                }
                 Ok(shown) => others.push(shown),
                 Err(error) if failed => return Err(error),
                 Err(error) => {
@@ -152,38 +152,47 @@ struct Shown {
     window: [u8; WINDOW],
 }
 
-/// What the window shows before a load. If that is the block already, another one goes first, so that the load shows.
-fn another_window(gauge: &mut Gauge, place: Window) -> Result<Option<[u8; WINDOW]>> {
-    let Ok((shown, _)) = read_window(gauge, place) else { return Ok(None) };
-    if shown.echo != [place.subclass, block_of(place)?] {
-        return Ok(Some(shown.window));
+/// What the window shows before a load; of RAM it is read where it is not known. If that is the block already, another one
+/// goes first, so that the load shows.
+fn before(gauge: &mut Gauge, place: Window) -> Result<Option<Before>> {
+    let is_ram = gauge.chip.volatile.is_some();
+    let mut shown = Before::shown(gauge);
+    if shown.is_none() && is_ram {
+        let read = read_window(gauge, place).ok();
+        shown = read.map(|(Shown { echo: [subclass, block], window }, _)| {
+            let base = u16::from(block) * WINDOW as u16;
+            Before { place: Some(Window { subclass, base }), content: window }
+        });
+    }
+    let Some(before) = shown else { return Ok(None) };
+    if !is_ram || before.place != Some(place) {
+        return Ok(Some(before));
     }
     let mut rows = gauge.chip.subclasses.iter().filter(|row| row.kind != Kind::Security);
-    match rows.find(|row| row.id != place.subclass) {
-        Some(other) => load_after(gauge, &shown.window, Window { subclass: other.id, base: 0 }),
-        None => Ok(None),
-    }
+    let Some(other) = rows.find(|row| row.id != place.subclass) else { return Ok(None) };
+    let other = Window { subclass: other.id, base: 0 };
+    let loaded = load_once(gauge, other, Some(&before)).ok();
+    let loaded = loaded.filter(|loaded| loaded.echo == [other.subclass, 0]);
+    Ok(loaded.map(|loaded| Before { place: Some(other), content: loaded.window }))
 }
 
-/// Loads a block into a window that shows something else; `None` if no look shows that it was loaded.
-fn load_after(gauge: &mut Gauge, before: &[u8; WINDOW], place: Window) -> Result<Option<[u8; WINDOW]>> {
-    let selection = [place.subclass, block_of(place)?];
-    if select(gauge, place).is_err() {
-        return Ok(None);
-    }
-    Ok(look_early(gauge, before, |gauge| {
-        let seen = read_window(gauge, place).ok();
-        seen.filter(|(shown, _)| shown.echo == selection).map(|(shown, _)| shown.window)
-    }))
-}
-
-fn load_once(gauge: &mut Gauge, place: Window) -> Result<Shown> {
+fn load_once(gauge: &mut Gauge, place: Window, before: Option<&Before>) -> Result<Shown> {
+    let (selection, chip) = ([place.subclass, block_of(place)?], gauge.chip);
     select(gauge, place)?;
     let sum = |gauge: &mut Gauge| {
         let mut sum = [0];
         gauge.read(CHECKSUM, &mut sum).map(|()| sum[0])
     };
-    look_twice(gauge, sum, |gauge| read_window(gauge, place)).map_err(|error| error.within(&place.name(0)))
+    let whole = |gauge: &mut Gauge| read_window(gauge, place);
+    let seen = match before {
+        None => look_twice(gauge, None, sum, whole),
+        Some(before) => {
+            let stale = before.sums(|_, content| checksum(content));
+            let is_new = |now: &Shown| now.echo == selection && !before.is_shown(chip, &now.window);
+            look_twice(gauge, Some(&Early { stale, is_new: &is_new }), sum, whole)
+        }
+    };
+    seen.map_err(|error| error.within(&place.name(0)))
 }
 
 /// BlockDataControl() is read too: a bit error may set it to 1, and the window, looking valid, is not data flash.

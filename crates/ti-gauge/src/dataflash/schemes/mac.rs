@@ -2,7 +2,7 @@
 
 //! ManufacturerAccessControl (SLUUBH1C 12.1.3, SLUA790 3): a flat address, echoed, up to 32 bytes, MACDataSum, MACDataLen.
 
-use super::{Care, Sequence, look_early, look_twice, settle};
+use super::{Before, Care, Early, Sequence, look_twice, note_shown, settle};
 use crate::chip::FLAT;
 use crate::codec::{WINDOW, checksum};
 use crate::dataflash::window::{Planned, Window};
@@ -30,25 +30,15 @@ impl Sequence for Mac {
     }
 
     fn load(&self, gauge: &mut Gauge, place: Window, care: Care) -> Result<[u8; WINDOW]> {
-        let mut before = [0; WINDOW];
-        if care == Care::Quick
-            && gauge.chip.volatile.is_some()
-            && gauge.read(MAC_DATA, &mut before).is_ok()
-            && request(gauge, place).is_ok()
-        {
-            let look = |gauge: &mut Gauge| read_answer(gauge, place).ok().map(|(window, _)| window);
-            if let Some(window) = look_early(gauge, &before, look) {
-                return Ok(window);
-            }
-        }
-        let mut outcome = load_once(gauge, place);
+        let before = if care == Care::Quick { before(gauge) } else { None };
+        let mut outcome = load_once(gauge, place, before.as_ref());
         // A bit error in the address made the gauge answer for another one.
         let wrong = |error: &Error| matches!(error.cause(), Cause::BadChecksum | Cause::Protocol);
         if outcome.as_ref().is_err_and(wrong) {
             Statistics::count(&gauge.statistics.retries);
-            outcome = load_once(gauge, place);
+            outcome = load_once(gauge, place, None);
         }
-        outcome
+        outcome.inspect(|window| note_shown(gauge, place, *window))
     }
 
     fn glance(&self, gauge: &mut Gauge, place: Window) -> Result<[u8; WINDOW]> {
@@ -118,13 +108,32 @@ fn request(gauge: &mut Gauge, place: Window) -> Result<()> {
     gauge.write(MAC, &place.base.to_le_bytes()).map_err(|error| error.at(Step::ReadBlock))
 }
 
-fn load_once(gauge: &mut Gauge, place: Window) -> Result<[u8; WINDOW]> {
+fn before(gauge: &mut Gauge) -> Option<Before> {
+    let shown = Before::shown(gauge);
+    if shown.is_some() || gauge.chip.volatile.is_none() {
+        return shown;
+    }
+    let mut content = [0; WINDOW];
+    gauge.read(MAC_DATA, &mut content).ok().map(|()| Before { place: None, content })
+}
+
+fn load_once(gauge: &mut Gauge, place: Window, before: Option<&Before>) -> Result<[u8; WINDOW]> {
+    let chip = gauge.chip;
     request(gauge, place)?;
-    let sum = |gauge: &mut Gauge| {
+    let read_sum = |gauge: &mut Gauge| {
         let mut sum = [0];
         gauge.read(MAC_DATA_SUM, &mut sum).map(|()| sum[0])
     };
-    look_twice(gauge, sum, |gauge| read_answer(gauge, place)).map_err(|error| error.within(&place.name(0)))
+    let whole = |gauge: &mut Gauge| read_answer(gauge, place);
+    let seen = match before {
+        None => look_twice(gauge, None, read_sum, whole),
+        Some(before) => {
+            let stale = before.sums(|at, content| sum(at.unwrap_or(place).base, content));
+            let is_new = |now: &[u8; WINDOW]| !before.is_shown(chip, now);
+            look_twice(gauge, Some(&Early { stale, is_new: &is_new }), read_sum, whole)
+        }
+    };
+    seen.map_err(|error| error.within(&place.name(0)))
 }
 
 fn read_answer(gauge: &mut Gauge, place: Window) -> Result<([u8; WINDOW], u8)> {

@@ -17,7 +17,7 @@ pub(in crate::dataflash) fn shown_sealed(gauge: &mut Gauge, block: u8) -> Result
         let mut sum = [0];
         gauge.read(CHECKSUM, &mut sum).map(|()| sum[0])
     };
-    look_twice(gauge, sum, |gauge| {
+    look_twice(gauge, None, sum, |gauge| {
         let mut bytes = [0; 1 + WINDOW + 1];
         gauge.read(DATA_FLASH_BLOCK, &mut bytes)?;
         let mut window = [0; WINDOW];

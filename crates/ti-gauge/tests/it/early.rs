@@ -1,0 +1,206 @@
+// SPDX-License-Identifier: MIT
+
+//! Blocks that are believed before the time by which every gauge has them: windows that are late by 0 to 50 ms, and show
+//! what real ones may show until then, each with a checksum that fits.
+
+use std::time::Duration;
+
+use gauge_bus::Bus as _;
+use gauge_bus::clock::Clock as _;
+use ti_gauge::chip::{Chip, FLAT, Kind, Subclass};
+use ti_gauge::codec::WINDOW;
+
+use crate::rig::Rig;
+
+/// One of each way to data memory.
+const PARTS: [&str; 6] = ["bq34z100-g1", "bq34z100-r2", "bq27520-g3", "bq27421-g1", "bq34110", "bq27220"];
+
+/// What a window shows before it is loaded, of the block before.
+type Stale = fn(&Chip, place: [u8; 2], before: &mut [u8; WINDOW]);
+
+fn same(_: &Chip, _: [u8; 2], _: &mut [u8; WINDOW]) {}
+
+fn zeros(_: &Chip, _: [u8; 2], before: &mut [u8; WINDOW]) {
+    *before = [0; WINDOW];
+}
+
+fn erased(_: &Chip, _: [u8; 2], before: &mut [u8; WINDOW]) {
+    *before = [0xff; WINDOW];
+}
+
+/// The gauge has rewritten a value of its own in it, which a window may show at once.
+fn moved(chip: &Chip, place: [u8; 2], before: &mut [u8; WINDOW]) {
+    let is_flat = chip.access.scheme.is_flat();
+    let base = if is_flat { u16::from_le_bytes(place) } else { u16::from(place[1]) * WINDOW as u16 };
+    let alike = chip.subclasses.iter().filter(|row| is_flat || row.id == place[0]);
+    for parameter in alike.flat_map(|row| row.parameters).filter(|parameter| parameter.learned) {
+        let at = parameter.offset.checked_sub(base).map(usize::from);
+        if let Some(byte) = at.and_then(|at| before.get_mut(at)) {
+            *byte ^= 0x15;
+        }
+    }
+}
+
+/// The checksum of a block, as the part has it.
+fn sum(is_flat: bool, place: [u8; 2], bytes: &[u8]) -> u8 {
+    let of_place = if is_flat { &place[..] } else { &[] };
+    !of_place.iter().chain(bytes).fold(0u8, |sum, &byte| sum.wrapping_add(byte))
+}
+
+/// From here on each window is late by that time, and shows something stale until then.
+fn delay(rig: &mut Rig, late: Duration, stale: Stale) {
+    let (clock, chip) = (rig.clock.clone(), rig.gauge.chip);
+    let is_flat = chip.access.scheme.is_flat();
+    let (mut place, mut selected) = ([0; 2], Duration::ZERO);
+    let (mut last, mut shown) = (([0; 2], [0; WINDOW]), [0; WINDOW]);
+    rig.through(move |bus, write, read| {
+        let done = bus.transfer(write, read);
+        let is_loaded = clock.now() >= selected + late;
+        match (write, read.len()) {
+            (&[0x3e, first, second], 0) => {
+                (place, selected, shown) = ([first, second], clock.now(), last.1);
+                stale(chip, last.0, &mut shown);
+            }
+            (&[0x60], 1) if !is_loaded => read[0] = sum(is_flat, place, &shown),
+            (&[0x3e], 36) if is_loaded => {
+                last = (place, read[2..2 + WINDOW].try_into().expect("a block"));
+            }
+            (&[0x3e], 36) => {
+                read[2..2 + WINDOW].copy_from_slice(&shown);
+                read[34] = sum(is_flat, place, &shown);
+            }
+            (&[register @ 0x40..0x60], length) if !is_loaded => {
+                let at = usize::from(register - 0x40);
+                read.copy_from_slice(&shown[at..at + length]);
+            }
+            _ => {}
+        }
+        done
+    });
+}
+
+fn readable(chip: &'static Chip) -> Vec<&'static Subclass> {
+    chip.subclasses.iter().filter(|row| row.kind != Kind::Security).collect()
+}
+
+fn read_all(rig: &mut Rig) -> Vec<Vec<u8>> {
+    let all = readable(rig.gauge.chip);
+    rig.dataflash.read(&mut rig.gauge, &all, Duration::ZERO).expect("a gauge of the envelope")
+}
+
+#[test]
+fn no_stale_byte_is_believed_however_late_a_window_is() {
+    for part in PARTS {
+        let expected = read_all(&mut Rig::new(part));
+        let is_ram = Chip::by_name(part).is_some_and(|chip| chip.volatile.is_some());
+        // What is wrong in RAM is lost with the next brown-out.
+        let stale = [same as Stale, zeros, erased, moved];
+        for stale in stale.into_iter().take(if is_ram { 3 } else { 4 }) {
+            for late in [1, 4, 6, 9, 15, 29, 31, 49] {
+                let mut rig = Rig::new(part);
+                delay(&mut rig, Duration::from_millis(late), stale);
+                let read = read_all(&mut rig);
+                let other = read.iter().zip(&expected).position(|(now, then)| now != then);
+                let other = other.map(|at| readable(rig.gauge.chip)[at].name);
+                assert_eq!(other, None, "{part}, late by {late} ms");
+            }
+        }
+    }
+}
+
+/// The sum by itself says that the window is stale, whatever wrong bits of the look at the whole say.
+#[test]
+fn a_stale_window_with_wrong_bits_is_not_a_new_block() {
+    let expected = read_all(&mut Rig::new("bq34z100-g1"));
+    let mut rig = Rig::new("bq34z100-g1");
+    let clock = rig.clock.clone();
+    let mut selected = Duration::ZERO;
+    let mut last = [0; WINDOW];
+    rig.through(move |bus, write, read| {
+        let done = bus.transfer(write, read);
+        let is_loaded = clock.now() >= selected + Duration::from_millis(40);
+        match (write, read.len()) {
+            (&[0x3e, _, _], 0) => selected = clock.now(),
+            (&[0x60], 1) if !is_loaded => read[0] = sum(false, [0; 2], &last),
+            (&[0x3e], 36) if is_loaded => last.copy_from_slice(&read[2..2 + WINDOW]),
+            (&[0x3e], 36) => {
+                let mut shown = last;
+                // Two wrong bits that the sum does not show.
+                let one = shown.iter().position(|byte| byte & 1 == 1);
+                let other = shown.iter().position(|byte| byte & 1 == 0);
+                if let Some((one, other)) = one.zip(other) {
+                    shown[one] ^= 1;
+                    shown[other] ^= 1;
+                }
+                read[2..2 + WINDOW].copy_from_slice(&shown);
+                read[34] = sum(false, [0; 2], &shown);
+            }
+            _ => {}
+        }
+        done
+    });
+    assert!(read_all(&mut rig) == expected);
+}
+
+/// A block that is kept was read twice: its sum by itself, and all of it.
+#[test]
+fn a_block_whose_own_sum_was_another_is_looked_at_again() {
+    let expected = read_all(&mut Rig::new("bq34z100-g1"));
+    for forged in 1..=25 {
+        let mut rig = Rig::new("bq34z100-g1");
+        let mut wholes = 0;
+        rig.through(move |bus, write, read| {
+            let done = bus.transfer(write, read);
+            if write == [0x3e] && read.len() == 36 {
+                wholes += 1;
+                if wholes == forged {
+                    // A wrong bit, and the sum has it as well.
+                    read[2 + 5] ^= 0x10;
+                    read[34] = sum(false, [0; 2], &read[2..2 + WINDOW]);
+                }
+            }
+            done
+        });
+        assert!(read_all(&mut rig) == expected, "look {forged}");
+    }
+}
+
+/// The block that is about to change, and what is compared after a commit.
+#[test]
+fn what_a_write_changes_is_looked_at_twice_when_it_must_be_there() {
+    for (part, subclass, offset) in [("bq34z100-g1", 80, 53), ("bq34110", FLAT, 0x41f5)] {
+        let mut rig = Rig::new(part);
+        read_all(&mut rig);
+        rig.sim.clear_log();
+        rig.write(subclass, offset, "3100").expect("it is written");
+        let mut selected = Duration::ZERO;
+        for record in rig.sim.log() {
+            match (&record.write[..], record.read.len()) {
+                (&[0x3e, _, _], 0) => selected = record.at,
+                (&[0x3e], 36) => assert!(record.at - selected >= Duration::from_millis(50), "{record}"),
+                (&[0x60], 1) => assert!(record.at - selected >= Duration::from_millis(30), "{record}"),
+                _ => {}
+            }
+        }
+    }
+}
+
+/// Each block costs three transfers: its selection, its sum and all of it.
+#[test]
+fn a_gauge_that_is_quick_is_read_in_less_than_half_of_the_time() {
+    // Blank blocks, and those behind one that the gauge may rewrite as a whole, are looked at for longer.
+    for (part, most, most_ms) in [("bq34z100-g1", 9, 27), ("bq34z100-r2", 9, 27), ("bq34110", 12, 42)] {
+        let mut rig = Rig::new(part);
+        rig.sim.clear_log();
+        let begun = rig.clock.now();
+        read_all(&mut rig);
+        let taken = rig.clock.now() - begun;
+        let log = rig.sim.log();
+        let selections =
+            log.iter().filter(|record| record.write.len() == 3 && record.write[0] == 0x3e).count();
+        let looks = log.iter().filter(|record| matches!(record.write[..], [0x3e | 0x60])).count();
+        println!("{part}: {selections} blocks, {looks} looks, {taken:?}");
+        assert!(looks <= 2 * selections + most, "{part}: {looks} looks at {selections} blocks");
+        assert!(taken < Duration::from_millis(most_ms) * selections as u32, "{part}: {taken:?}");
+    }
+}
