@@ -6,7 +6,7 @@ use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use super::room::{readme, section};
+use super::room::{page, readme, rows, section, within_code};
 
 fn root() -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR"))
@@ -104,6 +104,20 @@ fn regression_a_blank_line_cut_a_table_in_two() {
             assert!(has_head, "{}: no head above: {}", path.display(), lines[at]);
         }
     }
+}
+
+/// Who buys an adapter reads the page; what gaugefs knows of each is a table of gauge-bus, read from its source.
+#[test]
+fn the_page_of_adapters_has_a_row_for_each_driver() {
+    let files =
+        ["linux/adapter.rs", "adapters.rs"].map(|name| root().join("crates/gauge-bus/src").join(name));
+    let source: String = files.iter().filter(|path| path.exists()).map(|path| read(path)).collect();
+    let named = source.split("driver: \"").skip(1).filter_map(|rest| rest.split('"').next());
+    let drivers: BTreeSet<_> = named.filter(|name| !name.is_empty()).collect();
+    let rows: Vec<_> = rows(&page("ADAPTERS.md"), "Adapters").into_iter().skip(2).collect();
+    let told: Vec<_> = rows.iter().flat_map(|row| within_code(&row[1])).collect();
+    assert_eq!(told.iter().copied().collect::<BTreeSet<_>>(), drivers, "the page; the table");
+    assert_eq!(told.len(), drivers.len(), "a driver has two rows: {told:?}");
 }
 
 /// A program that reads `error_details` has only the table to go by.
