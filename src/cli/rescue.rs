@@ -14,8 +14,9 @@ use nix::errno::Errno;
 
 use crate::error::{Cause, Error, Result};
 use crate::output::{print, say};
+use gauge_bus::adapters::certain;
 use gauge_bus::clock::{Clock, RealClock};
-use gauge_bus::linux::{Adapter, LinuxBus, certain};
+use gauge_bus::linux::{Adapter, LinuxBus};
 use gauge_bus::regular;
 use gauge_bus::{Bus, BusError, GAUGE_ADDRESS};
 use gauge_owner::lock::Lock;

@@ -40,6 +40,7 @@ use std::{fmt, io};
 
 use rustix::io::Errno;
 
+pub mod adapters;
 pub mod bounded;
 pub mod clock;
 pub mod error;
@@ -51,6 +52,7 @@ pub mod regular;
 pub mod replay;
 pub mod trace;
 
+pub use adapters::AdapterModel;
 pub use error::{Error, ErrorKind};
 pub use reach::Reach;
 
@@ -132,7 +134,7 @@ impl BusError {
                 let other = match Errno::from_raw_os_error(number) {
                     Errno::TIMEDOUT => "the bus timed out",
                     Errno::NXIO | Errno::REMOTEIO => "the clock was held low",
-                    _ => "another fault of the bus",
+                    _ => "another fault of the bus, such as a clock held low",
                 };
                 let text = format!(
                     "not acknowledged, or {other}: the adapter reports both alike; is the gauge powered and connected?"

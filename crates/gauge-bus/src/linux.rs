@@ -20,6 +20,7 @@ use nix::fcntl::{FcntlArg, fcntl};
 use nix::libc;
 use nix::sys::stat::{major, minor};
 
+use crate::adapters::AdapterModel;
 use crate::error::{Driver, Error, ErrorKind, Result};
 use crate::{Reach, regular};
 
@@ -29,8 +30,7 @@ mod smbus;
 mod spd;
 mod target;
 
-use adapter::Row;
-pub use adapter::{BusClock, certain, clock};
+pub use adapter::{BusClock, clock, model};
 pub use mux::{Mux, connected, described, muxes};
 pub use spd::write_disable;
 pub use target::LinuxBus;
@@ -148,13 +148,14 @@ impl Adapter {
         clock(Path::new("/"), self.number()).map(|clock| clock.hz)
     }
 
-    fn row(&self) -> Option<&'static Row> {
-        Row::of(Path::new("/"), self.number())
+    /// What is known of it and its driver.
+    pub fn model(&self) -> Option<&'static AdapterModel> {
+        model(Path::new("/"), self.number())
     }
 
     /// Whether it is known what it sends as one message: by the table of drivers, or because a program serves it.
     pub fn is_known(&self) -> bool {
-        self.device & (FILE | CUSE) != 0 || self.row().is_some()
+        self.device & (FILE | CUSE) != 0 || self.model().is_some()
     }
 
     /// The kernel driver that is bound to an address, and its device: on this bus, or on one in front of it or behind it.
@@ -183,7 +184,7 @@ impl Adapter {
 
     /// What it carries. Asking sends nothing on the bus.
     pub fn reach(&self) -> Result<Reach> {
-        Ok(reach(self.capabilities()?, self.row()))
+        Ok(reach(self.capabilities()?, self.model()))
     }
 
     /// The bits of the kernel's I2C_FUNCS. Asking sends nothing on the bus.
@@ -247,13 +248,13 @@ impl Driver {
 }
 
 /// What an adapter carries. I2C_FUNCS says what kinds of messages; their longest lengths are known to its driver alone.
-fn reach(functions: libc::c_ulong, row: Option<&Row>) -> Reach {
+fn reach(functions: libc::c_ulong, model: Option<&AdapterModel>) -> Reach {
     let carried = match functions & I2C_FUNC_I2C {
         0 => smbus::reach(functions),
         _ => Reach { pec: functions & I2C_FUNC_SMBUS_PEC != 0, ..Reach::FULL },
     };
     // Whether it has packet error codes is known of the adapter itself.
-    Reach { pec: carried.pec, ..row.map_or(carried, |row| row.reach.narrowed(carried)) }
+    Reach { pec: carried.pec, ..model.map_or(carried, |model| model.reach().narrowed(carried)) }
 }
 
 fn functions(device: &impl AsRawFd) -> nix::Result<libc::c_ulong> {
@@ -407,13 +408,13 @@ mod tests {
         for (number, driver) in [(0, "cp2112"), (1, "i801_smbus"), (2, "i2c-new")] {
             system.adapter(number, Some(driver), "an adapter");
         }
-        let of = |number, functions| reach(functions, Row::of(system.root(), number));
+        let of = |number, functions| reach(functions, model(system.root(), number));
         assert_eq!((of(0, 0x0ffe_8001).write, of(0, 0x0ffe_8001).pec), (61, false));
         assert_eq!(of(1, 0x1fff_8008), Reach::smbus(32, true));
         // Its module can be told not to read blocks, and to send no packet error codes.
         assert_eq!(of(1, 0x1bff_8000), Reach { write: 33, ..Reach::smbus(2, false) });
         assert_eq!(of(2, 0x0fff_8009), Reach::FULL);
-        assert_eq!(of(2, 0x037f_0000), Reach::smbus(2, false), "a driver without a row");
+        assert_eq!(of(2, 0x037f_0000), Reach::smbus(2, false), "a driver of no model");
     }
 
     #[test]

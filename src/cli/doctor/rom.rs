@@ -8,8 +8,9 @@ use std::sync::Arc;
 use super::{Finding, ok, problem, warning};
 use crate::error::Result;
 use gauge_bus::GAUGE_ADDRESS;
+use gauge_bus::adapters::certain;
 use gauge_bus::clock::RealClock;
-use gauge_bus::linux::{Adapter, LinuxBus, certain};
+use gauge_bus::linux::{Adapter, LinuxBus};
 use ti_gauge::probe::{ROM_ADDRESS, answers_in_rom};
 use ti_gauge::rom::{self, Device};
 

@@ -13,15 +13,15 @@ use super::{crates, files, without_tests};
 
 /// The most lines of each crate.
 const LINES: [(&str, usize); 10] = [
-    ("gauge-bus", 2_930),
+    ("gauge-bus", 3_220),
     ("gauge-owner", 7_480),
-    ("gauge-sim", 10_300),
+    ("gauge-sim", 10_420),
     ("gauge-station", 3_800),
-    ("gaugefs", 17_700),
+    ("gaugefs", 17_860),
     ("gaugefs-client", 2_770),
     ("gaugefs-host", 600),
     ("gaugefs-screen", 6_120),
-    ("i2c-server", 1_190),
+    ("i2c-server", 1_280),
     ("ti-gauge", 27_420),
 ];
 
@@ -87,8 +87,8 @@ const GAUGE: [(&str, &str); 36] = [
     ("ti-gauge", "dataflash/rules.rs Rules"),
     ("ti-gauge", "dataflash/rules.rs Wear"),
 ];
-/// The most fields of all of them. Thirty are options that people set, twelve are counters that they read.
-const GAUGE_FIELDS: usize = 259;
+/// The most fields of all of them. Thirty-one are options that people set, twelve are counters that they read.
+const GAUGE_FIELDS: usize = 260;
 
 /// The files of a crate that are product, and their text without tests.
 fn product(folder: &Path) -> BTreeMap<PathBuf, String> {

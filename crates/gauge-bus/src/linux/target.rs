@@ -14,9 +14,9 @@ use i2cdev::linux::{LinuxI2CDevice, LinuxI2CError, LinuxI2CMessage};
 use nix::errno::Errno;
 use nix::libc;
 
-use super::adapter::Row;
 use super::spd::Writes;
 use super::{Adapter, functions, hold, reach, smbus};
+use crate::adapters::{AdapterModel, error_of};
 use crate::bounded::{Bounded, PATIENCE};
 use crate::clock::Clock;
 use crate::error::{Driver, Error, ErrorKind, Result};
@@ -34,7 +34,7 @@ pub struct LinuxBus {
 struct Target {
     adapter: Adapter,
     address: u8,
-    row: Option<&'static Row>,
+    model: Option<&'static AdapterModel>,
     /// What the adapter that was there last carries.
     reach: Reach,
     writes: Writes,
@@ -89,12 +89,12 @@ impl LinuxBus {
     ) -> Self {
         let name = format!("{adapter} 0x{address:02x}");
         let last = clock.now().saturating_sub(BUS_FREE);
-        let row = open.as_ref().and_then(|_| adapter.row());
-        let reach = open.as_ref().map_or(Reach::FULL, |(device, _)| carried(device, row));
+        let model = open.as_ref().and_then(|_| adapter.model());
+        let reach = open.as_ref().map_or(Reach::FULL, |(device, _)| carried(device, model));
         let writes = Writes::to(Path::new("/"), number, address);
         let (device, above) = open.map_or((None, Vec::new()), |(device, above)| (Some(device), above));
         let target =
-            Target { adapter, address, row, reach, writes, clock: clock.clone(), device, above, last };
+            Target { adapter, address, model, reach, writes, clock: clock.clone(), device, above, last };
         let named = (number, target.adapter.to_string());
         Self { target: Bounded::new(target, named, PATIENCE, clock), name }
     }
@@ -118,12 +118,12 @@ impl Target {
             Some(device) => Ok(device),
             gone => {
                 self.adapter = Adapter::find(&self.adapter.path).map_err(|_| BusError::Gone)?;
-                self.row = self.adapter.row();
+                self.model = self.adapter.model();
                 let device = LinuxI2CDevice::new(&self.adapter.path, self.address.into());
                 let device = device.map_err(|error| claim_error(errno(&error)))?;
                 self.adapter.refuse_mux().map_err(|_| BusError::HasMux)?;
                 self.above = hold_all(&device, &self.adapter, self.address).map_err(|_| BusError::Busy)?;
-                self.reach = carried(&device, self.row);
+                self.reach = carried(&device, self.model);
                 self.writes = Writes::to(Path::new("/"), self.adapter.number(), self.address);
                 Ok(gone.insert(device))
             }
@@ -163,8 +163,11 @@ impl Bus for Target {
             }
             Err(error) => {
                 let (errno, took) = (errno(&error), self.last.saturating_sub(begun));
-                let nack = self.row.and_then(|row| row.nack(errno, !write.is_empty(), took));
-                let error = nack.unwrap_or_else(|| transfer_error(errno));
+                let wrote = !write.is_empty();
+                let error = match self.model {
+                    Some(model) => model.error(errno as i32, wrote, took),
+                    None => transfer_error(errno),
+                };
                 let is_read = || matches!(send(device, reach, &[], &mut [0]), Ok(Ok(())));
                 match is_write && error.may_be_no_ack() && self.writes.refused(is_read) {
                     true => Err(BusError::WriteDisabled),
@@ -218,8 +221,8 @@ fn send(
 }
 
 /// What an adapter carries that is open.
-fn carried(device: &LinuxI2CDevice, row: Option<&Row>) -> Reach {
-    reach(functions(device).unwrap_or(0), row)
+fn carried(device: &LinuxI2CDevice, model: Option<&AdapterModel>) -> Reach {
+    reach(functions(device).unwrap_or(0), model)
 }
 
 /// Locks the gauge on its own adapter, and on each in front of a mux, shared. Returns their nodes, or one in use.
@@ -246,16 +249,9 @@ fn errno(error: &LinuxI2CError) -> Errno {
     }
 }
 
-/// Converts the errno of a transfer (`Documentation/i2c/fault-codes.rst`) on an adapter whose driver has no row.
+/// Converts the errno of a transfer on an adapter of no model.
 fn transfer_error(errno: Errno) -> BusError {
-    match errno {
-        Errno::ENXIO | Errno::EREMOTEIO => BusError::NoAck,
-        Errno::EAGAIN => BusError::ArbitrationLost,
-        // The adapter waited in vain for both lines to be high.
-        Errno::ETIMEDOUT | Errno::EBUSY => BusError::Timeout,
-        Errno::ENODEV | Errno::ENOENT => BusError::Gone,
-        other => BusError::Other(other as i32),
-    }
+    error_of(errno as i32)
 }
 
 /// Converts the errno of claiming an address.
