@@ -48,8 +48,9 @@ use std::time::Duration;
 
 use gauge_bus::clock::Clock;
 use gauge_bus::error::{Error, ErrorKind, Result};
-use gauge_bus::{Bus, BusError, GAUGE_ADDRESS, Reach, wire_bits, wire_bytes};
+use gauge_bus::{AdapterModel, Bus, BusError, GAUGE_ADDRESS, Reach, wire_bits, wire_bytes};
 
+mod adapter;
 mod analog;
 mod battery;
 mod block;
@@ -77,10 +78,11 @@ mod update;
 mod watchdog;
 mod window;
 
+use adapter::Adapter;
 use block::Block;
 use device::Gauge;
-use fault::{ADAPTER_WAITS, Fault, Transfer};
 pub use fault::{FAULTS, FaultWord};
+use fault::{Fault, Transfer};
 pub use knob::Knob;
 use mac::Mac;
 pub use options::Options;
@@ -89,8 +91,6 @@ use register::Register;
 use scenario::{Player, Scenario};
 pub use seal::Level;
 
-/// At 100 kHz.
-const BIT: Duration = Duration::from_micros(10);
 /// What adapters of the kernel answer to what they cannot carry.
 const EOPNOTSUPP: i32 = 95;
 /// How many transfers the log keeps.
@@ -158,8 +158,7 @@ struct State {
     log: Option<VecDeque<Record>>,
     /// Nothing on the bus is acknowledged until then.
     silent_until: Duration,
-    /// What the adapter carries.
-    reach: Reach,
+    adapter: Adapter,
 }
 
 #[derive(Default)]
@@ -178,8 +177,8 @@ impl State {
         let options = Options { state: None, ..options.clone() };
         let (counters, silent_until) = (Counters::default(), Duration::ZERO);
         let (pack, others, commits, player) = (1, BTreeMap::new(), 0, None);
-        let (log, reach) = (None, Reach::FULL);
-        Ok(Self { part, options, gauge, pack, others, commits, player, counters, log, silent_until, reach })
+        let (log, adapter) = (None, Adapter::PLAIN);
+        Ok(Self { part, options, gauge, pack, others, commits, player, counters, log, silent_until, adapter })
     }
 
     fn find(&self, name: &str) -> Option<&'static Knob> {
@@ -322,7 +321,13 @@ impl Sim {
 
     /// From now on the adapter carries no more than that: it refuses what is longer, and sends nothing of it.
     pub fn set_reach(&self, reach: Reach) {
-        self.lock().reach = reach;
+        self.lock().adapter.narrower = reach;
+    }
+
+    /// From now on the gauge is behind an adapter of that model: it carries as much, reports a failure by the same errno, and
+    /// gives up as soon on a gauge that holds the clock. Paced, it takes the time of its reports as well.
+    pub fn set_adapter(&self, model: &'static AdapterModel, is_paced: bool) {
+        self.lock().adapter.become_model(model, is_paced);
     }
 
     /// The part's knobs, which are the files of `sim/`.
@@ -335,12 +340,12 @@ impl Sim {
     pub fn get(&self, knob: &str) -> Option<String> {
         let mut state = self.now();
         state.find(knob)?;
-        let State { gauge, counters, .. } = &mut *state;
+        let State { gauge, counters, adapter, .. } = &mut *state;
         Some(match knob {
             "fault" => gauge.plan().to_string(),
             "transfers" => counters.transfers.to_string(),
             "bytes" => counters.bytes.to_string(),
-            "bus_us" => (counters.bits * BIT.as_micros() as u64).to_string(),
+            "bus_us" => (adapter.bit() * counters.bits as u32).as_micros().to_string(),
             "stretched_us" => counters.stretched.as_micros().to_string(),
             "nacks" => counters.nacks.to_string(),
             _ => return gauge.knob(knob, self.clock.now()),
@@ -444,6 +449,8 @@ pub struct SimBus {
 struct Direct<'a> {
     sim: &'a Sim,
     address: u8,
+    /// A byte after the address was not acknowledged.
+    in_data: bool,
 }
 
 impl Direct<'_> {
@@ -453,7 +460,29 @@ impl Direct<'_> {
         state.counters.transfers += 1;
         state.counters.bytes += wire_bytes(write, read);
         state.counters.bits += bits;
-        self.sim.clock.spend(BIT * bits as u32);
+        self.sim.clock.spend(state.adapter.bit() * bits as u32);
+    }
+
+    /// Waits while the gauge holds the clock. `false` if the adapter has given up, and then some of what was written may have
+    /// arrived. Others can read the knobs meanwhile.
+    fn outlasts(&self, hold: Duration, write: &[u8]) -> bool {
+        let clock = &*self.sim.clock;
+        let (waits, arrives) = {
+            let mut state = self.sim.lock();
+            let waits = state.adapter.waits(!write.is_empty());
+            state.counters.stretched += hold.min(waits);
+            let arrives = if hold > waits { state.adapter.give_up(write.len()) } else { 0 };
+            (waits, arrives)
+        };
+        clock.sleep(hold.min(waits));
+        if arrives > 0 {
+            clock.sleep(hold - waits);
+            let state = &mut *self.sim.lock();
+            let _ = state.gauge.message(&write[..arrives], &mut [], clock.now());
+            self.pass(state, arrives, 0);
+            state.gauge.stop(clock.now());
+        }
+        hold <= waits
     }
 }
 
@@ -470,18 +499,15 @@ impl Bus for Direct<'_> {
             return Err(BusError::NoAck);
         };
         if hold > Duration::ZERO {
-            held.counters.stretched += hold.min(ADAPTER_WAITS);
-            // Other threads can read the knobs meanwhile.
             drop(held);
-            clock.sleep(hold.min(ADAPTER_WAITS));
-            if hold > ADAPTER_WAITS {
+            if !self.outlasts(hold, write) {
                 return Err(BusError::Timeout);
             }
             held = self.sim.lock();
         }
         // The time depends on what is acknowledged, and the other way round: the gauge sees the end of a transfer in
         // which everything is acknowledged.
-        let now = clock.now() + BIT * wire_bits(write.len(), read.len()) as u32;
+        let now = clock.now() + held.adapter.bit() * wire_bits(write.len(), read.len()) as u32;
         let state = &mut *held;
         let result = state.gauge.message(write, read, now);
         match result {
@@ -489,6 +515,7 @@ impl Bus for Direct<'_> {
             Err(sent) => self.pass(state, sent, 0),
         }
         state.gauge.stop(clock.now());
+        self.in_data = result.is_err();
         result.map_err(|_| BusError::NoAck)
     }
 }
@@ -504,17 +531,18 @@ impl SimBus {
             state.catch_up(clock.now());
             state.gauge.plan().next(write.len() + read.len())
         };
-        // The bus waits without the lock, so that knobs can be read.
-        if let Some(Fault::Transfer(Transfer::Stretch(ms))) = due {
-            let hold = Duration::from_millis(ms).min(ADAPTER_WAITS);
-            clock.sleep(hold);
-            self.sim.lock().counters.stretched += hold;
-        }
-        let mut direct = Direct { sim: &self.sim, address: self.address };
+        let mut direct = Direct { sim: &self.sim, address: self.address, in_data: false };
+        let is_held = match due {
+            Some(Fault::Transfer(Transfer::Stretch(ms))) => {
+                !direct.outlasts(Duration::from_millis(ms), write)
+            }
+            _ => false,
+        };
         let power_off = |back: Option<u64>| {
             self.sim.lock().gauge.power_off(clock.now(), back.map(Duration::from_millis));
         };
         let result = match due {
+            _ if is_held => Err(BusError::Timeout),
             Some(Fault::Transfer(fault)) => {
                 if matches!(fault, Transfer::Nack(None, _) | Transfer::Arbitration) {
                     direct.pass(&mut self.sim.lock(), 0, 0);
@@ -541,22 +569,38 @@ impl SimBus {
         let nack_as = state.gauge.nack_as();
         // Steps that wait for a commit follow it directly.
         state.catch_up(clock.now());
-        let result = match result {
-            Err(BusError::NoAck) => {
-                state.counters.nacks += 1;
-                Err(nack_as.error())
-            }
-            Err(error) if matches!(due, Some(Fault::Transfer(Transfer::Nack(..)))) => {
-                state.counters.nacks += 1;
-                Err(error)
-            }
-            other => other,
-        };
+        let is_nack = matches!(due, Some(Fault::Transfer(Transfer::Nack(..))));
+        if result == Err(BusError::NoAck) || result.is_err() && is_nack {
+            state.counters.nacks += 1;
+        }
+        let adapter = state.adapter;
         drop(state);
         if let Some(Fault::Transfer(Transfer::Stuck(_))) = due {
-            clock.sleep(ADAPTER_WAITS);
+            clock.sleep(adapter.waits(!write.is_empty()));
         }
-        result
+        result.map_err(|error| match (adapter.errno(error, due, direct.in_data), error) {
+            (Some(errno), _) => errno,
+            (None, BusError::NoAck) => nack_as.error(),
+            (None, _) => error,
+        })
+    }
+
+    /// A transfer as a program of the kernel's interface makes it: what the adapter does not carry is sent in another length if
+    /// its model does that, and an error of the model is [`BusError::Other`] with its errno.
+    pub fn call(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
+        let adapter = self.sim.lock().adapter;
+        let (mut written, mut done) = (0, 0);
+        for (wrote, reads) in adapter.parts(write.len(), read.len())? {
+            let mut message = write[written..][..wrote].to_vec();
+            if let (Some(register), true) = (message.last_mut(), reads > 0) {
+                *register = register.wrapping_add(done as u8);
+            }
+            self.sim.clock.sleep(adapter.pace(wrote, reads));
+            self.attempt(&message, &mut read[done..][..reads])?;
+            written += if reads > 0 { 0 } else { wrote };
+            done += reads;
+        }
+        Ok(())
     }
 }
 
@@ -565,8 +609,11 @@ impl Bus for SimBus {
         if !self.reach().carries(write.len(), read.len()) {
             return Err(BusError::Other(EOPNOTSUPP));
         }
-        let result = self.attempt(write, read);
+        let begun = self.sim.clock.now();
+        let result = self.call(write, read);
+        let took = self.sim.clock.now().saturating_sub(begun);
         let mut state = self.sim.lock();
+        let result = result.map_err(|error| state.adapter.meant(error, !write.is_empty(), took));
         if let Some(log) = &mut state.log {
             if log.len() == LOG {
                 log.pop_front();
@@ -584,7 +631,7 @@ impl Bus for SimBus {
     }
 
     fn reach(&mut self) -> Reach {
-        self.sim.lock().reach
+        self.sim.lock().adapter.reach()
     }
 
     fn set_secret(&mut self, secret: bool) {

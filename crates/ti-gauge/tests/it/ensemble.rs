@@ -23,7 +23,7 @@ use ti_gauge::error::{Cause, Error, Result};
 use ti_gauge::gauge::{Gauge, Seal};
 use ti_gauge::keys::{KeyChange, Keys};
 
-use crate::rig::{self, Random, Rig, another, cause, drawn_reach, first_address};
+use crate::rig::{self, Adapter, Random, Rig, another, cause, first_address};
 use crate::room::{Folder, PowerCut, drawn, until_cut};
 
 /// Runs in the everyday test of each kind.
@@ -239,7 +239,7 @@ impl Run {
         for version in ["firmware", "hardware"] {
             let _ = sim.set(version, "printed");
         }
-        sim.set_reach(rig::reach_for(chip));
+        rig::adapter().lead_to(&sim, chip);
         clock.sleep(Duration::from_secs(5));
         let rig = Rig::on(chip, sim.clone(), clock.clone());
         rig.calibrate(3);
@@ -500,10 +500,10 @@ fn behind_any_adapter(
     known: &Known,
     accesses: fn(&str) -> &'static [Access],
 ) -> std::result::Result<Vec<String>, String> {
-    let reach = drawn_reach(seed);
-    rig::set_reach(reach);
-    let mut told = run(seed, known, accesses).map_err(|why| format!("{why}, adapter {reach:?}"))?;
-    told.push(format!("adapter {} {}", reach.read, if reach.smbus { "SMBus" } else { "I2C" }));
+    let adapter = Adapter::drawn(seed);
+    rig::set_adapter(adapter);
+    let mut told = run(seed, known, accesses).map_err(|why| format!("{why}, adapter {adapter}"))?;
+    told.push(format!("adapter {adapter}"));
     Ok(told)
 }
 

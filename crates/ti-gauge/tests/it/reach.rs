@@ -13,7 +13,7 @@ use ti_gauge::gauge::{Gauge, Seal};
 use ti_gauge::keys::Keys;
 use ti_gauge::registers::Registers;
 
-use crate::rig::{self, Rig, drawn_reach};
+use crate::rig::{self, Adapter, Rig};
 use crate::room::drawn;
 
 const WINDOW: usize = 32;
@@ -265,15 +265,58 @@ fn a_commit_that_waits_for_rows_of_the_gauges_own_is_not_taken_for_none() {
     }
 }
 
+/// A bridge gives up when the gauge holds the clock for longer than it waits, and nothing of the write, its register or all of
+/// it has arrived: what may happen twice is sent again, and no block is stored twice.
+#[test]
+fn a_bridge_that_gives_up_on_the_clock_stores_each_block_once() {
+    for name in ["mcp2221", "cp2112", "i801"] {
+        // As many transfers as it gives up before, which sets how much arrives.
+        let start = |given_up| {
+            let rig = Rig::calibrated("bq34z100-g1", Seal::Sealed);
+            Adapter::of(name).lead_to(&rig.sim, rig.gauge.chip);
+            for _ in 0..given_up {
+                rig.sim.set("fault", "stretch 1 30").expect("a fault");
+                gauge_bus::Bus::transfer(&mut rig.sim.bus(), &[0x08], &mut [0; 2]).expect_err("it gives up");
+            }
+            rig
+        };
+        let stored = |rig: &Rig| rig.sim.get("programmed");
+        let mut plain = start(0);
+        let before = plain.cost().0;
+        plain.write(80, 53, "3100").expect("it waits for the gauge");
+        let transfers = plain.cost().0 - before;
+        let mut refused = 0;
+        for (given_up, at) in (0..3).flat_map(|given_up| (1..=transfers).map(move |at| (given_up, at))) {
+            let mut rig = start(given_up);
+            let old = rig.sim.flash();
+            rig.sim.set("fault", &format!("stretch {at} 30")).expect("a fault");
+            let about = format!("{name}, transfer {at} given up after {given_up}");
+            if let Err(error) = rig.write(80, 53, "3100") {
+                // Between the key and the first block: nothing was written, and it may be tried again.
+                assert_eq!(
+                    (error.cause(), rig.sim.flash() == old),
+                    (Cause::NotNow, true),
+                    "{about}: {error}"
+                );
+                rig.write(80, 53, "3100").unwrap_or_else(|error| panic!("{about}: {error}"));
+                refused += 1;
+            }
+            assert!(rig.sim.flash() == plain.sim.flash(), "{about}");
+            assert_eq!(stored(&rig), stored(&plain), "{about}");
+        }
+        assert!(refused < transfers / 2, "{name}: {refused} of three times {transfers}");
+    }
+}
+
 /// Runs a test that draws faults on an adapter that is drawn too. `GAUGEFS_SEED` repeats one.
 fn on_drawn_adapters(name: &str, test: fn()) {
     drawn(&format!("adapters: {name}"), 6, |seed| {
-        let reach =
-            drawn_reach(name.bytes().fold(seed, |seed, byte| seed.wrapping_mul(31) + u64::from(byte)));
-        println!("seed {seed}: {reach:?}");
-        rig::set_reach(reach);
+        let adapter =
+            Adapter::drawn(name.bytes().fold(seed, |seed, byte| seed.wrapping_mul(31) + u64::from(byte)));
+        println!("seed {seed}: {adapter}");
+        rig::set_adapter(adapter);
         test();
-        Ok(vec![format!("{reach:?}")])
+        Ok(vec![adapter.to_string()])
     });
 }
 

@@ -3,11 +3,12 @@
 //! A simulated gauge on a simulated clock, and the engine on its bus.
 
 use std::cell::Cell;
+use std::fmt;
 use std::sync::Arc;
 use std::time::Duration;
 
-use gauge_bus::Reach;
 use gauge_bus::clock::{Clock, SimClock};
+use gauge_bus::{AdapterModel, Reach};
 use gauge_sim::{Options, Sim};
 use ti_gauge::chip::{CHIPS, Chip, FLAT, Parameter, Subclass};
 use ti_gauge::codec;
@@ -16,35 +17,72 @@ use ti_gauge::error::{Error, Result};
 use ti_gauge::gauge::{Gauge, Seal};
 use ti_gauge::keys::Keys;
 
-thread_local! {
-    static REACH: Cell<Reach> = const { Cell::new(Reach::FULL) };
-}
-
 /// A message with all of a block.
 const WHOLE: u16 = 33;
 
-/// What the adapters of this thread's simulated gauges carry. Data flash of most parts cannot be written in pieces.
-pub(crate) fn reach_for(chip: &Chip) -> Reach {
-    let reach = REACH.get();
-    let least = if chip.byte_writes_above_hz.is_some() { 0 } else { WHOLE };
-    Reach { write: reach.write.max(least), ..reach }
+/// An adapter in front of the simulated gauges: the model of a real one, or of none, and what it carries at most.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Adapter {
+    model: Option<&'static AdapterModel>,
+    reach: Reach,
 }
 
-/// What the adapters of this thread's simulated gauges carry.
-pub(crate) fn reach() -> Reach {
-    REACH.get()
+impl Adapter {
+    const PLAIN: Self = Self { model: None, reach: Reach::FULL };
+
+    /// One by seed: most are models, and many are narrower than these, down to words, with lengths around those of a block. A
+    /// bridge that is slow is not narrow as well: all of data flash takes it more than the time of an access.
+    pub(crate) fn drawn(seed: u64) -> Self {
+        let random = &mut Random(seed ^ 0x0ada_97e2);
+        let data = *random.pick(&[2, 2, 3, 8, 16, 31, 32, 33, 60]);
+        let narrow =
+            if random.below(3) == 0 { Reach::smbus(data.min(32), false) } else { Reach::of_data(data) };
+        let models: Vec<_> = AdapterModel::all().collect();
+        let model = (random.below(4) > 0).then(|| *random.pick(&models));
+        let is_slow = model.is_some_and(|model| !model.pace(1, 2).is_zero());
+        let is_narrow = model.is_none() || !is_slow && random.below(2) == 0;
+        Self { model, reach: if is_narrow { narrow } else { Reach::FULL } }
+    }
+
+    /// The model of that name.
+    pub(crate) fn of(name: &str) -> Self {
+        Self { model: AdapterModel::by_name(name), ..Self::PLAIN }
+    }
+
+    pub(crate) fn reach(self) -> Reach {
+        self.model.map_or(Reach::FULL, AdapterModel::reach).narrowed(self.reach)
+    }
+
+    /// Puts it in front of a gauge. Data flash of most parts cannot be written in pieces: they get one that carries a block.
+    pub(crate) fn lead_to(self, sim: &Sim, chip: &Chip) {
+        let least = if chip.byte_writes_above_hz.is_some() { 0 } else { WHOLE };
+        if let Some(model) = self.model.filter(|model| model.reach().write >= least) {
+            sim.set_adapter(model, true);
+        }
+        sim.set_reach(Reach { write: self.reach.write.max(least), ..self.reach });
+    }
 }
 
-/// What they carry from now on.
-pub(crate) fn set_reach(reach: Reach) {
-    REACH.set(reach);
+impl fmt::Display for Adapter {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Reach { read, smbus, .. } = self.reach();
+        let kind = if smbus { "SMBus" } else { "I2C" };
+        write!(f, "{}, {kind} of {read} bytes", self.model.map_or("any", |model| model.name))
+    }
 }
 
-/// An adapter, by seed: words, lengths around those of a block, and of adapters that are sold.
-pub(crate) fn drawn_reach(seed: u64) -> Reach {
-    let random = &mut Random(seed ^ 0x0ada_97e2);
-    let data = *random.pick(&[2, 2, 3, 8, 16, 31, 32, 33, 60]);
-    if random.below(3) == 0 { Reach::smbus(data.min(32), false) } else { Reach::of_data(data) }
+thread_local! {
+    static ADAPTER: Cell<Adapter> = const { Cell::new(Adapter::PLAIN) };
+}
+
+/// The adapter of this thread's simulated gauges.
+pub(crate) fn adapter() -> Adapter {
+    ADAPTER.get()
+}
+
+/// Sets it, from now on.
+pub(crate) fn set_adapter(adapter: Adapter) {
+    ADAPTER.set(adapter);
 }
 
 pub(crate) struct Rig {
@@ -69,7 +107,7 @@ impl Rig {
         let sim = Sim::new(chip, &Options::default(), clock.clone()).expect("a chip that is simulated");
         let table = Chip::by_name(chip).expect("a chip in the tables");
         sim.be_strict();
-        sim.set_reach(reach_for(table));
+        adapter().lead_to(&sim, table);
         sim.keep_log(true);
         let mut gauge = Gauge::new(table, Box::new(sim.bus()), clock.clone(), keys).within(reach);
         // A gauge answers about 250 ms after power-up.

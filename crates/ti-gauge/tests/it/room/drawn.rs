@@ -24,7 +24,7 @@ pub(crate) fn is_all() -> bool {
 pub(crate) fn one_in<T>(many: usize, all: impl IntoIterator<Item = T>) -> impl Iterator<Item = T> {
     static LISTS: AtomicUsize = AtomicUsize::new(0);
     let usual = if is_all() { 1 } else { many };
-    let step = match rig::reach() {
+    let step = match rig::adapter().reach() {
         Reach::FULL => usual,
         reach => usual * (4 + 100 / usize::from(reach.read)),
     };
