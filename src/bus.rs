@@ -17,7 +17,7 @@ use std::process::{Command, ExitCode};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 
-use i2c_server::{Adapter, Errno, Target};
+use i2c_server::{Adapter, Errno, Manner, Target};
 use nix::sys::signal::{SigSet, Signal, kill};
 use nix::sys::wait::{WaitPidFlag, WaitStatus, waitpid};
 use nix::unistd::{Pid, getegid, geteuid};
@@ -28,11 +28,12 @@ use crate::error::{Cause, Error, Result};
 use crate::fs::{self as tree, Fs, Knobs};
 use crate::fuse::{self, single};
 use crate::output::{print, say};
+use gauge_bus::adapters::{AdapterModel, Failure};
 use gauge_bus::clock::{Clock, RealClock};
 use gauge_bus::{Bus, BusError, GAUGE_ADDRESS, regular};
 use gauge_owner::lock::Lock;
 use gauge_owner::{Opened, Source};
-use gauge_sim::Sim;
+use gauge_sim::{Sim, SimBus};
 use gaugefs_client::mounts;
 use ti_gauge::probe::ROM_ADDRESS;
 
@@ -74,26 +75,38 @@ struct Wired<B> {
     _lock: Option<Lock>,
 }
 
-impl<B: Bus> Target for Wired<B> {
+impl Target for Wired<Box<dyn Bus>> {
     fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), Errno> {
-        self.bus.transfer(write, read).map_err(|error| match error {
-            // What is not recorded is not acknowledged, nor is what was not sent.
-            BusError::NoAck | BusError::ReadOnly | BusError::NotRecorded | BusError::WriteDisabled => {
-                Errno::NXIO
-            }
-            BusError::ArbitrationLost => Errno::AGAIN,
-            BusError::Timeout | BusError::Hung(_) | BusError::TooSlow { .. } => Errno::TIMEDOUT,
-            BusError::Gone => Errno::NODEV,
-            BusError::Busy | BusError::HasMux => Errno::BUSY,
-            BusError::Short | BusError::Unsteady => Errno::IO,
-            BusError::TooLong { .. } => Errno::OPNOTSUPP,
-            BusError::Other(number) | BusError::MaybeNoAck(number) => Errno::from_raw_os_error(number),
-        })
+        self.bus.transfer(write, read).map_err(errno)
     }
 }
 
-/// A bus with these gauges, whose transfers take the time of this clock, or no time.
-pub(crate) fn adapter(gauges: Vec<Gauge>, hertz: Option<u32>) -> Result<Adapter> {
+impl Target for Wired<SimBus> {
+    fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), Errno> {
+        self.bus.call(write, read).map_err(errno)
+    }
+}
+
+fn errno(error: BusError) -> Errno {
+    match error {
+        // What is not recorded is not acknowledged, nor is what was not sent.
+        BusError::NoAck | BusError::ReadOnly | BusError::NotRecorded | BusError::WriteDisabled => Errno::NXIO,
+        BusError::ArbitrationLost => Errno::AGAIN,
+        BusError::Timeout | BusError::Hung(_) | BusError::TooSlow { .. } => Errno::TIMEDOUT,
+        BusError::Gone => Errno::NODEV,
+        BusError::Busy | BusError::HasMux => Errno::BUSY,
+        BusError::Short | BusError::Unsteady => Errno::IO,
+        BusError::TooLong { .. } => Errno::OPNOTSUPP,
+        BusError::Other(number) | BusError::MaybeNoAck(number) => Errno::from_raw_os_error(number),
+    }
+}
+
+/// A bus with these gauges on an adapter of that model, whose transfers take the time of this clock, or no time.
+pub(crate) fn adapter(
+    gauges: Vec<Gauge>,
+    model: Option<&'static AdapterModel>,
+    hertz: Option<u32>,
+) -> Result<Adapter> {
     let mut taken = BTreeSet::new();
     if let Some(twice) = gauges.iter().find(|gauge| !taken.insert(gauge.address)) {
         let why = format!(
@@ -109,8 +122,21 @@ pub(crate) fn adapter(gauges: Vec<Gauge>, hertz: Option<u32>) -> Result<Adapter>
         let clock = RealClock::new();
         adapter = adapter.paced(hertz, move |time| clock.sleep(time));
     }
+    if let Some(model) = model {
+        adapter = adapter.in_manner(Manner {
+            functions: model.functions.into(),
+            nobody: Errno::from_raw_os_error(model.errno(Failure::Address)),
+            is_pair: model.is_pair,
+        });
+    }
     for Gauge { address, sim, bus, _lock: lock, .. } in gauges {
-        adapter = adapter.with(address, Wired { bus, _lock: lock });
+        if let (Some(model), Some(sim)) = (model, &sim) {
+            sim.set_adapter(model, hertz.is_some());
+        }
+        adapter = match &sim {
+            Some(sim) => adapter.with(address, Wired { bus: sim.bus(), _lock: lock }),
+            None => adapter.with(address, Wired { bus, _lock: lock }),
+        };
         // A gauge's boot loader has an address of its own.
         if let Some(sim) = sim.filter(|_| address == GAUGE_ADDRESS && !taken.contains(&ROM_ADDRESS)) {
             adapter = adapter.with(ROM_ADDRESS, Wired { bus: sim.bus_at(ROM_ADDRESS), _lock: None });

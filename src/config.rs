@@ -20,7 +20,9 @@ pub(crate) use choice::ChoiceOptions;
 use node::Node;
 pub(crate) use option::{At, Given, Opt, Options, names, written};
 pub(crate) use options::{AlertOptions, MountOptions};
-pub(crate) use values::{address, celsius, chip_names, chips, divider, meter_current, pack_voltage, seal};
+pub(crate) use values::{
+    adapter, address, celsius, chip_names, chips, divider, meter_current, pack_voltage, seal,
+};
 
 /// Whether a gauge is simulated in this process.
 pub(crate) fn is_simulated(options: &GaugeOptions) -> bool {

@@ -12,11 +12,11 @@ use clap::Args;
 
 use super::align;
 use crate::bus::{self, Cuse, Gauge, Panel, Vhci};
-use crate::config::{address, seal, standard_input};
+use crate::config::{adapter, address, seal, standard_input};
 use crate::error::{Cause, Error, Result};
 use crate::output::{is_standard_output, print};
-use gauge_bus::GAUGE_ADDRESS;
 use gauge_bus::clock::{Clock, RealClock};
+use gauge_bus::{AdapterModel, GAUGE_ADDRESS};
 use gauge_owner::{Script, Source};
 use gauge_sim::{FAULTS, Level, Options};
 use gaugefs_host::signals;
@@ -32,6 +32,7 @@ Examples:
   gaugefs sim bq34z100-g1 --knobs /tmp/knobs /tmp/bus &  with the gauge's knobs
   echo 500 > /tmp/knobs/load_ma                          a load of 500 mA
   gaugefs sim bq34z100-g1 --list                         its knobs and faults
+  gaugefs sim bq34z100-g1 --adapter cp2112 /tmp/bus      with a CP2112's limits and errors
   gaugefs sim --replay pack.log /tmp/bus                 a recording
   sudo gaugefs sim bq34z100-g1 --cuse i2c-9              as /dev/i2c-9
   sudo gaugefs sim bq34z100-g1 --device                  for drivers
@@ -78,14 +79,17 @@ pub(super) struct Sim {
     /// it is /dev/i2c-N; needs the kernel's vhci-hcd and i2c-tiny-usb
     #[arg(long, conflicts_with_all = ["knobs", "command", "cuse"])]
     device: bool,
-    /// Clock of the bus in kHz, which sets how long transfers take
-    #[arg(long, value_name = "KHZ", default_value = "100", value_parser = ["100", "400"], conflicts_with = "fast")]
-    speed: String,
+    /// Answer as this adapter of the kernel does, with its limits, error numbers and pace; an unknown name lists them
+    #[arg(long, value_name = "NAME", value_parser = adapter, conflicts_with = "replay")]
+    adapter: Option<&'static AdapterModel>,
+    /// Clock of the bus in kHz, 100 or 400, which sets how long transfers take [default: 100, or that of --adapter]
+    #[arg(long, value_name = "KHZ", value_parser = ["100", "400"], hide_possible_values = true, conflicts_with = "fast")]
+    speed: Option<String>,
     /// Transfers take no time on the bus
     #[arg(long)]
     fast: bool,
     /// Print the knobs of these gauges, and the faults that the knob `fault` takes, and exit
-    #[arg(long, conflicts_with_all = ["command", "replay", "state", "seal", "scenario", "knobs", "cuse", "device", "speed", "fast"])]
+    #[arg(long, conflicts_with_all = ["command", "replay", "state", "seal", "scenario", "knobs", "cuse", "device", "adapter", "speed", "fast"])]
     list: bool,
 }
 
@@ -115,11 +119,16 @@ impl Sim {
         let cuse = self.cuse.as_ref().map(|name| Cuse::open(name, self.state.as_deref())).transpose()?;
         let vhci = self.device.then(|| Vhci::plug(self.state.as_deref())).transpose()?;
         let gauges = self.gauges(&chips)?;
-        let names: Vec<_> =
+        let mut names: Vec<_> =
             gauges.iter().map(|gauge| format!("{} 0x{:02x}", gauge.name, gauge.address)).collect();
-        let kilohertz: u32 = self.speed.parse().expect("one of the possible values");
+        if let (Some(model), Some(last)) = (self.adapter, names.last_mut()) {
+            *last += &format!(" behind {}", model.name);
+        }
+        let speed =
+            self.speed.as_ref().map(|speed| speed.parse::<u32>().expect("one of the possible values") * 1000);
+        let hertz = speed.unwrap_or_else(|| self.adapter.map_or(100_000, AdapterModel::hertz));
         let panel = self.knobs.as_ref().map(|folder| Panel::mount(folder, &gauges)).transpose()?;
-        let adapter = bus::adapter(gauges, (!self.fast).then_some(kilohertz * 1000))?;
+        let adapter = bus::adapter(gauges, self.adapter, (!self.fast).then_some(hertz))?;
         if let Some(cuse) = cuse {
             return cuse.serve(adapter, signals, &names.join(", "));
         }
@@ -208,6 +217,7 @@ impl Sim {
             seal: self.seal,
             scenario: scenario.clone(),
             knobs: Vec::new(),
+            adapter: None,
         };
         let mut gauges = chips
             .iter()

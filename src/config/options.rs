@@ -89,6 +89,19 @@ impl Options for GaugeOptions {
             ..Opt::NEW
         },
         Opt {
+            name: "sim-adapter",
+            effect: Effect::Text("NAME", |to, text| put(&mut to.sim_adapter, values::adapter(text))),
+            doc: "Put the simulated gauge behind an adapter of the kernel, with its limits, error numbers and pace: cp2112, \
+                  ft260, ft260-6.1, mcp2221, i801, piix4, i2c-gpio, i2c-tiny-usb, i2c-stub, bcm2835, designware, designware-pci",
+            default: "a bus that carries and reports everything",
+            heading: GAUGE,
+            at: ONE_GAUGE,
+            not_with: &["bus", "replay"],
+            needs: Some("sim"),
+            sample: "'cp2112'",
+            ..Opt::NEW
+        },
+        Opt {
             name: "scenario",
             effect: Effect::NameOrFile("NAME|FILE", |to| &mut to.scenario),
             doc: "Let this happen to the simulated gauge: ebike-ride, failing-bus, power-cut, robot-day, solar-week, \

@@ -8,7 +8,7 @@ use std::time::Duration;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 
 use clap::error::{ContextKind, ContextValue};
-use gauge_bus::GAUGE_ADDRESS;
+use gauge_bus::{AdapterModel, GAUGE_ADDRESS};
 use gauge_owner::SimKey;
 use gauge_sim::Level;
 use gaugefs_client::condition::Condition;
@@ -76,6 +76,11 @@ pub(super) fn order(text: &str) -> Result<Order, String> {
 
 pub(crate) fn seal(text: &str) -> Result<Level, String> {
     one_of(text, &[("sealed", Level::Sealed), ("unsealed", Level::Unsealed)])
+}
+
+/// The models of adapters, by their names.
+pub(crate) fn adapter(text: &str) -> Result<&'static AdapterModel, String> {
+    one_of(text, &AdapterModel::all().map(|model| (model.name, model)).collect::<Vec<_>>())
 }
 
 pub(crate) fn address(text: &str) -> Result<u8, String> {

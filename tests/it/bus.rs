@@ -10,8 +10,12 @@ use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
+use gauge_bus::AdapterModel;
+use gauge_bus::linux::Adapter;
+use i2c_server::FUNCTIONS;
 use i2cdev::core::{I2CDevice, I2CMessage, I2CTransfer};
-use i2cdev::linux::{LinuxI2CDevice, LinuxI2CMessage};
+use i2cdev::linux::{LinuxI2CDevice, LinuxI2CError, LinuxI2CMessage};
+use nix::errno::Errno;
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::{Pid, geteuid};
 
@@ -231,6 +235,105 @@ fn regression_nobody_at_0x0b_hid_the_gauge_at_0x55() {
     }
     set("power", "off");
     gaugefs(&["probe", "--bus", &server.path]).failed(&["Input/output error"]);
+}
+
+/// What a call on a bus returns, or its errno.
+fn outcome<T>(called: Result<T, LinuxI2CError>) -> Result<T, Errno> {
+    called.map_err(|error| match error {
+        LinuxI2CError::Errno(number) => Errno::from_raw(number),
+        LinuxI2CError::Io(error) => Errno::from_raw(error.raw_os_error().expect("an errno")),
+    })
+}
+
+fn functions(server: &Server) -> u64 {
+    Adapter::find(Path::new(&server.path)).and_then(|bus| bus.capabilities()).expect("I2C_FUNCS")
+}
+
+/// As the kernel's drivers answered when they were run.
+#[test]
+fn a_bus_behind_an_adapter_has_its_limits_errors_and_functions() {
+    if !can_mount() {
+        return;
+    }
+    let server = |name| {
+        let folder = Folder::new();
+        let server = Server::start(&folder, &[CHIP, "--adapter", name, "--fast"]);
+        (folder, server)
+    };
+    let rdwr = |device: &mut LinuxI2CDevice, mut messages: Vec<LinuxI2CMessage<'_>>| {
+        outcome(device.transfer(&mut messages))
+    };
+    let (block, mut word) = ([0x40; 300], [0; 2]);
+    let write = |length| vec![LinuxI2CMessage::write(&block[..length])];
+    {
+        let (_folder, server) = server("cp2112");
+        let mut gauge = server.device(0x55);
+        assert_eq!(functions(&server), 0x0ffe_8001 & FUNCTIONS);
+        assert_eq!(voltage(&mut gauge), 3855);
+        assert_eq!(outcome(server.device(0x54).smbus_read_byte()), Err(Errno::ETIMEDOUT), "nobody is there");
+        assert_eq!(rdwr(&mut gauge, write(62)), Err(Errno::EINVAL));
+        assert_eq!(rdwr(&mut gauge, write(256)), Ok(1), "as no byte, with success");
+        let three = vec![
+            LinuxI2CMessage::write(&[8]),
+            LinuxI2CMessage::read(&mut word),
+            LinuxI2CMessage::write(&[8]),
+        ];
+        assert_eq!(rdwr(&mut gauge, three), Err(Errno::EOPNOTSUPP));
+    }
+    {
+        let (_folder, server) = server("i801");
+        let mut gauge = server.device(0x55);
+        assert_eq!(functions(&server), 0x1fff_8008 & FUNCTIONS);
+        assert_eq!(voltage(&mut gauge), 3855);
+        assert_eq!(gauge.smbus_read_i2c_block_data(0x08, 2).expect("a block"), [0x0f, 0x0f]);
+        assert_eq!(rdwr(&mut gauge, write(1)), Err(Errno::EOPNOTSUPP));
+        assert_eq!(outcome(gauge.write(&[0x08])), Err(Errno::EOPNOTSUPP));
+        assert_eq!(outcome(gauge.read(&mut [0; 2])), Err(Errno::EOPNOTSUPP));
+    }
+    {
+        let (_folder, server) = server("piix4");
+        let mut gauge = server.device(0x55);
+        assert_eq!(voltage(&mut gauge), 3855);
+        assert_eq!(outcome(gauge.smbus_read_i2c_block_data(0x08, 2)), Err(Errno::EOPNOTSUPP));
+    }
+    let (_folder, server) = server("bcm2835");
+    assert_eq!(outcome(server.device(0x54).smbus_read_byte()), Err(Errno::EREMOTEIO));
+    let three =
+        vec![LinuxI2CMessage::write(&[8]), LinuxI2CMessage::read(&mut word), LinuxI2CMessage::write(&[8])];
+    assert_eq!(rdwr(&mut server.device(0x55), three), Ok(3));
+}
+
+#[test]
+fn an_unknown_adapter_is_answered_with_the_known_ones() {
+    let ran = gaugefs(&["sim", CHIP, "--adapter", "cp2113", "./bus"]);
+    assert_eq!(ran.code, Some(2));
+    for model in AdapterModel::all() {
+        assert!(ran.err.contains(model.name), "{}: {}", model.name, ran.err);
+    }
+    let help = gaugefs(&["mount", "--help"]).out.split_whitespace().collect::<Vec<_>>().join(" ");
+    let names: Vec<_> = AdapterModel::all().map(|model| model.name).collect();
+    assert!(help.contains(&format!("pace: {} [default", names.join(", "))), "{names:?}");
+}
+
+/// gaugefs reads and writes a gauge behind any of them.
+#[test]
+fn a_simulated_gauge_is_mounted_behind_any_adapter() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let at = folder.file("m");
+    for model in AdapterModel::all() {
+        gaugefs(&["mount", "--sim", CHIP, "--sim-adapter", model.name, "--fast", &at]).done();
+        let file = |name: &str| format!("{at}/BAT0/{name}");
+        let written = fs::write(file("df/80/53"), "3100\n").map_err(|error| error.raw_os_error());
+        // A host with words alone cannot write a block as a whole.
+        let (expected, shown) =
+            if model.name == "piix4" { (Err(Some(30)), "3000") } else { (Ok(()), "3100") };
+        assert_eq!(written, expected, "{}", model.name);
+        assert_eq!(fs::read_to_string(file("df/80/53")).expect("a value").trim(), shown, "{}", model.name);
+        gaugefs(&["umount", &at]).done();
+    }
 }
 
 #[test]

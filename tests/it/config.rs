@@ -116,7 +116,9 @@ fn a_file_that_makes_no_sense_is_refused_with_the_place() {
         ("[defaults]\nx = 3\n", &["line 2: x: unknown key; known here are bus, address, chip"]),
         (
             "[[gauge]]\nx = 3\n",
-            &["line 2: x: unknown key; known here are sim, sim-state, sim-key, sim-seal, sim-set, scenario"],
+            &[
+                "line 2: x: unknown key; known here are sim, sim-state, sim-key, sim-seal, sim-set, sim-adapter",
+            ],
         ),
         ("[[gague]]\n", &["line 1: gague: unknown key; did you mean [[gauge]]?"]),
         ("[default]\n", &["line 1: default: unknown key; did you mean [defaults]?"]),

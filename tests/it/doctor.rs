@@ -228,6 +228,25 @@ fn the_clock_of_a_bus_is_shown_with_its_source() {
 }
 
 #[test]
+fn an_adapter_that_gives_up_on_a_gauge_soon_is_named_with_others_that_wait() {
+    let system = System::new();
+    for (number, driver, name, least) in [
+        (7, "mcp2221", "MCP2221 usb-i2c bridge", "1 ms in a write"),
+        (8, "cp2112", "CP2112 SMBus Bridge on hidraw1", "20 ms in a write"),
+    ] {
+        bridge(&system, number, driver, name);
+        system.says(
+            "warning",
+            &format!("i2c-{number} ({name})"),
+            &["gives up on a gauge", least, "FT260, i2c-gpio"],
+        );
+    }
+    bridge(&system, 9, "ft260", "FT260 usb-i2c bridge on hidraw0");
+    let text = String::from_utf8(system.doctor(&[]).stdout).expect("text");
+    assert_eq!(text.matches("gives up on a gauge").count(), 2, "{text}");
+}
+
+#[test]
 fn a_mux_is_shown_with_the_buses_to_use() {
     let system = System::new();
     bridge(&system, 0, "mcp2221", "MCP2221 usb-i2c bridge");

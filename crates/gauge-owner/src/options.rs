@@ -7,6 +7,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use crate::choose::Rule;
+use gauge_bus::AdapterModel;
 use gauge_sim::Level;
 use ti_gauge::authentication::Order;
 use ti_gauge::chip::Chip;
@@ -24,6 +25,8 @@ pub struct GaugeOptions {
     pub sim_seal: Option<Level>,
     /// Knobs that are turned before anything happens, each with its setting.
     pub sim_set: Vec<(String, String)>,
+    /// The adapter that the simulated gauge is behind.
+    pub sim_adapter: Option<&'static AdapterModel>,
     /// Name or file of what happens to the simulated gauge.
     pub scenario: Option<PathBuf>,
     /// Another seed than the scenario's.

@@ -16,7 +16,7 @@ use gauge_bus::clock::Clock;
 use gauge_bus::error::ErrorKind;
 use gauge_bus::linux::{Adapter, LinuxBus};
 use gauge_bus::replay::{Recording, Replay};
-use gauge_bus::{Bus, BusError, GAUGE_ADDRESS, Reach};
+use gauge_bus::{AdapterModel, Bus, BusError, GAUGE_ADDRESS, Reach};
 use gauge_sim::scenario::Scenario;
 use gauge_sim::{self, Level, Sim, SimBus};
 use gaugefs_client::mounts;
@@ -64,6 +64,8 @@ pub enum Source {
         scenario: Option<Script>,
         /// Knobs that are turned before anything happens, each with its setting.
         knobs: Vec<(String, String)>,
+        /// The adapter that it is behind; without one, a bus that carries and reports everything.
+        adapter: Option<&'static AdapterModel>,
     },
     /// In a file that `--trace` wrote.
     Recording(PathBuf),
@@ -143,6 +145,7 @@ impl Source {
                 seal: options.sim_seal,
                 scenario: options.scenario.clone().map(|name| Script { name, seed }),
                 knobs: options.sim_set.clone(),
+                adapter: options.sim_adapter,
             });
         }
         match (&options.replay, &options.bus) {
@@ -211,7 +214,7 @@ impl Source {
     pub fn open(&self, mountpoint: &Path, clock: &Arc<dyn Clock>, waits: bool) -> Result<Opened> {
         let subject = self.to_string();
         match self {
-            Self::Sim { chip, state, key, seal, scenario, knobs } => {
+            Self::Sim { chip, state, key, seal, scenario, knobs, adapter } => {
                 let state = state.as_deref();
                 let lock =
                     state.map(|path| Lock::state(path, mountpoint, &**clock, is_ending)).transpose()?;
@@ -219,9 +222,13 @@ impl Source {
                 let (sim, bus) = power_up(chip, state, *key, *seal, clock)?;
                 turn(&sim, knobs)?;
                 scenario.as_ref().map_or(Ok(()), |script| script.play(&sim))?;
+                let reach = adapter.map_or(Reach::FULL, |model| {
+                    sim.set_adapter(model, true);
+                    chip.reach_at(Some(model.hertz()))
+                });
                 let journal_key = state.map(lock::key_of_state);
                 let opened = Opened::new(chip, Box::new(bus), subject);
-                Ok(Opened { sim: Some(sim), lock, journal_key, ..opened })
+                Ok(Opened { sim: Some(sim), lock, journal_key, reach, ..opened })
             }
             Self::Recording(path) => {
                 let (chip, replay) = recorded(path)?;

@@ -10,6 +10,7 @@ use std::time::Duration;
 
 use rustix::io::Errno;
 
+use crate::functions::FUNCTIONS;
 use crate::message::{M_RD, Message};
 
 /// A device at an address.
@@ -22,9 +23,28 @@ pub trait Target: Send {
     fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), Errno>;
 }
 
+/// How an adapter treats its callers, whatever its targets do.
+#[derive(Clone, Copy, Debug)]
+pub struct Manner {
+    /// The answer to I2C_FUNCS, without what is not in [`FUNCTIONS`]. Without `I2C_FUNC_I2C`, I2C_RDWR, read(2) and write(2) are
+    /// EOPNOTSUPP, as are the SMBus transactions whose bit is not set.
+    pub functions: u64,
+    /// The error where no target is.
+    pub nobody: Errno,
+    /// A call is one message, or a write and the read after it; others are EOPNOTSUPP.
+    pub is_pair: bool,
+}
+
+impl Default for Manner {
+    fn default() -> Self {
+        Self { functions: FUNCTIONS, nobody: Errno::NXIO, is_pair: false }
+    }
+}
+
 /// A bus with its targets, shared by all clients.
 #[derive(Default)]
 pub struct Adapter {
+    manner: Manner,
     targets: Mutex<BTreeMap<u16, Box<dyn Target>>>,
     pace: Option<Pace>,
 }
@@ -54,6 +74,17 @@ impl Adapter {
         self
     }
 
+    /// Treats callers in that manner.
+    #[must_use]
+    pub fn in_manner(self, manner: Manner) -> Self {
+        Self { manner, ..self }
+    }
+
+    /// What it is able to do, as the bits of I2C_FUNCS.
+    pub(crate) fn functions(&self) -> u64 {
+        self.manner.functions & FUNCTIONS
+    }
+
     /// Gives transfers the time of their bits at this clock.
     #[must_use]
     pub fn paced(self, hertz: u32, sleep: impl Fn(Duration) + Send + Sync + 'static) -> Self {
@@ -69,15 +100,15 @@ impl Adapter {
         if messages.iter().any(|message| message.flags & !M_RD != 0) {
             return Err(Errno::OPNOTSUPP);
         }
+        if self.manner.is_pair && !messages.is_empty() && operation(messages) < messages.len() {
+            return Err(Errno::OPNOTSUPP);
+        }
         let mut targets = self.lock();
         let mut left = messages;
-        while let Some(first) = left.first() {
-            let is_pair = |second: &Message| {
-                second.is_read() && second.address == first.address && !second.data.is_empty()
-            };
-            let pair = !first.is_read() && !first.data.is_empty() && left.get(1).is_some_and(is_pair);
-            let (sent, rest) = left.split_at_mut(if pair { 2 } else { 1 });
-            let target = targets.get_mut(&sent[0].address).ok_or(Errno::NXIO);
+        while !left.is_empty() {
+            let count = operation(left);
+            let (sent, rest) = left.split_at_mut(count);
+            let target = targets.get_mut(&sent[0].address).ok_or(self.manner.nobody);
             let outcome = target.and_then(|target| {
                 // A defect of one target ends neither the server nor the other targets.
                 panic::catch_unwind(AssertUnwindSafe(|| match sent {
@@ -99,11 +130,22 @@ impl Adapter {
     fn spend(&self, sent: &[Message], outcome: Result<(), Errno>) {
         let Some(pace) = &self.pace else { return };
         let bytes = match outcome {
-            Err(Errno::NXIO) => 1,
+            Err(error) if error == self.manner.nobody => 1,
             _ => sent.iter().map(|message| 1 + message.data.len()).sum(),
         };
         // Nine bits per byte, and one for each START and for STOP.
         let bits = bytes * 9 + sent.len() + 1;
         (pace.sleep)(Duration::from_secs(bits as u64) / pace.hertz.max(1));
+    }
+}
+
+/// How many of the messages are one operation of a target: a read goes with the write before it.
+fn operation(messages: &[Message]) -> usize {
+    match messages {
+        [first, second, ..] if !first.is_read() && !first.data.is_empty() => {
+            let is_pair = second.is_read() && second.address == first.address && !second.data.is_empty();
+            1 + usize::from(is_pair)
+        }
+        _ => 1,
     }
 }

@@ -5,9 +5,9 @@
 use rustix::io::Errno;
 
 use crate::adapter::Adapter;
+use crate::functions::I2C;
 use crate::message::{MAX_LENGTH, Memory, Message};
 use crate::request::{Request, Width};
-use crate::smbus::FUNCTIONS;
 
 /// An open file: the address and modes that its user has set.
 #[derive(Clone, Debug, Default)]
@@ -53,12 +53,14 @@ impl Client {
             Request::TenBit(on) => self.ten_bit = on,
             Request::Pec(on) => self.pec = on,
             Request::Accepted => {}
-            Request::Functions(at, Width::Bits64) => return Ok(put(at, FUNCTIONS.to_ne_bytes().into())),
+            Request::Functions(at, Width::Bits64) => {
+                return Ok(put(at, adapter.functions().to_ne_bytes().into()));
+            }
             Request::Functions(at, Width::Bits32) => {
-                return Ok(put(at, (FUNCTIONS as u32).to_ne_bytes().into()));
+                return Ok(put(at, (adapter.functions() as u32).to_ne_bytes().into()));
             }
             Request::Messages(mut messages) => {
-                adapter.transfer(&mut messages)?;
+                plain(adapter, &mut messages)?;
                 let result = messages.len() as i32;
                 let read =
                     messages.into_iter().filter(|message| message.is_read() && !message.data.is_empty());
@@ -76,7 +78,7 @@ impl Client {
     /// Answers read(2).
     pub fn read(&self, adapter: &Adapter, count: usize) -> Result<Vec<u8>, Errno> {
         let mut messages = [Message::read(self.target()?, count.min(MAX_LENGTH))];
-        adapter.transfer(&mut messages)?;
+        plain(adapter, &mut messages)?;
         let [message] = messages;
         Ok(message.data)
     }
@@ -84,11 +86,19 @@ impl Client {
     /// Answers write(2): how many bytes were written.
     pub fn write(&self, adapter: &Adapter, data: &[u8]) -> Result<usize, Errno> {
         let data = &data[..data.len().min(MAX_LENGTH)];
-        adapter.transfer(&mut [Message::write(self.target()?, data.to_vec())])?;
+        plain(adapter, &mut [Message::write(self.target()?, data.to_vec())])?;
         Ok(data.len())
     }
 
     fn target(&self) -> Result<u16, Errno> {
         if self.ten_bit { Err(Errno::OPNOTSUPP) } else { Ok(self.address) }
     }
+}
+
+/// Sends messages that are no transaction of SMBus.
+fn plain(adapter: &Adapter, messages: &mut [Message]) -> Result<(), Errno> {
+    if adapter.functions() & I2C == 0 {
+        return Err(Errno::OPNOTSUPP);
+    }
+    adapter.transfer(messages)
 }

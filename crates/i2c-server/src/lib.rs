@@ -75,15 +75,17 @@
 
 mod adapter;
 mod client;
+mod functions;
 pub mod fuse;
 mod message;
 mod request;
 mod smbus;
 pub mod usb;
 
-pub use adapter::{Adapter, Target};
+pub use adapter::{Adapter, Manner, Target};
 pub use client::{Client, Outcome};
+pub use functions::FUNCTIONS;
 pub use message::{MAX_LENGTH, Memory, Message};
 pub use request::{MAX_MESSAGES, Request, Width, command};
 pub use rustix::io::Errno;
-pub use smbus::{FUNCTIONS, Transaction};
+pub use smbus::Transaction;

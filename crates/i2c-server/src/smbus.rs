@@ -5,11 +5,8 @@
 use rustix::io::Errno;
 
 use crate::adapter::Adapter;
+use crate::functions::{I2C, PEC};
 use crate::message::{BLOCK, Memory, Message};
-
-/// The answer to I2C_FUNCS: I2C messages; quick commands, bytes, words, process calls, I2C blocks and block writes of SMBus;
-/// packet error codes.
-pub const FUNCTIONS: u64 = 0x0000_0001 | 0x0000_0008 | 0x00ff_0000 | 0x0200_0000 | 0x0c00_0000;
 
 /// A transaction's size field: I2C_SMBUS_QUICK and those after it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -84,6 +81,21 @@ impl Transaction {
         Ok(Self { kind, is_read, command, data: bytes })
     }
 
+    /// Its bit in I2C_FUNCS.
+    fn function(&self) -> u64 {
+        let (read, has_two) = match self.kind {
+            Kind::Quick => (0x0001_0000, false),
+            Kind::Byte => (0x0002_0000, true),
+            Kind::ByteData => (0x0008_0000, true),
+            Kind::WordData => (0x0020_0000, true),
+            Kind::ProcessCall => (0x0080_0000, false),
+            Kind::Block => (0x0100_0000, true),
+            Kind::I2cBlock => (0x0400_0000, true),
+            Kind::BlockProcessCall => (0x0000_8000, false),
+        };
+        if has_two && !self.is_read { read << 1 } else { read }
+    }
+
     pub(crate) fn answer(&self) -> Option<usize> {
         let has = match self.kind {
             Kind::Quick | Kind::Block | Kind::BlockProcessCall => false,
@@ -99,6 +111,10 @@ impl Transaction {
         address: u16,
         pec: bool,
     ) -> Result<Option<Vec<u8>>, Errno> {
+        // The kernel emulates the others with messages.
+        if adapter.functions() & (I2C | self.function()) == 0 {
+            return Err(Errno::OPNOTSUPP);
+        }
         let block = || match self.data[0] {
             length @ 1..=32 => Ok(usize::from(length)),
             _ => Err(Errno::INVAL),
@@ -119,7 +135,7 @@ impl Transaction {
         // SMBus words are little-endian on the wire, and native in the union.
         let is_word = matches!(self.kind, Kind::WordData | Kind::ProcessCall);
         let written = if is_word && !written.is_empty() { swapped(written) } else { written.to_vec() };
-        let pec = pec && self.kind != Kind::I2cBlock;
+        let pec = pec && self.kind != Kind::I2cBlock && adapter.functions() & PEC != 0;
         let mut messages = Vec::new();
         // A byte is received without a command.
         if !(self.kind == Kind::Byte && self.is_read) {

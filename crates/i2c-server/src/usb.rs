@@ -14,7 +14,6 @@ use crate::adapter::Adapter;
 use crate::client::Client;
 use crate::message::{MAX_LENGTH, Message};
 use crate::request::{MAX_MESSAGES, Request};
-use crate::smbus::FUNCTIONS;
 
 /// USB_SPEED_FULL, the device's speed.
 pub const SPEED: u32 = 2;
@@ -156,7 +155,7 @@ impl Device {
         const LAST: u8 = 2;
         match setup.request {
             ECHO => Ok(setup.value.to_le_bytes().into()),
-            GET_FUNC => Ok((FUNCTIONS as u32).to_le_bytes().into()),
+            GET_FUNC => Ok((adapter.functions() as u32).to_le_bytes().into()),
             SET_DELAY => Ok(Vec::new()),
             GET_STATUS => Ok(vec![self.status as u8]),
             request if request & !(FIRST | LAST) == I2C_IO => {
@@ -194,7 +193,7 @@ impl Device {
         let outcome = self.client.run(adapter, Request::Messages(std::mem::take(&mut self.waiting)));
         match outcome {
             Ok(mut outcome) => Ok(outcome.writes.pop().map(|(_, bytes)| bytes).unwrap_or_default()),
-            // The driver reads as many bytes as it asked for, and then the status.
+            // The driver reads as many bytes as it asked for, and then the status. It has one error for all others.
             Err(Errno::NXIO) => {
                 self.status = Status::Refused;
                 Ok(vec![0; if is_read { setup.length } else { 0 }])
@@ -252,6 +251,7 @@ fn descriptor(value: u16) -> std::result::Result<Vec<u8>, Stall> {
 
 #[cfg(test)]
 mod tests {
+    use crate::functions::FUNCTIONS;
     use std::os::unix::net::UnixStream;
     use std::thread::{self, JoinHandle};
 

@@ -7,7 +7,8 @@ use std::os::unix::fs::{FileTypeExt, MetadataExt};
 
 use super::host::Host;
 use super::{Finding, ok, problem, warning};
-use gauge_bus::linux::{Adapter, adapters, clock, connected, described, driver, muxes, write_disable};
+use gauge_bus::adapters::patient;
+use gauge_bus::linux::{Adapter, adapters, clock, connected, described, driver, model, muxes, write_disable};
 use gauge_bus::{GAUGE_ADDRESS, Reach};
 
 /// Fastest clock at which this controller tolerates clock stretching.
@@ -28,6 +29,7 @@ pub(super) fn check(host: &Host, configured: &[String]) -> Vec<Finding> {
         findings.extend(mux(host, *number, wanted));
         findings.extend(stretching(host, *number, name));
         findings.extend(writes(host, *number, name, wanted));
+        findings.extend(patience(host, *number, name));
         findings.extend(drivers(host, *number));
     }
     findings
@@ -203,6 +205,21 @@ fn writes(host: &Host, number: u64, name: &str, wanted: bool) -> Option<Finding>
         true => problem(what, says, remedy),
         false => ok(what, says),
     })
+}
+
+/// A gauge holds the clock while it wakes up or stores a row, for longer than some adapters wait.
+fn patience(host: &Host, number: u64, name: &str) -> Option<Finding> {
+    let model = model(host.root(), number).filter(|model| model.is_impatient())?;
+    let says = format!(
+        "gives up on a gauge that holds the clock for more than {} ms in a write, as gauges do while they store",
+        model.waits(true).as_millis()
+    );
+    let remedy = format!(
+        "gaugefs looks whether such a write has arrived, and repeats what may happen twice. If writes fail often, use an \
+         adapter that waits: {}",
+        patient()
+    );
+    Some(warning(format!("i2c-{number} ({name})"), says, remedy))
 }
 
 /// Kernel drivers bound to gauges.

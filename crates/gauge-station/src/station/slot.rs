@@ -183,7 +183,7 @@ impl Simulated {
     fn rehearse(&self, of: &mut Source) {
         let at = (self.number as usize).saturating_sub(1) % self.rehearsed.len().max(1);
         let Some(rehearsed) = self.rehearsed.get(at) else { return };
-        let Source::Sim { chip, key, seal, knobs, scenario, state } = of else { return };
+        let Source::Sim { chip, key, seal, knobs, scenario, state, .. } = of else { return };
         let mut turn = |knob: &str, text: &str| knobs.push((knob.into(), text.into()));
         match rehearsed {
             Rehearsed::Good => {}

@@ -30,18 +30,21 @@ pub(crate) struct Adapter {
 impl Adapter {
     const PLAIN: Self = Self { model: None, reach: Reach::FULL };
 
-    /// One by seed: most are models, and many are narrower than these, down to words, with lengths around those of a block. A
-    /// bridge that is slow is not narrow as well: all of data flash takes it more than the time of an access.
+    /// One of no model by seed, with lengths around those of a block, down to words.
+    pub(crate) fn narrow(seed: u64) -> Self {
+        Self { model: None, reach: narrow(&mut Random(seed ^ DRAWN)) }
+    }
+
+    /// One by seed: most are models, and many of these are narrower as well. A bridge that is slow is not: all of data flash would
+    /// take it more than the time of an access.
     pub(crate) fn drawn(seed: u64) -> Self {
-        let random = &mut Random(seed ^ 0x0ada_97e2);
-        let data = *random.pick(&[2, 2, 3, 8, 16, 31, 32, 33, 60]);
-        let narrow =
-            if random.below(3) == 0 { Reach::smbus(data.min(32), false) } else { Reach::of_data(data) };
+        let random = &mut Random(seed ^ DRAWN);
+        let reach = narrow(random);
         let models: Vec<_> = AdapterModel::all().collect();
         let model = (random.below(4) > 0).then(|| *random.pick(&models));
         let is_slow = model.is_some_and(|model| !model.pace(1, 2).is_zero());
         let is_narrow = model.is_none() || !is_slow && random.below(2) == 0;
-        Self { model, reach: if is_narrow { narrow } else { Reach::FULL } }
+        Self { model, reach: if is_narrow { reach } else { Reach::FULL } }
     }
 
     /// The model of that name.
@@ -69,6 +72,13 @@ impl fmt::Display for Adapter {
         let kind = if smbus { "SMBus" } else { "I2C" };
         write!(f, "{}, {kind} of {read} bytes", self.model.map_or("any", |model| model.name))
     }
+}
+
+const DRAWN: u64 = 0x0ada_97e2;
+
+fn narrow(random: &mut Random) -> Reach {
+    let data = *random.pick(&[2, 2, 3, 8, 16, 31, 32, 33, 60]);
+    if random.below(3) == 0 { Reach::smbus(data.min(32), false) } else { Reach::of_data(data) }
 }
 
 thread_local! {
