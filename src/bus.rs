@@ -20,13 +20,11 @@ use std::thread;
 use i2c_server::{Adapter, Errno, Manner, Target};
 use nix::sys::signal::{SigSet, Signal, kill};
 use nix::sys::wait::{WaitPidFlag, WaitStatus, waitpid};
-use nix::unistd::{Pid, getegid, geteuid};
+use nix::unistd::{Pid, geteuid};
 
-use crate::daemon::knobs::SimKnobs;
 use crate::daemon::{mountpoint, service};
 use crate::error::{Cause, Error, Result};
-use crate::fs::{self as tree, Fs, Knobs};
-use crate::fuse::{self, single};
+use crate::fuse::single;
 use crate::output::{print, say};
 use gauge_bus::adapters::{AdapterModel, Failure};
 use gauge_bus::clock::{Clock, RealClock};
@@ -42,12 +40,14 @@ mod cuse;
 mod device;
 mod file;
 mod namespace;
+mod panel;
 mod rights;
 
 pub(crate) use cuse::Cuse;
 pub(crate) use device::Vhci;
 use file::Access;
 pub(crate) use namespace::become_command;
+pub(crate) use panel::{Panel, RootPanel, end};
 
 /// Source of the mount in mountinfo.
 const SOURCE: &str = "gaugefs-sim";
@@ -238,32 +238,6 @@ impl Place {
     /// Mounts at it, and removes it if that fails.
     fn mount<T>(&self, mount: impl FnOnce(&Path) -> Result<T>) -> Result<T> {
         mount(&self.path).inspect_err(|_| drop(self.remove()))
-    }
-}
-
-/// A mounted folder of knobs; dropping it unmounts it.
-pub(crate) struct Panel(Place);
-
-impl Panel {
-    /// Mounts the knobs of the simulated gauges: of the only one, or in a folder for each.
-    pub(crate) fn mount(path: &Path, gauges: &[Gauge]) -> Result<Self> {
-        let knobs = gauges.iter().filter_map(|Gauge { name, address, sim, .. }| {
-            let knobs = Box::new(SimKnobs(sim.clone()?)) as Box<dyn Knobs>;
-            Some((format!("{name}@0x{address:02x}"), knobs))
-        });
-        let access = tree::Access { uid: geteuid().as_raw(), gid: getegid().as_raw(), group: false };
-        let tree = Arc::new(Fs::of_knobs(knobs.collect(), access));
-        let place = Place::prepare(path, true)?;
-        place.mount(|path| fuse::mount_knobs(tree, path, SOURCE))?;
-        Ok(Self(place))
-    }
-}
-
-impl Drop for Panel {
-    fn drop(&mut self) {
-        if let Err(error) = self.0.remove() {
-            say(error);
-        }
     }
 }
 

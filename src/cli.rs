@@ -104,6 +104,7 @@ enum Command {
     Man(manual::Man),
     Attach(Box<mount::Attach>),
     SimInside(sim::Inside),
+    SimEnd(sim::End),
     /// Remove the mounts of services that have ended; systemd's units run it as root
     Detach,
     /// Check that nobody else may read the key file of a service; systemd's units run it as root
@@ -142,6 +143,7 @@ impl Command {
             Self::List(command) => command.run(),
             Self::Sim(command) => command.run(),
             Self::SimInside(command) => command.run(),
+            Self::SimEnd(command) => command.run(),
             Self::Probe(command) => command.run(),
             #[cfg(feature = "rescue")]
             Self::Rescue(command) => command.run(),

@@ -22,7 +22,7 @@ pub(super) fn give_up(state: Option<&Path>) -> Result<()> {
 }
 
 /// The user that this process becomes.
-fn successor(state: Option<&Path>) -> Result<(Uid, Gid)> {
+pub(super) fn successor(state: Option<&Path>) -> Result<(Uid, Gid)> {
     if let Some(state) = state {
         let folder = state.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
         let status = fs::metadata(folder)

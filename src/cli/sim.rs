@@ -11,7 +11,7 @@ use std::sync::Arc;
 use clap::Args;
 
 use super::align;
-use crate::bus::{self, Cuse, Gauge, Panel, Vhci};
+use crate::bus::{self, Cuse, Gauge, Panel, RootPanel, Vhci};
 use crate::config::{adapter, address, seal, standard_input};
 use crate::error::{Cause, Error, Result};
 use crate::output::{is_standard_output, print};
@@ -20,6 +20,7 @@ use gauge_bus::{AdapterModel, GAUGE_ADDRESS};
 use gauge_owner::{Script, Source};
 use gauge_sim::{FAULTS, Level, Options};
 use gaugefs_host::signals;
+use nix::unistd::geteuid;
 use ti_gauge::chip::Chip;
 use ti_gauge::text;
 
@@ -77,7 +78,7 @@ pub(super) struct Sim {
     cuse: Option<String>,
     /// Plug an adapter into the kernel, as root, whose rights are given up before anything is served: drivers bind to it, and
     /// it is /dev/i2c-N; needs the kernel's vhci-hcd and i2c-tiny-usb
-    #[arg(long, conflicts_with_all = ["knobs", "command", "cuse"])]
+    #[arg(long, conflicts_with_all = ["command", "cuse"])]
     device: bool,
     /// Answer as this adapter of the kernel does, with its limits, error numbers and pace; an unknown name lists them
     #[arg(long, value_name = "NAME", value_parser = adapter, conflicts_with = "replay")]
@@ -108,6 +109,23 @@ pub(super) struct Inside {
     command: Vec<OsString>,
 }
 
+/// Unmount the knobs of `gaugefs sim` when it has ended
+#[derive(Args, Debug)]
+#[command(hide = true)]
+pub(super) struct End {
+    /// The folder
+    folder: PathBuf,
+    /// It was made for the knobs
+    #[arg(long)]
+    remove: bool,
+}
+
+impl End {
+    pub(super) fn run(self) -> Result<ExitCode> {
+        bus::end(&self.folder, self.remove).map(|()| ExitCode::SUCCESS)
+    }
+}
+
 impl Sim {
     pub(super) fn run(self) -> Result<ExitCode> {
         if self.list {
@@ -116,6 +134,8 @@ impl Sim {
         }
         let (chips, path) = self.parts()?;
         let signals = signals::block()?;
+        let early = self.knobs.as_ref().filter(|_| self.device && geteuid().is_root());
+        let early = early.map(|folder| RootPanel::mount(folder, self.state.as_deref())).transpose()?;
         let cuse = self.cuse.as_ref().map(|name| Cuse::open(name, self.state.as_deref())).transpose()?;
         let vhci = self.device.then(|| Vhci::plug(self.state.as_deref())).transpose()?;
         let gauges = self.gauges(&chips)?;
@@ -127,7 +147,10 @@ impl Sim {
         let speed =
             self.speed.as_ref().map(|speed| speed.parse::<u32>().expect("one of the possible values") * 1000);
         let hertz = speed.unwrap_or_else(|| self.adapter.map_or(100_000, AdapterModel::hertz));
-        let panel = self.knobs.as_ref().map(|folder| Panel::mount(folder, &gauges)).transpose()?;
+        let (panel, _end) = match early {
+            Some(early) => (None, Some(early.serve(&gauges)?)),
+            None => (self.knobs.as_ref().map(|folder| Panel::mount(folder, &gauges)).transpose()?, None),
+        };
         let adapter = bus::adapter(gauges, self.adapter, (!self.fast).then_some(hertz))?;
         if let Some(cuse) = cuse {
             return cuse.serve(adapter, signals, &names.join(", "));

@@ -23,7 +23,9 @@ fn printing<'a>(
 ) -> Option<Vec<&'a str>> {
     Some(match name {
         // They print nothing to standard output.
-        "umount" | "wait" | "events" | "attach" | "sim-inside" | "detach" | "check-keys" => return None,
+        "umount" | "wait" | "events" | "attach" | "sim-inside" | "sim-end" | "detach" | "check-keys" => {
+            return None;
+        }
         // It serves on when it has printed its line; `bus.rs` has its test.
         "sim" => return None,
         // A gauge with RAM has something to tell, which is printed as what is to settle; `forgetful.rs` has its test.

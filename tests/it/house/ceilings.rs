@@ -17,7 +17,7 @@ const LINES: [(&str, usize); 10] = [
     ("gauge-owner", 7_480),
     ("gauge-sim", 10_420),
     ("gauge-station", 3_800),
-    ("gaugefs", 17_860),
+    ("gaugefs", 17_900),
     ("gaugefs-client", 2_770),
     ("gaugefs-host", 600),
     ("gaugefs-screen", 6_120),
