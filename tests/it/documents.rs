@@ -6,6 +6,8 @@ use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use gauge_bus::adapters::{AdapterModel, Source};
+
 use super::room::{page, readme, rows, section, within_code};
 
 fn root() -> PathBuf {
@@ -106,18 +108,36 @@ fn regression_a_blank_line_cut_a_table_in_two() {
     }
 }
 
-/// Who buys an adapter reads the page; what gaugefs knows of each is a table of gauge-bus, read from its source.
+/// What gaugefs knows of an adapter is in the models of gauge-bus; who buys one reads the page.
 #[test]
 fn the_page_of_adapters_has_a_row_for_each_driver() {
-    let files =
-        ["linux/adapter.rs", "adapters.rs"].map(|name| root().join("crates/gauge-bus/src").join(name));
-    let source: String = files.iter().filter(|path| path.exists()).map(|path| read(path)).collect();
-    let named = source.split("driver: \"").skip(1).filter_map(|rest| rest.split('"').next());
-    let drivers: BTreeSet<_> = named.filter(|name| !name.is_empty()).collect();
     let rows: Vec<_> = rows(&page("ADAPTERS.md"), "Adapters").into_iter().skip(2).collect();
     let told: Vec<_> = rows.iter().flat_map(|row| within_code(&row[1])).collect();
-    assert_eq!(told.iter().copied().collect::<BTreeSet<_>>(), drivers, "the page; the table");
-    assert_eq!(told.len(), drivers.len(), "a driver has two rows: {told:?}");
+    let drivers: BTreeSet<_> = AdapterModel::all().map(|model| model.driver).collect();
+    assert_eq!(told.iter().copied().collect::<BTreeSet<_>>(), drivers, "the page; the models");
+    assert_eq!(told.len(), drivers.len(), "{told:?}");
+    for model in AdapterModel::all() {
+        let row = rows.iter().find(|row| within_code(&row[1]).any(|driver| driver == model.driver));
+        let [.., clock, read, notes] = &row.expect("a row")[..] else { panic!("five cells: {row:?}") };
+        let told = match model.clock {
+            Source::Driver(hertz) | Source::Since(_, hertz) => {
+                clock.starts_with(&format!("{} kHz", hertz / 1000))
+            }
+            Source::File(name) => notes.contains(&format!("the file `{name}`")),
+            Source::Tree => true,
+        };
+        assert!(told, "the clock of {}: {row:?}", model.name);
+        let beside_bits = model.pace(1, 2).as_millis();
+        assert_eq!(
+            *read,
+            if beside_bits > 0 { format!("{beside_bits} ms") } else { String::new() },
+            "{row:?}"
+        );
+        let waits = format!("waits {} ms for a gauge", model.waits(true).as_millis());
+        let is_host = model.reach().smbus;
+        assert!(is_host || !model.is_impatient() || notes.contains(&waits), "{waits}: {row:?}");
+        assert_eq!(is_host && model.name != "i2c-stub", notes.starts_with("[SMBus only]"), "{row:?}");
+    }
 }
 
 /// A program that reads `error_details` has only the table to go by.
