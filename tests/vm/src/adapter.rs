@@ -13,8 +13,8 @@ use vm_memory::{GuestAddressSpace, GuestMemoryAtomic, GuestMemoryLoadGuard, Gues
 use vmm_sys_util::epoll::EventSet;
 use vmm_sys_util::event::{EventConsumer, EventFlag, EventNotifier, new_event_consumer_and_notifier};
 
-use crate::gauge::Gauge;
-use crate::wire::{Data, Message, Wire};
+use crate::bench::Bench;
+use crate::wire::{Data, Message};
 
 /// VIRTIO_F_VERSION_1 and VHOST_USER_F_PROTOCOL_FEATURES.
 const VERSION_1: u64 = 1 << 32;
@@ -34,26 +34,6 @@ const OK: u8 = 0;
 const ERR: u8 = 1;
 
 type Chain = DescriptorChain<GuestMemoryLoadGuard<GuestMemoryMmap>>;
-
-/// A gauge and the wire to it, shared between the adapter and the control connections.
-#[derive(Debug)]
-pub(crate) struct Bench {
-    pub(crate) gauge: Gauge,
-    pub(crate) wire: Wire,
-    /// Another one on the same bus.
-    pub(crate) beside: Option<Box<Bench>>,
-}
-
-impl Bench {
-    /// A request goes to one of the gauges as a whole.
-    fn request(&mut self, messages: &mut [Message]) {
-        let is_for = |bench: &Self| messages.first().is_some_and(|first| first.address == bench.wire.address);
-        match &mut self.beside {
-            Some(beside) if is_for(beside) => beside.request(messages),
-            _ => self.wire.request(&mut self.gauge.bus, messages),
-        }
-    }
-}
 
 /// One adapter, for the life of one connection.
 #[derive(Debug)]

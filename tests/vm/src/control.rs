@@ -25,12 +25,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 use std::time::Duration;
 
-use gauge_sim::Knob;
-
-use crate::adapter::Bench;
-use crate::gauge::Gauge;
+use crate::bench::Bench;
 use crate::qmp::Slot;
-use crate::wire::{Counters, Wire};
 
 /// What a command works on.
 #[derive(Clone, Debug)]
@@ -87,50 +83,5 @@ impl Control {
         }
         let mut bench = self.bench.lock().unwrap_or_else(PoisonError::into_inner);
         bench.command(&words)
-    }
-}
-
-impl Bench {
-    fn command(&mut self, words: &[&str]) -> Result<String, String> {
-        let Self { gauge, wire, beside } = self;
-        match *words {
-            ["beside", chip, address] if address.starts_with("0x") => {
-                let address = u16::from_str_radix(&address[2..], 16);
-                let address = address.map_err(|_| "not an address".to_owned())?;
-                let wire = Wire { address, ..Wire::default() };
-                *beside = Some(Box::new(Self { gauge: Gauge::new(chip)?, wire, beside: None }));
-            }
-            ["beside", ref command @ ..] => {
-                return beside.as_mut().ok_or("there is no gauge beside it")?.command(command);
-            }
-            ["set", knob, ref value @ ..] if !value.is_empty() => {
-                gauge.sim.set(knob, &value.join(" ")).map_err(|error| error.to_string())?;
-            }
-            ["get", knob] => {
-                let value = gauge.sim.get(knob).ok_or_else(|| format!("{knob}: there is no such knob"))?;
-                return Ok(value + "\n");
-            }
-            ["gauge", chip] => *gauge = Gauge::new(chip)?,
-            ["knobs"] => {
-                let line = |knob: &Knob| format!("{}: {}\n", knob.name, knob.help);
-                return Ok(gauge.sim.knobs().iter().map(line).collect());
-            }
-            ["pass", seconds] => {
-                gauge.clock.pass(seconds.parse().map_err(|_| format!("{seconds}: not a time"))?);
-            }
-            ["pace", "on"] => gauge.clock.pace(true),
-            ["pace", "off"] => gauge.clock.pace(false),
-            ["strange", "on"] => wire.strange = true,
-            ["strange", "off"] => wire.strange = false,
-            ["counters"] => {
-                let Counters { transfers, bytes, bits, refused } = wire.counters;
-                return Ok(format!("transfers {transfers}\nbytes {bytes}\nbits {bits}\nrefused {refused}\n"));
-            }
-            ["counters", "reset"] => wire.counters = Counters::default(),
-            ["log"] => return Ok(gauge.sim.log().iter().map(|record| format!("{record}\n")).collect()),
-            ["log", "clear"] => gauge.sim.clear_log(),
-            _ => return Err(format!("{}: no such command", words.join(" "))),
-        }
-        Ok(String::new())
     }
 }

@@ -8,6 +8,7 @@
 #![allow(clippy::disallowed_methods, reason = "it reads what the guest and QEMU say")]
 
 mod adapter;
+mod bench;
 mod control;
 mod gauge;
 mod qmp;
@@ -25,7 +26,8 @@ use vhost::vhost_user::{self, Listener};
 use vhost_user_backend::{Error, VhostUserDaemon};
 use vm_memory::{GuestMemoryAtomic, GuestMemoryMmap};
 
-use adapter::{Adapter, Bench};
+use adapter::Adapter;
+use bench::Bench;
 use control::Control;
 use gauge::Gauge;
 use qmp::Slot;
