@@ -14,7 +14,7 @@ use super::{crates, files, without_tests};
 /// The most lines of each crate.
 const LINES: [(&str, usize); 10] = [
     ("gauge-bus", 3_220),
-    ("gauge-owner", 7_480),
+    ("gauge-owner", 7_520),
     ("gauge-sim", 10_420),
     ("gauge-station", 3_800),
     ("gaugefs", 17_900),
@@ -22,7 +22,7 @@ const LINES: [(&str, usize); 10] = [
     ("gaugefs-host", 600),
     ("gaugefs-screen", 6_120),
     ("i2c-server", 1_280),
-    ("ti-gauge", 27_420),
+    ("ti-gauge", 27_450),
 ];
 
 /// The least lines of code to one of comment in each crate, in tenths. What others use has a line for each public item.

@@ -6,13 +6,13 @@ use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, OnceLock};
+use std::sync::{Arc, Mutex, OnceLock};
 use std::time::Duration;
 
 use super::{CASES, KNOBS, options};
 use crate::owner::backup::Backup;
 use crate::owner::rig::{INTERVAL, Rig};
-use crate::owner::{Run, operations as op};
+use crate::owner::{Handle, Run, operations as op};
 use gauge_bus::clock::{Clock as _, SimClock};
 use gauge_bus::{Bus, BusError, Reach, wire_bits};
 use gauge_sim::SimBus;
@@ -104,11 +104,19 @@ struct Pace {
     a_report: Duration,
 }
 
-/// A bus that takes its time.
+/// A bus that takes its time, and notes what is shown of a write meanwhile.
 struct Slow {
     bus: SimBus,
     pace: Pace,
     clock: Arc<OnceLock<Arc<SimClock>>>,
+    shown: Arc<Shown>,
+}
+
+/// What was shown of a write at each transfer.
+#[derive(Default)]
+struct Shown {
+    handle: OnceLock<Handle>,
+    progress: Mutex<Vec<(Option<String>, Option<String>)>>,
 }
 
 impl Bus for Slow {
@@ -116,6 +124,10 @@ impl Bus for Slow {
         if let Some(clock) = self.clock.get() {
             let bits = wire_bits(write.len(), read.len()) as u32;
             clock.sleep(self.pace.a_bit * bits + self.pace.a_report * REPORTS);
+        }
+        if let Some(handle) = self.shown.handle.get() {
+            let shown = (handle.progress(), handle.long_progress());
+            self.shown.progress.lock().expect("nobody panics").push(shown);
         }
         self.bus.transfer(write, read)
     }
@@ -131,6 +143,7 @@ struct Bench {
     disk: Counting,
     folder: PathBuf,
     row: Row,
+    shown: Arc<Shown>,
     /// Transfers, milliseconds and calls that wait for the disk of each write.
     costs: Vec<[u64; 3]>,
 }
@@ -151,8 +164,9 @@ impl Bench {
             journal: Some(journal.on(Arc::new(disk.clone()))),
             ..Run::default()
         };
-        let clock = Arc::new(OnceLock::new());
-        let mut rig = Rig::on(chip.name, run, |bus| Box::new(Slow { bus, pace, clock: clock.clone() }));
+        let (clock, shown) = (Arc::new(OnceLock::new()), Arc::new(Shown::default()));
+        let slow = |bus| Slow { bus, pace, clock: clock.clone(), shown: shown.clone() };
+        let mut rig = Rig::on(chip.name, run, |bus| Box::new(slow(bus)));
         clock.set(rig.clock.clone()).expect("it was not set");
         if pace.a_report > Duration::ZERO {
             rig.sim.set_reach(Reach::of_data(REPORT));
@@ -163,7 +177,7 @@ impl Bench {
         rig.start().expect("it answers");
         let all = chip.subclasses.iter().flat_map(|row| row.parameters.iter().map(move |found| (row, found)));
         let row = all.into_iter().find(|(_, found)| found.name == parameter).expect("a parameter");
-        Self { rig, disk, folder, row, costs: Vec::new() }
+        Self { rig, disk, folder, row, shown, costs: Vec::new() }
     }
 
     /// Adds to the parameter's value, as it was at first.
@@ -253,4 +267,28 @@ fn a_write_costs_no_more_than_that() {
         }
     }
     assert!(over.is_empty(), "{over:#?}");
+}
+
+#[test]
+fn a_write_shows_how_far_it_is() {
+    let pace = Pace { a_report: Duration::from_millis(20), ..Pace::default() };
+    let chip = Chip::by_name("bq34z100-g1").expect("it has a table");
+    let mut bench = Bench::on(chip, "Cell Terminate Voltage", pace);
+    let handle = bench.rig.handle.clone();
+    assert!(bench.shown.handle.set(handle).is_ok());
+    bench.write(3100);
+    let shown = std::mem::take(&mut *bench.shown.progress.lock().expect("nobody panics"));
+    let blocks = shown.iter().filter_map(|(progress, _)| progress.as_deref());
+    let mut blocks: Vec<&str> = blocks.collect();
+    blocks.dedup();
+    // The block with the marks was read before, so that two are done at once.
+    let saved: Vec<String> = (0..=24).map(|done| format!("saving {done}/24")).collect();
+    let (first, rest) = blocks.split_at(blocks.len().saturating_sub(2));
+    assert_eq!((first.first(), first.last()), (Some(&"saving 0/24"), Some(&"saving 24/24")));
+    assert!(first.len() > 20 && first.iter().all(|one| saved.iter().any(|saved| saved == one)), "{first:?}");
+    assert_eq!(rest, ["committing 0/1", "committing 1/1"]);
+    let long: Vec<&str> = shown.iter().filter_map(|(_, long)| long.as_deref()).collect();
+    assert!(long[0].starts_with("writing for 3 s: saving "), "{}", long[0]);
+    assert!(long.iter().any(|text| text.ends_with(" s: committing 0/1 blocks")), "{long:?}");
+    assert_eq!((bench.rig.handle.progress(), bench.rig.handle.long_progress()), (None, None));
 }
