@@ -41,6 +41,7 @@
 
 pub mod authentication;
 pub mod calibration;
+pub mod check;
 pub mod chip;
 pub mod codec;
 pub mod dataflash;

@@ -14,15 +14,15 @@ use super::{crates, files, without_tests};
 /// The most lines of each crate.
 const LINES: [(&str, usize); 10] = [
     ("gauge-bus", 3_220),
-    ("gauge-owner", 7_520),
+    ("gauge-owner", 7_590),
     ("gauge-sim", 10_420),
     ("gauge-station", 3_800),
-    ("gaugefs", 17_900),
-    ("gaugefs-client", 2_770),
+    ("gaugefs", 18_290),
+    ("gaugefs-client", 2_820),
     ("gaugefs-host", 600),
-    ("gaugefs-screen", 6_120),
+    ("gaugefs-screen", 6_140),
     ("i2c-server", 1_280),
-    ("ti-gauge", 27_450),
+    ("ti-gauge", 28_540),
 ];
 
 /// The least lines of code to one of comment in each crate, in tenths. What others use has a line for each public item.
@@ -88,7 +88,7 @@ const GAUGE: [(&str, &str); 36] = [
     ("ti-gauge", "dataflash/rules.rs Wear"),
 ];
 /// The most fields of all of them. Thirty-one are options that people set, twelve are counters that they read.
-const GAUGE_FIELDS: usize = 260;
+const GAUGE_FIELDS: usize = 262;
 
 /// The files of a crate that are product, and their text without tests.
 fn product(folder: &Path) -> BTreeMap<PathBuf, String> {

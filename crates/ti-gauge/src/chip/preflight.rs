@@ -36,6 +36,9 @@ pub struct Pack {
     pub rows: &'static [(u8, u16)],
 }
 
+/// What is said of a mode that the gauge leaves soon.
+const ENDS: &str = "it ends by itself; try again in a minute";
+
 /// A mode in which a write would be lost, or would disturb the program that entered it.
 #[derive(Clone, Debug)]
 pub struct Mode {
@@ -56,8 +59,12 @@ pub struct Mode {
 impl Mode {
     /// A running calibration: a bit of CONTROL_STATUS that the gauge clears by itself.
     pub const fn measuring(mask: u32, name: &'static str, what: &'static str) -> Self {
-        let remedy = "it ends by itself; try again in a minute";
-        Self { word: Source::Status, mask, name, what, remedy, ours: false }
+        Self { word: Source::Status, mask, name, what, remedy: ENDS, ours: false }
+    }
+
+    /// Whether it lasts until somebody leaves it.
+    pub fn lasts(&self) -> bool {
+        self.remedy != ENDS
     }
 
     /// Calibration mode, which lasts until somebody leaves it.

@@ -7,6 +7,7 @@
 mod anonymous;
 mod calibration;
 mod change;
+mod check;
 mod defaults;
 mod early;
 mod ensemble;
