@@ -20,6 +20,7 @@ mod batch;
 mod bringup;
 mod calibrate;
 mod capacity;
+mod check;
 mod chips;
 mod completions;
 mod diff;
@@ -82,6 +83,7 @@ enum Command {
     Rescue(rescue::Rescue),
     Chips(chips::Chips),
     Report(report::Report),
+    Check(check::Check),
     Get(get::Get),
     Set(set::Set),
     Export(export::Export),
@@ -149,6 +151,7 @@ impl Command {
             Self::Rescue(command) => command.run(),
             Self::Chips(command) => command.run(),
             Self::Report(command) => command.run(),
+            Self::Check(command) => command.run(),
             Self::Get(command) => command.run(),
             Self::Set(command) => command.run(),
             Self::Export(command) => command.run(),
@@ -188,7 +191,7 @@ const GROUPS: [(&str, &[&str]); 5] = [
         "Look",
         &[
             "top", "get", "export", "diff", "lint", "log", "plot", "learn", "wait", "probe", "chips",
-            "report", "doctor",
+            "report", "check", "doctor",
         ],
     ),
     ("Write", &["set", "import", "settle", "learned", "calibrate", "bringup", "keys", "rescue"]),

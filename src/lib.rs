@@ -25,6 +25,7 @@ pub use gaugefs_host::error;
 use gaugefs_host::{folders, output};
 
 mod bus;
+mod check;
 pub mod cli;
 mod command;
 mod config;

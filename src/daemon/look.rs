@@ -59,6 +59,8 @@ pub(crate) struct Seen {
     pub(crate) notes: Vec<String>,
     /// The notes are about what is owed.
     pub(crate) is_owed: bool,
+    /// What is certainly wrong by `gauge/check`.
+    pub(crate) wrong: Option<String>,
 }
 
 impl Seen {
@@ -67,7 +69,8 @@ impl Seen {
         let facts = gauge.text("gauge/last_error_facts").unwrap_or_default();
         let error = if is_owed || !is_mistake(&facts) { Some(error) } else { standing(&error) };
         let notes = error.filter(|error| is_owed || !error.is_empty());
-        Self { listed: Listed::read(gauge), notes: notes.into_iter().collect(), is_owed }
+        let wrong = gauge.text("gauge/check").ok().and_then(|text| gaugefs_client::check::wrong(&text));
+        Self { listed: Listed::read(gauge), notes: notes.into_iter().collect(), is_owed, wrong }
     }
 }
 

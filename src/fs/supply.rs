@@ -119,6 +119,11 @@ impl Supply {
         published.snapshot.clone().filter(|_| age <= published.interval * 3)
     }
 
+    /// By what the user's option multiplies a kind of values.
+    pub(super) fn user_scale(&self, kind: Kind) -> f64 {
+        self.scales.of(kind)
+    }
+
     pub(super) fn reading<'a>(&'a self, snapshot: Option<&'a Snapshot>) -> Reading<'a> {
         Reading::new(&self.handle, snapshot, &self.scales)
     }

@@ -85,6 +85,7 @@
 #![cfg_attr(test, allow(clippy::disallowed_methods, reason = "tests read what they have made"))]
 
 mod asked;
+pub mod check;
 pub mod condition;
 mod error;
 mod file;

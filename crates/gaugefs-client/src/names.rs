@@ -98,6 +98,7 @@ static FILES: &[(&str, &str)] = &[
     ("control", ""),
     ("authenticate", ""),
     ("auth_order", ""),
+    ("check", ""),
     ("owed", ""),
     ("settle", ""),
     ("learned", ""),

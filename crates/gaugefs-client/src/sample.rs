@@ -45,6 +45,8 @@ pub struct Sample {
     pub interval: Option<Duration>,
     /// `gauge/last_error`.
     pub last_error: String,
+    /// `gauge/check`.
+    pub check: String,
 }
 
 /// A poll's time, with the precision of its age.
@@ -110,6 +112,7 @@ impl Sample {
             seal: text(&gauge.join("seal"))?,
             interval: interval.and_then(|seconds| Duration::try_from_secs_f64(seconds).ok()),
             last_error: text(&gauge.join("last_error"))?.unwrap_or_default(),
+            check: text(&gauge.join("check"))?.unwrap_or_default(),
         })
     }
 
@@ -126,6 +129,7 @@ impl Sample {
             seal: None,
             interval: None,
             last_error: String::new(),
+            check: String::new(),
         }
     }
 

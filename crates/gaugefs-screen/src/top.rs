@@ -178,6 +178,8 @@ struct Line<'a> {
     #[serde(skip_serializing_if = "Option::is_none")]
     seal: Option<&'a str>,
     last_error: &'a str,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    check: Option<String>,
 }
 
 /// Why there is no sample.
@@ -210,6 +212,7 @@ impl<'a> Line<'a> {
             registers: sample.registers.iter().map(|(name, value)| (name.as_str(), *value)).collect(),
             seal: sample.seal.as_deref(),
             last_error: &sample.last_error,
+            check: gaugefs_client::check::wrong(&sample.check),
         }
     }
 }

@@ -19,6 +19,7 @@ use crate::options::GaugeOptions;
 use gauge_bus::clock::Clock;
 use ti_gauge::authentication::{Message, Order};
 use ti_gauge::calibration::Measured;
+use ti_gauge::check::Summary;
 use ti_gauge::chip::{Chip, Limited, Parameter, Register, Role, Subclass};
 use ti_gauge::dataflash::{Change, Place};
 use ti_gauge::epoch::{Epoch, Fact};
@@ -43,11 +44,18 @@ pub struct Snapshot {
     pub is_valid: bool,
     /// Whether its data memory is what its profile says: a gauge that has lost it predicts with TI's defaults.
     pub is_configured: bool,
+    /// What this poll and earlier ones have shown of the pack, for a check.
+    pub history: Summary,
     /// Whether the gauge measured the current: that of a primary cell only between GAUGE_START and GAUGE_STOP.
     pub has_current: bool,
 }
 
 impl Snapshot {
+    /// All registers.
+    pub fn registers(&self) -> &Registers {
+        &self.registers
+    }
+
     /// The register's value, sign applied; `None` if it has not been read.
     pub fn value(&self, register: &Register) -> Option<i64> {
         self.registers.value(register)
@@ -124,6 +132,12 @@ impl Published {
     /// The last subcommand that was asked for, and the answer; `None` while this gauge has given none.
     pub fn control(&self) -> Option<(u16, u16)> {
         self.control.get(self.presence).copied()
+    }
+
+    /// Why the profile could not be written; empty if it was, or for a gauge without a profile.
+    pub fn unwritten(&self) -> &str {
+        let is_it = |failed: &Failure| failed.attempt == Attempt::RESTORE;
+        if self.failed.as_ref().is_some_and(is_it) { &self.last_error } else { "" }
     }
 
     /// The reason to send nothing but standard commands to the gauge, if there is one.

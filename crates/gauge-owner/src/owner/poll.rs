@@ -110,8 +110,17 @@ impl Owner {
         let primary = self.access.chip().condition.primary.as_ref();
         let is_asked = self.shared().is_asked();
         let has_current = primary.is_none_or(|primary| !is_asked || control_status & primary.active != 0);
-        let snapshot =
-            Snapshot { taken, number, registers, control_status, is_valid, is_configured, has_current };
+        let history = self.readings.note_history(&self.access, taken, &registers);
+        let snapshot = Snapshot {
+            taken,
+            number,
+            registers,
+            control_status,
+            is_valid,
+            is_configured,
+            history,
+            has_current,
+        };
         self.shared().publish(|published| {
             (published.snapshot, published.is_failing) = (Some(Arc::new(snapshot)), false);
         });

@@ -6,11 +6,12 @@ use std::time::Duration;
 
 use super::access::{Access, word};
 use super::handle::Shared;
-use super::now::Content;
+use super::now::{Content, Presence};
 use crate::error::{Cause, Error, Result, Step};
+use ti_gauge::check::{History, Poll, Summary};
 use ti_gauge::chip::{Chip, Role, Source, Tier};
 use ti_gauge::epoch::Fact;
-use ti_gauge::gauge::{Gauge, Seal};
+use ti_gauge::gauge::{Gauge, Seal, Statistics};
 use ti_gauge::registers::Registers;
 
 #[derive(Debug)]
@@ -23,6 +24,8 @@ pub(super) struct Readings {
     looked: Fact<(), Content>,
     /// Polls in a row that found a gauge which has not measured since its power-up or reset.
     unmeasured: u32,
+    /// What the polls of one presence have shown.
+    history: Fact<History, Presence>,
 }
 
 impl Readings {
@@ -32,6 +35,7 @@ impl Readings {
             statics: Fact::default(),
             looked: Fact::default(),
             unmeasured: 0,
+            history: Fact::default(),
         }
     }
 
@@ -108,6 +112,23 @@ impl Readings {
             let (now, interval) = (access.now(), access.shared().published().interval);
             access.schedule().try_again(now, self.unmeasured, interval);
         }
+    }
+
+    /// Notes what a check needs of a poll.
+    pub(super) fn note_history(&mut self, access: &Access, time: Duration, registers: &Registers) -> Summary {
+        let shared = access.shared();
+        let statistics = &shared.statistics;
+        let own = [&statistics.resets, &statistics.flash_writes].map(Statistics::read);
+        let poll = Poll {
+            time: time.as_secs_f64(),
+            registers,
+            control_status: access.control_status(),
+            is_measured: self.unmeasured == 0,
+            own: own.iter().sum(),
+        };
+        let history = self.history.in_epoch(shared.published().presence);
+        history.note(access.chip(), &poll);
+        history.summary()
     }
 
     /// Reads what attributes and messages need of data flash, once after each change of it, if the gauge is open.

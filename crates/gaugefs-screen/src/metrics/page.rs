@@ -15,6 +15,7 @@ use ti_gauge::chip::Chip;
 use ti_gauge::learning::Bits;
 
 use super::Prometheus;
+use gaugefs_client::check::Finding;
 use gaugefs_client::condition::Texts;
 
 /// A mount, and its gauges as far as they have answered.
@@ -158,6 +159,16 @@ static METRICS: &[Metric] = &[
         Made(&["gauge/seal", "model_name", "gauge/control_status"], seal),
     ),
     gauge("gaugefs_owed", "", "1 while a write or a seal is neither done nor undone.", Flag("gauge/owed")),
+    gauge(
+        "gaugefs_check",
+        "",
+        "1 for each rule of gauge/check that is true.",
+        Made(&["gauge/check"], |texts| {
+            let found = Finding::all(texts[0].unwrap_or_default()).into_iter();
+            let found = found.filter(|found| ["wrong", "doubtful", "note"].contains(&&*found.severity));
+            found.map(|found| (vec![("severity", found.severity), ("rule", found.rule)], 1.0)).collect()
+        }),
+    ),
     gauge(
         "gaugefs_memory_lost",
         "",

@@ -380,8 +380,11 @@ fn details(model: &Model, gauge: &Gauge, now: f64, width: u16) -> Vec<Line<'stat
         let bits = if bits.is_empty() { "-" } else { bits };
         lines.push(Line::from(vec![name, Span::raw(bits.to_string())]));
     }
-    if !sample.last_error.is_empty() {
-        let text = wrapped(&format!("last error: {}", sample.last_error), width.into());
+    let error = Some(&sample.last_error).filter(|error| !error.is_empty());
+    let error = error.map(|error| format!("last error: {error}"));
+    let wrong = gaugefs_client::check::wrong(&sample.check).map(|wrong| format!("check: {wrong}"));
+    for text in [error, wrong].into_iter().flatten() {
+        let text = wrapped(&text, width.into());
         let at = usize::from(lines.len() > 1);
         for line in text.into_iter().take(2).rev() {
             lines.insert(at, Line::styled(line, coloured(model, Color::Red)));
