@@ -57,6 +57,7 @@ mod semantics;
 mod service;
 mod setting;
 mod simulator;
+mod smbus;
 mod swapped;
 #[allow(dead_code, reason = "a program has a main function")]
 #[path = "../../crates/gaugefs-client/examples/terminate_voltage.rs"]

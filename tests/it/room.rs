@@ -10,6 +10,7 @@ mod documents;
 pub(crate) mod ioctls;
 mod mounted;
 mod scratch;
+mod served;
 mod session;
 
 pub(crate) use abort::Abort;
@@ -24,4 +25,5 @@ pub(crate) use commands::{
 pub(crate) use documents::{TEXT, page, readme, root, rows, section, table, within_code};
 pub(crate) use mounted::{Mount, Swift, errno, mapped, quiet, statistic, swift, write_cut};
 pub(crate) use scratch::{Connections, Folder, folder, folder_named, remove};
+pub(crate) use served::Server;
 pub(crate) use session::{Session, Step, steps};
