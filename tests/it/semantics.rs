@@ -270,7 +270,9 @@ fn semantics_of_the_errnos() {
     let Some(mount) = Mount::new("bq27520-g3", &[]) else { return };
     let raw = |block: usize| format!("raw {}/{} 00\n", 200 + block / 256, 32 * (block % 256));
     mount.echo("begin", "df/transaction").expect("a transaction");
-    let too_many = (0..=4096).try_for_each(|block| mount.echo(raw(block).trim(), "df/transaction"));
+    let lines = |first: usize| (first..first + 64).map(raw).collect::<String>();
+    let too_many =
+        (0..=4096).step_by(64).try_for_each(|first| mount.echo(lines(first).trim(), "df/transaction"));
     occurs("too many raw bytes", too_many);
     drop(mount);
     let Some(mount) = Mount::new("bq34110", &[]) else { return };
