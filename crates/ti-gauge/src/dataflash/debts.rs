@@ -264,6 +264,18 @@ impl Debts {
         }
     }
 
+    /// What is `left` of a session with a record of its own for the seal.
+    pub(super) fn seal_ends(&mut self, entry: Entry, record: Option<OpenJournal>, left: Option<&Left>) {
+        match left {
+            Some(left) => self.keep_seal(entry, left.why.clone()),
+            None => {
+                if let Some(Err(error)) = record.map(OpenJournal::remove) {
+                    log::warn!("{error}");
+                }
+            }
+        }
+    }
+
     fn keep_seal(&mut self, entry: Entry, why: String) {
         self.owed_seal = Some(OwedSeal { entry: Some(entry), why });
     }

@@ -8,7 +8,7 @@ use super::DataFlash;
 use super::session::{Left, Session, report_mishap};
 use crate::error::Result;
 use crate::gauge::{Gauge, Seal, Statistics};
-use crate::journal::{Entry, Plan};
+use crate::journal::{Entry, Identity, OpenJournal, Plan};
 
 /// From a request to its first commit. Before that a write can be given up at any time.
 const BEFORE: Duration = Duration::from_secs(16);
@@ -129,14 +129,21 @@ impl DataFlash {
 
     fn owe_seal(&mut self, gauge: &mut Gauge, session: &mut Session) -> Result<()> {
         let identity = self.knowledge.identity(gauge)?;
-        let plan = Some(Plan::of_marks(self.knowledge.marks(gauge.chip)));
-        let entry = Entry { identity: identity.clone(), machine: None, found: session.found, plan };
-        session.entry = Some(entry);
+        let (entry, record) = self.record_seal(gauge, identity)?;
+        (session.entry, session.journal) = (Some(entry), record);
         self.knowledge.refer(gauge, session);
-        if let Some(journal) = self.records.journal() {
-            session.journal = Some(journal.owe_seal(&identity)?);
-        }
         Ok(())
+    }
+
+    /// Records beside another entry that a gauge which was found sealed is about to be opened.
+    pub(super) fn record_seal(
+        &self,
+        gauge: &Gauge,
+        identity: Identity,
+    ) -> Result<(Entry, Option<OpenJournal>)> {
+        let record = self.records.journal().map(|journal| journal.owe_seal(&identity)).transpose()?;
+        let plan = Some(Plan::of_marks(self.knowledge.marks(gauge.chip)));
+        Ok((Entry { identity, machine: None, found: Seal::Sealed, plan }, record))
     }
 
     pub(super) fn note(&self, session: &mut Session, plan: Plan) -> Result<()> {

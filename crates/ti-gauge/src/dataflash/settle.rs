@@ -315,6 +315,11 @@ impl DataFlash {
                 None => None,
             },
         };
+        // The entry may be another gauge's; that this one was found sealed is owed for itself.
+        let own = match elsewhere && now == Seal::Sealed {
+            true => Some(self.record_seal(gauge, identity.clone())?),
+            false => None,
+        };
         let undecided = OnceCell::new();
         let run = |this: &mut Self, gauge: &mut Gauge, session: &mut Session| {
             if !elsewhere {
@@ -332,6 +337,9 @@ impl DataFlash {
         };
         self.guard(gauge, session, run, |this, mut session, _, outcome, left| {
             this.knowledge.left_calibration(session.calibrating.is_some());
+            if let Some((entry, record)) = own {
+                this.debts.seal_ends(entry, record, left.as_ref());
+            }
             let mut held = || session.journal.take().filter(|_| pending.watched);
             if let Some(left_open) = session.pack.left_open.take() {
                 this.debts.hold(held());

@@ -320,6 +320,45 @@ fn a_factory_pack_that_holds_the_old_values_is_not_touched_and_the_journal_is_ke
     assert_eq!(shown, "nothing to settle\n");
 }
 
+/// The journal that waits may be another pack's and seals nothing here: what this pack is owed has a record of its own.
+#[test]
+fn regression_a_pack_that_was_opened_for_a_waiting_journal_stayed_open() {
+    for restarts in [false, true] {
+        let mut left_open = 0;
+        for number in 1.. {
+            let at = format!("silent from {number} on, restarts: {restarts}");
+            let folder = Folder::new("opened-for-another");
+            half_way(&mut Rig::new("bq34z100-g1"), &folder);
+            let mut rig = Rig::new("bq34z100-g1");
+            rig.sim.set_flash(34, 2, &[0x11]);
+            rig.start(&folder);
+            rig.arrive().expect("nothing is in the way").expect("there is a journal");
+            assert_eq!((rig.seal(), folder.files()), (Seal::Sealed, vec!["i2c-1-55.waiting".to_string()]));
+            rig.start(&folder);
+            rig.arrive().expect("mounting opens no gauge");
+            let flash = rig.sim.flash();
+            rig.set("fault", &format!("silence {number} 60000"));
+            let read = rig.read(80, 53);
+            rig.set("fault", "none");
+            rig.pause(61);
+            if read.is_ok() {
+                break;
+            }
+            let is_open = rig.seal() != Seal::Sealed;
+            left_open += u32::from(is_open);
+            assert!(!is_open || rig.dataflash.owed().is_some(), "{at}");
+            if restarts {
+                rig.start(&folder);
+            }
+            let settled = rig.arrive();
+            assert_eq!(rig.seal(), Seal::Sealed, "{at}: {read:?}, then {settled:?}");
+            assert!(rig.sim.flash() == flash, "{at}");
+            assert_eq!(folder.files(), ["i2c-1-55.waiting"], "{at}");
+        }
+        assert!(left_open > 0);
+    }
+}
+
 /// SerialNumber() then reads 0xFFFF.
 #[test]
 fn an_erased_serial_number_is_restored_where_the_calibration_shows_the_pack() {
