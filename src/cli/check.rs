@@ -13,7 +13,7 @@ use nix::errno::Errno;
 use serde::Serialize;
 
 use super::PASSED_OVER;
-use crate::config::{address, chips};
+use crate::config::{address, chips, standard_input};
 use crate::error::{Error, Result};
 use crate::output::{print, print_json, say_error};
 use crate::{check, report};
@@ -198,7 +198,7 @@ impl Check {
             byte_writes: self.byte_writes,
             key_file: self.key_file.clone(),
             no_default_keys: self.no_default_keys,
-            replay: self.replay.clone(),
+            replay: self.replay.clone().map(standard_input),
             ..GaugeOptions::default()
         };
         self.opened(gauge_owner::Source::of(&options)?.to_string(), &options)

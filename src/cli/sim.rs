@@ -33,7 +33,7 @@ Examples:
   gaugefs sim bq34z100-g1 --knobs /tmp/knobs /tmp/bus &  with the gauge's knobs
   echo 500 > /tmp/knobs/load_ma                          a load of 500 mA
   gaugefs sim bq34z100-g1 --list                         its knobs and faults
-  gaugefs sim bq34z100-g1 --adapter cp2112 /tmp/bus      with a CP2112's limits and errors
+  gaugefs sim bq34z100-g1 --adapter cp2112 /tmp/bus   with a CP2112's limits
   gaugefs sim --replay pack.log /tmp/bus                 a recording
   sudo gaugefs sim bq34z100-g1 --cuse i2c-9              as /dev/i2c-9
   sudo gaugefs sim bq34z100-g1 --device                  for drivers

@@ -1433,7 +1433,7 @@ fn without_space_for_the_journal_nothing_is_written() {
     let folder = Folder::new();
     let (at, journal) = (folder.file("m"), folder.file("journal"));
     fs::create_dir(&journal).expect("a folder");
-    let options = Some("size=4k");
+    let options = Some("size=4k,mode=755");
     if let Err(errno) = mount(Some("full"), &*journal, Some("tmpfs"), MsFlags::empty(), options) {
         eprintln!("SKIPPED: no small file system can be mounted here ({errno}); a full disk was not tested");
         return;

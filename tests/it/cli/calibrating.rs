@@ -127,13 +127,12 @@ fn regression_two_calibrations_at_once_printed_each_others_steps() {
             match ran.code {
                 Some(0) => assert!(ran.out.contains(own), "{}", ran.out),
                 Some(2) => assert!(ran.err.contains("another program"), "{}", ran.err),
-                // By this gauge's clock the other one has taken too long.
-                code => assert!(
-                    code == Some(1) && ran.err.contains("Try again") && ran.out.is_empty(),
-                    "{code:?} {} {}",
-                    ran.out,
-                    ran.err
-                ),
+                // By this gauge's clock the other one has taken too long, or so long that little time was left.
+                code => {
+                    let is_late = ran.err.contains("Try again") && ran.out.is_empty();
+                    let is_late = is_late || ran.err.contains("too slow");
+                    assert!(code == Some(1) && is_late, "{code:?} {} {}", ran.out, ran.err);
+                }
             }
         }
     }
