@@ -427,9 +427,7 @@ impl Journal {
             file => file.map_err(|error| refused(path, &error))?,
         };
         if !file.lock().map_err(|error| refused(path, &error))? {
-            let what = "another gaugefs works on this journal".into();
-            let in_use = Reason::InUse { process: None, mountpoint: None, what };
-            return Err(Error::of(path.display().to_string(), in_use));
+            return Err(in_use(path));
         }
         Ok(Some(OpenJournal { disk: self.disk.clone(), file, path: path.into() }))
     }
@@ -548,6 +546,11 @@ impl OpenJournal {
             .and_then(|()| self.path.parent().map_or(Ok(()), |folder| self.disk.sync(folder)))
             .map_err(|error| Error::io(self.path.display().to_string(), "cannot remove the journal", &error))
     }
+}
+
+pub(crate) fn in_use(path: &Path) -> Error {
+    let what = "another gaugefs works on this journal".into();
+    Error::of(path.display().to_string(), Reason::InUse { process: None, mountpoint: None, what })
 }
 
 fn refused(path: &Path, error: &io::Error) -> Error {

@@ -7,6 +7,7 @@
 //! gauge itself. Anything else is left as it is for a person to decide.
 
 use std::cell::OnceCell;
+use std::path::Path;
 use std::time::Duration;
 
 use super::DataFlash;
@@ -19,7 +20,7 @@ use super::verdict::Verdict;
 use super::window::holds_keys;
 use crate::error::{Cause, Error, Reason, Result, Step};
 use crate::gauge::{Gauge, SEAL_LAG, Seal};
-use crate::journal::{Entry, Identity, Plan};
+use crate::journal::{Entry, Identity, Journal, OpenJournal, Plan};
 
 mod decide;
 mod search;
@@ -35,6 +36,9 @@ const ERASED_KEY: [u16; 2] = [0xffff; 2];
 const TRIES: u32 = 3;
 /// So soon after a session that has left something nobody exchanges a gauge that has answered since.
 const SOON: Duration = Duration::from_secs(1);
+
+/// How long another gaugefs may take to judge the same journal: each gauge that comes looks at one that waits.
+const TURN: Duration = Duration::from_secs(6);
 
 /// A person's decision about an interrupted write. Another pack than its own is named by its SerialNumber().
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -58,6 +62,26 @@ impl Decision {
 
 fn owed(subject: &str, what: String, decision: bool) -> Error {
     Error::of(subject, Reason::Owed { decision, what })
+}
+
+/// Waits a little for a journal that another gaugefs judges, unless its turn has taken too long.
+fn waits_for_turn(gauge: &Gauge, begun: Duration) -> bool {
+    let is_in_time = gauge.clock.now() < begun + TURN;
+    if is_in_time {
+        gauge.wait(Duration::from_millis(100));
+    }
+    is_in_time
+}
+
+fn open_in_turn(journal: &Journal, file: &Path, gauge: &Gauge) -> Result<Option<OpenJournal>> {
+    let begun = gauge.clock.now();
+    loop {
+        let opened = journal.open(file);
+        let is_in_use = |error: &Error| matches!(error.reason(), Reason::InUse { .. });
+        if !opened.as_ref().is_err_and(is_in_use) || !waits_for_turn(gauge, begun) {
+            return opened;
+        }
+    }
 }
 
 impl DataFlash {
@@ -307,7 +331,7 @@ impl DataFlash {
         session.journal = match self.debts.take_held() {
             Some(held) => Some(held),
             None => match self.records.journal().zip(pending.file.as_ref()) {
-                Some((journal, file)) => match journal.open(file)? {
+                Some((journal, file)) => match open_in_turn(journal, file, gauge)? {
                     Some(opened) => Some(opened),
                     // It has been settled elsewhere.
                     None => return Ok(Verdict::Another),

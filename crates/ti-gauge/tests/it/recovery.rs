@@ -4,12 +4,12 @@
 //! values, and the time that it takes.
 
 use std::collections::BTreeSet;
-use std::fs;
-use std::sync::Arc;
+use std::fs::{self, File};
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use gauge_bus::clock::Clock;
+use gauge_bus::clock::{Clock, SimClock};
 use gauge_bus::{Bus, BusError};
 use gauge_sim::Sim;
 use ti_gauge::authentication::Order;
@@ -356,6 +356,55 @@ fn regression_a_pack_that_was_opened_for_a_waiting_journal_stayed_open() {
             assert_eq!(folder.files(), ["i2c-1-55.waiting"], "{at}");
         }
         assert!(left_open > 0);
+    }
+}
+
+/// A clock at which another program lets go of a journal.
+struct LetsGo {
+    clock: Arc<SimClock>,
+    held: Mutex<Option<(File, Duration)>>,
+}
+
+impl Clock for LetsGo {
+    fn now(&self) -> Duration {
+        self.clock.now()
+    }
+
+    fn sleep(&self, time: Duration) {
+        self.clock.sleep(time);
+        let mut held = self.held.lock().expect("no panic");
+        held.take_if(|(_, until)| self.clock.now() >= *until);
+    }
+
+    fn spend(&self, time: Duration) {
+        self.clock.spend(time);
+    }
+}
+
+/// Two packs of one mux looked at the journal that waits at the same moment: the write of the second one was refused.
+#[test]
+fn regression_a_journal_that_another_program_judges_was_not_waited_for() {
+    for (seconds, is_written) in [(2, true), (60, false)] {
+        let folder = Folder::new("judged");
+        half_way(&mut Rig::new("bq34z100-g1"), &folder);
+        let mut rig = Rig::new("bq34z100-g1");
+        rig.sim.set_flash(34, 2, &[0x11]);
+        rig.start(&folder);
+        rig.arrive().expect("nothing is in the way").expect("there is a journal");
+        rig.start(&folder);
+        let held = File::open(folder.path().join("i2c-1-55.waiting")).expect("it waits");
+        held.lock().expect("nobody has it");
+        let until = rig.clock.now() + Duration::from_secs(seconds);
+        let clock = LetsGo { clock: rig.clock.clone(), held: Mutex::new(Some((held, until))) };
+        let bus = Box::new(rig.sim.bus());
+        rig.gauge = Gauge::new(rig.gauge.chip, bus, Arc::new(clock), Keys::default());
+        rig.arrive().expect("mounting opens no gauge");
+        let flash = rig.sim.flash();
+        let written = rig.write(80, 53, "3105");
+        assert_eq!(written.is_ok(), is_written, "{written:?}");
+        assert_eq!(rig.sim.flash() == flash, !is_written);
+        assert!(written.err().is_none_or(|error| cause(&error) == "busy"));
+        assert_eq!(rig.seal(), Seal::Sealed);
     }
 }
 

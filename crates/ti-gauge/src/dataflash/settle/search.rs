@@ -7,6 +7,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use super::task::shows;
+use super::waits_for_turn;
 use crate::chip::Chip;
 use crate::dataflash::DataFlash;
 use crate::dataflash::debts::{Pending, Where};
@@ -20,7 +21,7 @@ use crate::dataflash::state::has_lost_memory;
 use crate::dataflash::window::Window;
 use crate::error::{Cause, Result};
 use crate::gauge::{Gauge, Seal};
-use crate::journal::{Content, Entry, Found, Identity};
+use crate::journal::{Content, Entry, Found, Identity, in_use};
 
 /// Settles what was begun on this gauge elsewhere, or set aside because the pack was not certain.
 pub(super) fn search(
@@ -35,7 +36,17 @@ pub(super) fn search(
     let Some(journal) = flash.records.journal().filter(|_| !done) else {
         return Ok(told);
     };
-    let mut found = journal.search(place == Where::Waiting, &flash.debts.known_files(arrival))?;
+    let is_waiting = place == Where::Waiting;
+    let mut found = loop {
+        let found = journal.search(is_waiting, &flash.debts.known_files(arrival))?;
+        // One that waits is in use only while it is judged, and may be this gauge's.
+        let is_judged = |found: &&Found| is_waiting && matches!(found.content, Content::InUse(_));
+        match found.iter().find(is_judged) {
+            Some(_) if waits_for_turn(gauge, begun) => {}
+            Some(found) => return Err(in_use(&found.path)),
+            None => break found,
+        }
+    };
     found.retain(|found| !found.is_here);
     let others = rule_out(flash, gauge, &found, waited)?;
     flash.debts.note_judged(flash.knowledge.arrival(), others.iter().cloned());
