@@ -100,6 +100,7 @@ fn data_flash_is_written_by_commands_of_blocks() {
     }
     for adapter in ["i801", "i2c-stub"] {
         let mounted = Mounted::new(CHIP, &["--adapter", adapter]);
+        let before = mounted.image();
         fs::write(mounted.file("df/80/53"), "3100\n").unwrap_or_else(|error| panic!("{adapter}: {error}"));
         // A text of a block and its changes at other places, as one.
         let lines = "begin\n48/31 Pack 7\n48/43 Maker\n80/53 3200\ncommit\n";
@@ -108,6 +109,8 @@ fn data_flash_is_written_by_commands_of_blocks() {
         assert_eq!(values, ["Pack 7\n", "3200\n"], "{adapter}");
         assert_eq!(mounted.cat("gauge/last_error"), "", "{adapter}");
         assert_eq!(mounted.cat("gauge/seal"), "sealed\n", "{adapter}");
+        gaugefs(&["import", &mounted.file(""), &mounted.folder.file("image.toml")]).done();
+        assert_eq!(mounted.image(), before, "{adapter}");
     }
 }
 
@@ -122,7 +125,7 @@ fn data_flash_behind_words_alone_is_written_where_the_gauge_takes_single_bytes_a
     drop(mounted);
 
     let mounted = Mounted::new(CHIP, &["--adapter", "piix4"]);
-    let before = mounted.cat("df/80/53");
+    let (before, image) = (mounted.cat("df/80/53"), mounted.image());
     let says = "data flash can only be read: the adapter carries writes of 3 bytes";
     let listed = gaugefs(&["list"]);
     assert!(listed.err.contains(says), "{}{}", listed.out, listed.err);
@@ -130,6 +133,10 @@ fn data_flash_behind_words_alone_is_written_where_the_gauge_takes_single_bytes_a
     assert_eq!(refused.raw_os_error(), Some(Errno::EROFS as i32));
     assert!(mounted.cat("gauge/last_error").contains(says), "{}", mounted.cat("gauge/last_error"));
     assert!(mounted.cat("gauge/last_error_facts").contains("short-writes"));
+    let file = mounted.folder.file("image.toml");
+    let refused = gaugefs(&["import", "--set", "80/53=3100", &mounted.file(""), &file]);
+    assert!(refused.code == Some(1) && refused.err.contains(says), "{:?} {}", refused.code, refused.err);
+    assert_eq!(mounted.image(), image);
     assert_eq!(mounted.cat("df/80/53"), before);
     assert_eq!(mounted.cat("gauge/seal"), "sealed\n");
 }
