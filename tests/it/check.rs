@@ -27,6 +27,8 @@ fn a_gauge_that_is_not_mounted_is_checked_with_its_data_flash() {
     let answer = &answers(&ran.out)[0];
     assert_eq!(rules(answer, "wrong"), Vec::<String>::new());
     assert!(rules(answer, "doubtful").contains(&"design-capacity-default".into()), "{answer}");
+    let names_none = |remedy: &str| remedy.contains("gaugefs set GAUGE ");
+    assert!(answer["findings"][0]["remedy"].as_str().is_some_and(names_none), "{answer}");
     let unread = answer["not_looked_at"].as_array().expect("a list").len();
     assert!(unread > 0 && answer["missing"] == Json::Array(Vec::new()), "{answer}");
     let ran = gaugefs(&["check", "--json", "--read", "--sim", CHIP]);
