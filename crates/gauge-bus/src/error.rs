@@ -107,6 +107,7 @@ impl Error {
         Self::new(subject, ErrorKind::File(error.kind()), format!("{what}: {}", reason(error)))
     }
 
+    #[cfg(feature = "linux")]
     pub(crate) fn io(subject: impl Into<String>, what: &str, error: &io::Error) -> Self {
         Self::new(subject, ErrorKind::Io(error.kind()), format!("{what}: {}", reason(error)))
     }
