@@ -666,7 +666,7 @@ impl Patient {
         }
     }
 
-    /// Sends words until the gauge has the seal state, of which one attempt may be lost.
+    /// Sends words until the gauge has the seal state; one attempt may be lost.
     fn go_to(&self, words: &[u16], state: &str) {
         for _ in 0..2 {
             if seal(&self.0) != state {

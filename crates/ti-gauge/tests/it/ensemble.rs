@@ -128,7 +128,7 @@ fn imports(_: &str) -> &'static [Access] {
     &[Import(2), Import(6), Import(30)]
 }
 
-/// Every calibration, on the parts of which it is documented.
+/// Every calibration, on the parts that document it.
 fn calibrations(chip: &str) -> &'static [Access] {
     match Chip::by_name(chip).and_then(|chip| chip.calibration) {
         Some(_) => &[Calibrate(0), Calibrate(1), Calibrate(2), Calibrate(3), Calibrate(4)],

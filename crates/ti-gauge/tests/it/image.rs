@@ -281,7 +281,7 @@ fn a_clone_has_every_byte_that_its_format_has() {
     }
 }
 
-/// Parts that a clone by FlashStream is complete for, and those of which it is not.
+/// Parts that a clone by FlashStream is complete for, and those that it is not complete for.
 #[test]
 fn what_a_file_lacks_is_named() {
     let omitted = |chip: &str, format| image_of(&mut Rig::new(chip)).omitted(format);

@@ -298,7 +298,7 @@ pub(crate) fn a_fault_at_any_transfer_of_a_restore_causes_no_false_success() {
     println!("{runs} restores with one fault");
 }
 
-/// A part without the flag is compared by whoever has its profile.
+/// A part without the flag is compared by the program that has its profile.
 fn says_lost(gauge: &mut Gauge) -> bool {
     let mut flags = [0; 2];
     let _ = gauge.read(0x06, &mut flags);

@@ -46,7 +46,7 @@ fn lose_power(sim: &Sim) {
     sim.set("power", "on").expect("a knob");
 }
 
-/// What DesignCapacity() shows to whoever is shown anything.
+/// DesignCapacity() as attributes show it.
 fn shown(rig: &Rig) -> Option<i64> {
     let published = rig.handle.published();
     let snapshot = published.snapshot.as_ref().filter(|snapshot| snapshot.is_configured)?;

@@ -8,7 +8,7 @@ use std::backtrace::Backtrace;
 use super::attacks::Bench1;
 use super::*;
 
-/// The rows of the table by how they begin, and functions of which one waits for that reason; the first that fits counts.
+/// Rows of the table by their first words, and the functions that wait for that reason; the first row that fits counts.
 const ROWS: [(&str, &[&str]); 6] = [
     ("transfers, and the pauses between", &["again"]),
     ("reading all data flash, twice", &["read_found/look_twice", "read_first/look_twice"]),

@@ -80,7 +80,7 @@ pub(crate) fn programs(write: &[u8]) -> bool {
     matches!(write, [0x60, _, ..])
 }
 
-/// A change of two blocks, the first of which is that of the serial number.
+/// A change of two blocks, the serial number's first.
 pub(crate) fn two_blocks(rig: &Rig) -> [Change; 2] {
     [rig.change(48, 11, "2200"), rig.change(80, 53, "3100")]
 }
