@@ -22,10 +22,9 @@ use gauge_owner::{GaugeOptions, Opening, operations as op};
 use gaugefs_client::check::Finding;
 use gaugefs_client::{Gauge, mounts};
 use gaugefs_host::input::Source;
-use ti_gauge::check::{Checked, Facts, History, Rule};
-use ti_gauge::chip::{Chip, Kind, Row, Subclass};
+use ti_gauge::check::{Checked, Facts, Rule};
+use ti_gauge::chip::{Chip, Row};
 use ti_gauge::dataflash::Place;
-use ti_gauge::image::Entry;
 use ti_gauge::text::printable;
 
 /// How often a gauge that is not mounted is polled at most: one that has measured nothing by then will not.
@@ -123,13 +122,10 @@ impl Check {
                     say_error(&error);
                 }
             }
-            // 1 is worse than 3.
-            worst = if worst == 1 {
-                1
-            } else if answer.exit_code == 0 {
-                worst
-            } else {
-                answer.exit_code
+            worst = match (worst, answer.exit_code) {
+                // 1 is worse than 3.
+                (1, _) | (_, 0) => worst,
+                (_, code) => code,
             };
             match (self.json, &answer.error) {
                 (true, _) => print_json(&answer)?,
@@ -152,23 +148,8 @@ impl Check {
             return self.opened(name, &GaugeOptions { replay, ..GaugeOptions::default() });
         }
         let image = source.image(self.chip, false)?;
-        let stored = |row: Row| {
-            let is =
-                |entry: &&Entry| std::ptr::eq(entry.subclass, row.0) && std::ptr::eq(entry.parameter, row.1);
-            image.entries.iter().find(is).map(|entry| entry.value.clone())
-        };
-        let checked = Checked::of(&Facts {
-            chip: image.chip,
-            dm_code: None,
-            registers: None,
-            control_status: None,
-            unwritten: "",
-            owed: "",
-            host_scale: 1.0,
-            stored: &stored,
-            history: History::default().summary(),
-        });
-        Ok((name, check::text(&checked)))
+        let stored = |row: Row| image.entry(row).map(|entry| entry.value.clone());
+        Ok((name, check::text(&Checked::of(&Facts::of_flash(image.chip, &stored)))))
     }
 
     fn mounted(&self, gauge: &Gauge) -> Result<(String, String)> {
@@ -231,8 +212,7 @@ impl Check {
 
 /// The subclasses that a check reads, by their indices in the table.
 fn readable(chip: &'static Chip) -> impl Iterator<Item = usize> {
-    let is_read = |row: &Subclass| row.kind != Kind::Security && !row.is_opaque();
-    chip.subclasses.iter().enumerate().filter(move |(_, row)| is_read(row)).map(|(index, _)| index)
+    gauge_owner::readable(chip).into_iter().filter(|&index| !chip.subclasses[index].is_opaque())
 }
 
 impl Answer {

@@ -169,7 +169,22 @@ impl Checked {
     }
 }
 
-impl Facts<'_> {
+impl<'a> Facts<'a> {
+    /// Of an image: data flash, and nothing that was polled.
+    pub fn of_flash(chip: &'static Chip, stored: &'a dyn Fn(Row) -> Option<Value>) -> Self {
+        Self {
+            chip,
+            dm_code: None,
+            registers: None,
+            control_status: None,
+            unwritten: "",
+            owed: "",
+            host_scale: 1.0,
+            stored,
+            history: Summary::default(),
+        }
+    }
+
     /// A value of the last poll in its role's unit, if the gauge has measured, has a battery, and can have that value.
     fn polled(&self, role: Role) -> Result<f64, Lacking> {
         let register = self.chip.register(role).ok_or(Lacking::Never)?;
@@ -182,7 +197,7 @@ impl Facts<'_> {
         Ok(register.in_unit(registers.value(register).ok_or(missing)?, 1) as f64)
     }
 
-    /// The same for a value that follows from the configuration: a gauge without its own has none.
+    /// A polled value that follows from the configuration: a gauge without its own has none.
     fn predicted(&self, role: Role) -> Result<f64, Lacking> {
         match self.has_lost_memory() || !self.unwritten.is_empty() {
             true => Err(Lacking::Never),

@@ -6,7 +6,7 @@
 
 use std::fmt;
 
-use crate::chip::{Chip, FLAT, Kind, Parameter, Subclass};
+use crate::chip::{Chip, FLAT, Kind, Parameter, Row, Subclass};
 use crate::codec::WINDOW;
 use crate::dataflash::{Change, Place};
 use crate::error::{Cause, Error, Result};
@@ -321,6 +321,14 @@ impl Image {
             }
             _ => Ok(()),
         }
+    }
+
+    /// The entry of a row.
+    pub fn entry(&self, (subclass, parameter): Row) -> Option<&Entry> {
+        let is_it = |entry: &&Entry| {
+            std::ptr::eq(entry.subclass, subclass) && std::ptr::eq(entry.parameter, parameter)
+        };
+        self.entries.iter().find(is_it)
     }
 
     /// The parameters missing from a complete configuration. Keys and unproven ones are never written or required.

@@ -19,7 +19,7 @@ use gauge_bus::regular;
 use ti_gauge::chip::{CHIPS, Chip, Kind};
 use ti_gauge::dataflash::{self, Change, Place, Row};
 use ti_gauge::epoch::{Epoch, Fact};
-use ti_gauge::image::{self, Entry, Image, toml};
+use ti_gauge::image::{self, Image, toml};
 use ti_gauge::journal;
 
 /// Backups of one gauge's place that are kept.
@@ -179,7 +179,7 @@ impl Backups {
         self.check_read(chip, &read, changes)
     }
 
-    /// The same of what was read.
+    /// Checks subclasses that were read: no row of theirs is erased, now or after these changes.
     fn check_read(&self, chip: &'static Chip, read: &[Arc<[u8]>], changes: &[Change]) -> Result<()> {
         let readable = readable(chip);
         let bytes = |(subclass, parameter): Row| {
@@ -191,12 +191,7 @@ impl Backups {
         let own = self.folder.as_ref().and_then(|backup| backup.own(chip, &bytes));
         let mut lost = dataflash::erased(chip, bytes);
         if let Some([(_, oldest), (_, newest)]) = &own {
-            let of = |image: &Image, (subclass, parameter): Row| {
-                let entries = image.entries.iter();
-                let same =
-                    |entry: &&Entry| ptr::eq(entry.parameter, parameter) && ptr::eq(entry.subclass, subclass);
-                entries.into_iter().find(same).and_then(|entry| entry.bytes(chip))
-            };
+            let of = |image: &Image, row: Row| image.entry(row).and_then(|entry| entry.bytes(chip));
             let since = dataflash::erased_since(chip, |row| of(oldest, row), bytes);
             lost.extend(
                 since.into_iter().filter(|row| {
@@ -307,6 +302,7 @@ mod tests {
     use super::super::{Run, operations as op};
     use super::*;
     use gauge_bus::clock::Clock as _;
+    use ti_gauge::image::Entry;
     use ti_gauge::value::Value;
 
     fn folder(name: &str) -> PathBuf {

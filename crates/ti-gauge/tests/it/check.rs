@@ -365,17 +365,7 @@ fn what_was_not_read_is_named_and_a_file_without_measurements_misses_none() {
     assert!(checked.missing.is_empty() && checked.unread.is_empty(), "{checked:?}");
     let flash = bench.flash();
     let stored = |(subclass, row): Row| flash.get(&(subclass.id, row.offset)).cloned();
-    let checked = Checked::of(&Facts {
-        chip: bench.chip,
-        dm_code: None,
-        registers: None,
-        control_status: None,
-        unwritten: "",
-        owed: "",
-        host_scale: 1.0,
-        stored: &stored,
-        history: History::default().summary(),
-    });
+    let checked = Checked::of(&Facts::of_flash(bench.chip, &stored));
     assert!(checked.missing.is_empty() && checked.unread.is_empty(), "{checked:?}");
     assert!(checked.findings.iter().any(|found| found.rule.name == "design-capacity-default"), "{checked:?}");
 }
