@@ -115,9 +115,9 @@ pub struct AdapterModel {
 }
 
 /// `I2C_FUNC_I2C` of the kernel: it transfers whole messages, and not just the commands of SMBus.
-const I2C: u32 = 1;
-/// `I2C_FUNC_SMBUS_PEC`.
-const PEC: u32 = 8;
+pub(crate) const I2C: u32 = 1;
+/// `I2C_FUNC_SMBUS_PEC`: it sends and compares packet error codes.
+pub(crate) const PEC: u32 = 8;
 
 const fn ms(milliseconds: u64) -> Duration {
     Duration::from_millis(milliseconds)

@@ -20,7 +20,7 @@ use nix::fcntl::{FcntlArg, fcntl};
 use nix::libc;
 use nix::sys::stat::{major, minor};
 
-use crate::adapters::AdapterModel;
+use crate::adapters::{self, AdapterModel};
 use crate::error::{Driver, Error, ErrorKind, Result};
 use crate::{Reach, regular};
 
@@ -37,10 +37,8 @@ pub use target::LinuxBus;
 
 /// Major number of the i2c-dev character devices; the minor number is the adapter's.
 const I2C_MAJOR: u64 = 89;
-/// The adapter transfers whole I2C messages, and not just the SMBus commands.
-const I2C_FUNC_I2C: libc::c_ulong = 1;
-/// The adapter sends and compares packet error codes.
-const I2C_FUNC_SMBUS_PEC: libc::c_ulong = 8;
+const I2C_FUNC_I2C: libc::c_ulong = adapters::I2C as libc::c_ulong;
+const I2C_FUNC_SMBUS_PEC: libc::c_ulong = adapters::PEC as libc::c_ulong;
 
 #[allow(unsafe_code, missing_docs)]
 mod ioctl {
