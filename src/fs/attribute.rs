@@ -417,7 +417,7 @@ impl Reading<'_> {
         self.snapshot.is_some() && self.chip.condition.shows_battery(self.flags())
     }
 
-    /// The same, even while a long access keeps the last poll too old to be shown.
+    /// Whether the gauge is there, even while a long access keeps the last poll too old to be shown.
     fn is_there(&self) -> bool {
         if self.snapshot.is_some() { self.is_present() } else { self.handle.is_present() }
     }

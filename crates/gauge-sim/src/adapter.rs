@@ -138,7 +138,7 @@ mod tests {
         assert_eq!(errno("cp2112", "short 1"), Err(BusError::Other(5)));
     }
 
-    /// The same failure, as gaugefs takes it on such an adapter.
+    /// The failure as gaugefs takes it on such an adapter.
     #[test]
     fn an_error_is_what_the_driver_makes_of_it() {
         for (name, fault, expected) in [

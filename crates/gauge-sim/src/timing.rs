@@ -37,7 +37,7 @@ pub(super) struct Timing {
     pub(super) commit: Duration,
     /// From selecting a block or an address until it is readable.
     pub(super) load: Duration,
-    /// The same for a block that a sealed gauge shows.
+    /// Until a block that a sealed gauge shows is readable.
     pub(super) sealed_load: Duration,
     /// From the checksum of a challenge until the digest is readable.
     pub(super) authentication: Duration,

@@ -565,7 +565,7 @@ impl Handle {
         Some(format!("{phase} {done}/{all}"))
     }
 
-    /// The same of a write that takes unusually long.
+    /// The progress of a write that takes unusually long.
     pub fn long_progress(&self) -> Option<String> {
         let progress = self.progress()?;
         let since = self.shared.statistics.progress.since();
@@ -594,7 +594,7 @@ impl Handle {
         self.ask_as(operation, argument, None, done);
     }
 
-    /// The same, with a number by which the caller knows the answer.
+    /// Asks for an operation with a number by which the caller knows the answer.
     pub(super) fn ask_as<A: Send, T>(
         &self,
         operation: &'static Operation<A, T>,

@@ -37,7 +37,7 @@ pub static KNOW: Operation<Vec<usize>> =
 pub static WRITE: Operation<Vec<Change>> =
     Operation::new("write", Owner::write).attempting(|changes| Attempt::Write(places(changes)));
 
-/// The same, for the gauge that was there in that presence only.
+/// Writes parameters, all or none, of the gauge that was there in that presence only.
 pub static COMMIT: Operation<(Epoch<Presence>, Vec<Change>)> =
     Operation::new("commit", Owner::commit).attempting(|(_, changes)| Attempt::Write(places(changes)));
 

@@ -17,7 +17,7 @@ const BEFORE: Duration = Duration::from_secs(16);
 pub(super) enum Record {
     /// The state that the gauge was found in, before this many blocks are changed.
     Change(usize),
-    /// The same before RAM that was lost is written again, which goes on if no journal can be written.
+    /// That state, before RAM that was lost is written again, which goes on if no journal can be written.
     Restoration(usize),
     /// That a gauge was found sealed, before data flash is read. It goes on if no journal can be written.
     Read,

@@ -14,7 +14,7 @@ pub(super) fn chip_of(
     chip_like(told, device_type, firmware, |_| true)
 }
 
-/// The same among the chips that the file's form allows.
+/// The chip of a file, among those that the file's form allows.
 pub(super) fn chip_like(
     told: Option<&'static Chip>,
     device_type: Option<u16>,
