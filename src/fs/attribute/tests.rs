@@ -487,17 +487,18 @@ const OF_THE_DRIVER: &[(&[&str], &str)] = &[
     (&["bq27000"], "capacity charge_full charge_full_design charge_now current_now cycle_count energy_now power_avg temp time_to_empty_avg time_to_empty_now time_to_full_now voltage_now"),
     (&["bq27010"], "capacity charge_full charge_full_design charge_now current_now cycle_count temp time_to_empty_avg time_to_empty_now time_to_full_now voltage_now"),
     (&["bq2750x", "bq2751x", "bq2752x", "bq27510-g3"], "capacity charge_full charge_full_design charge_now current_now cycle_count temp time_to_empty_now voltage_now"),
-    (&["bq27500", "bq27510-g1", "bq27510-g2", "bq27520-g2"], "capacity charge_full charge_full_design charge_now current_now cycle_count energy_now power_avg temp time_to_empty_avg time_to_empty_now time_to_full_now voltage_now"),
+    (&["bq27500", "bq27510-g1", "bq27520-g2"], "capacity charge_full charge_full_design charge_now current_now cycle_count energy_now power_avg temp time_to_empty_avg time_to_empty_now time_to_full_now voltage_now"),
+    // TI gives the unit of its energy in two ways.
+    (&["bq27510-g2"], "capacity charge_full charge_full_design charge_now current_now cycle_count power_avg temp time_to_empty_avg time_to_empty_now time_to_full_now voltage_now"),
     (&["bq27520-g1"], "capacity charge_full charge_full_design charge_now current_now energy_now power_avg temp time_to_empty_avg time_to_empty_now time_to_full_now voltage_now"),
     (&["bq27520-g4"], "capacity charge_full charge_now current_now cycle_count temp time_to_empty_now voltage_now"),
     (&["bq27521"], "current_now temp voltage_now"),
     (&["bq27530", "bq27531"], "capacity charge_full charge_now current_now cycle_count power_avg temp time_to_empty_now voltage_now"),
     // The driver shows no state_of_health.
     (&["bq27545"], "capacity charge_full charge_now current_now cycle_count power_avg state_of_health temp time_to_empty_now voltage_now"),
-    (&["bq27541", "bq27542"], "capacity charge_full charge_full_design charge_now current_now cycle_count power_avg state_of_health temp time_to_empty_now voltage_now"),
-    // Its power_avg of the bq27546 is another register.
-    (&["bq27546"], "capacity charge_full charge_full_design charge_now current_now cycle_count state_of_health temp time_to_empty_now voltage_now"),
-    (&["bq27742"], "capacity charge_full charge_full_design charge_now current_now cycle_count power_avg temp time_to_empty_now voltage_now"),
+    (&["bq27541", "bq27742"], "capacity charge_full charge_full_design charge_now current_now cycle_count power_avg state_of_health temp time_to_empty_now voltage_now"),
+    // At the place of the driver's power_avg is a threshold.
+    (&["bq27542", "bq27546"], "capacity charge_full charge_full_design charge_now current_now cycle_count state_of_health temp time_to_empty_now voltage_now"),
     (&["bq27411", "bq27425"], "capacity charge_full charge_full_design charge_now current_now temp voltage_now"),
     (&["bq28z610"], "capacity charge_full charge_full_design charge_now current_now cycle_count power_avg temp time_to_empty_now time_to_full_now voltage_now"),
     // The driver shows a power_avg of theirs; nobody says in which unit it is.

@@ -8,19 +8,22 @@
 //!
 //! Some things differ from the driver, because documents show them otherwise:
 //!
-//! - `power_avg` is AveragePower() in mW: SLUS914A (bq27500), SLUS927 (bq27510-G1), SLUSAB7A (bq27520), SLUSAL5
-//!   (bq27530-G1), SLUS861 and SLUSAL6C (bq27541), SLUSAT0E (bq27545); the others have the map of one of these. The driver
-//!   takes it for 10 mW. That is right for the bq28z610 (SLUUA65E), and of bq27z561, bq28z620 and bq78z100 nobody says
-//!   what it is, so these have no `power_avg`.
+//! - `power_avg` is AveragePower() in mW: SLUS785D and SLUS914A (bq27500), SLUS927 (bq27510-G1), SLUS948 (bq27510-G2),
+//!   SLUSAB7A (bq27520-G2), SLUSAL5 (bq27530-G1), SLUSBE7 (bq27531-G1), SLUS861 and SLUSAL6C (bq27541), SLUSAT0E (bq27545).
+//!   The driver takes it for 10 mW. That is right for the bq28z610 (SLUUA65E; in mW on the bq28z610-R2, SLUUCO0), and of
+//!   bq27z561, bq28z620 and bq78z100 nobody says what it is, so these have no `power_avg`.
+//! - AveragePower() of the bq27742 is at 0x76; at 0x24, where the driver reads it, is BTPSOC1Set(), a threshold that the
+//!   host sets (SLUSBV9C, Table 8). The bq27546-G1 (SLUSC53, Table 7) has it there, too, and the bq27542-G1 has the
+//!   battery trip points (SLUSC33): no `power_avg`.
+//! - `energy_now` of the bq27510-G2: SLUS948 says mWh in its Table 1, and 10 mWh in the text of AvailableEnergy().
 //! - `charge_now` is RemainingCapacity() where there is one, because StateOfCharge() is that divided by
 //!   FullChargeCapacity() (SLUSAL6C). The driver shows NominalAvailableCapacity(), which is not compensated for the load and
 //!   may be above `charge_full`.
 //! - `capacity_level` is `Critical` with the final threshold, which is below the first (SLUS914A): the driver asks for the
 //!   first one first, and never says `Critical`. `health` is `Dead` with the final one only.
-//! - `state_of_health` of bq27541, bq27542, bq27545 and bq27546 is in StateOfHealth() at 0x2E, a percentage and a status (the
-//!   data sheets of the bq27541-G1, the bq27545-G1, SLUSAT0E, and the bq27546-G1, SLUSC53). The bq27541-V200 has an impedance
-//!   there (SLUSA11), which reads as not valid. The driver shows no health.
-//! - bq27546 has no `power_avg`: BTPSOC1Set() is at 0x24 of the bq27546-G1 (SLUSC53).
+//! - `state_of_health` of bq27541, bq27542, bq27545, bq27546 and bq27742 is in StateOfHealth() at 0x2E, a percentage and a
+//!   status (SLUSAL6C, SLUSAT0E, SLUSC53, SLUSBV9C). The bq27541-V200 has an impedance there (SLUSA11), which reads as not
+//!   valid. The driver shows no health.
 //! - bq27000 and bq27010: a step of charge is 3.57 µVh (SLUS556), 178.5 µAh with 20 mΩ. The driver rounds it down to 178.
 
 use super::{
@@ -230,7 +233,7 @@ static BQ2751X: Chip = gauge("bq2751x", "bq2751x", REGISTERS_2751X, Otdc);
 static BQ2752X: Chip = gauge("bq2752x", "bq2752x", REGISTERS_2751X, Otdc);
 pub(super) static BQ27500: Chip = gauge("bq27500", "bq27500", REGISTERS_27500, Otdc);
 pub(super) static BQ27510_G1: Chip = gauge("bq27510-g1", "bq27510-G1", REGISTERS_27500, Otdc);
-pub(super) static BQ27510_G2: Chip = gauge("bq27510-g2", "bq27510-G2", REGISTERS_27500, Otdc);
+pub(super) static BQ27510_G2: Chip = gauge("bq27510-g2", "bq27510-G2", REGISTERS_27510_G2, Otdc);
 pub(super) static BQ27510_G3: Chip = gauge("bq27510-g3", "bq27510-G3", REGISTERS_2751X, Otdc);
 pub(super) static BQ27520_G1: Chip = gauge("bq27520-g1", "bq27520-G1", REGISTERS_27520_G1, Otdc);
 static BQ27520_G2: Chip = gauge("bq27520-g2", "bq27520-G2", REGISTERS_27500, Otdc);
@@ -239,7 +242,7 @@ static BQ27521: Chip = gauge("bq27521", "bq27521", REGISTERS_27521, Plain);
 static BQ27530: Chip = gauge("bq27530", "bq27530", REGISTERS_27530, Utot);
 static BQ27531: Chip = gauge("bq27531", "bq27531", REGISTERS_27530, Utot);
 pub(super) static BQ27541: Chip = gauge("bq27541", "bq27541", REGISTERS_27541, Otdc);
-pub(super) static BQ27542: Chip = gauge("bq27542", "bq27542", REGISTERS_27541, Otdc);
+pub(super) static BQ27542: Chip = gauge("bq27542", "bq27542", REGISTERS_27546, Otdc);
 static BQ27546: Chip = gauge("bq27546", "bq27546", REGISTERS_27546, Otdc);
 pub(super) static BQ27742: Chip = gauge("bq27742", "bq27742", REGISTERS_27742, Otdc);
 static BQ27545: Chip = gauge("bq27545", "bq27545", REGISTERS_27545, Otdc);
@@ -256,6 +259,12 @@ static REGISTERS_27500: &[Register] = &[
     temperature(0x06), voltage(0x08), flags(0x0a, Otdc), nominal(0x0c), remaining(0x10), full(0x12), current(0x14),
     to_empty(0x16), to_full(0x18), energy(0x22), power(0x24), at_constant_power(0x26), cycles(0x2a), percent(0x2c),
     design(0x3c),
+];
+
+#[rustfmt::skip]
+static REGISTERS_27510_G2: &[Register] = &[
+    temperature(0x06), voltage(0x08), flags(0x0a, Otdc), nominal(0x0c), remaining(0x10), full(0x12), current(0x14),
+    to_empty(0x16), to_full(0x18), power(0x24), at_constant_power(0x26), cycles(0x2a), percent(0x2c), design(0x3c),
 ];
 
 #[rustfmt::skip]
@@ -307,7 +316,7 @@ static REGISTERS_27546: &[Register] = &[
 #[rustfmt::skip]
 static REGISTERS_27742: &[Register] = &[
     temperature(0x06), voltage(0x08), flags(0x0a, Otdc), nominal(0x0c), remaining(0x10), full(0x12), current(0x14),
-    to_empty(0x16), power(0x24), cycles(0x2a), percent(0x2c), design(0x3c),
+    to_empty(0x16), cycles(0x2a), percent(0x2c), health(0x2e), health_status(0x2f), design(0x3c), power(0x76),
 ];
 
 #[rustfmt::skip]
