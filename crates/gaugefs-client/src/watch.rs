@@ -43,6 +43,8 @@ pub struct Report {
     pub root: usize,
     /// A gauge's folder, or the root itself if it has no gauge.
     pub gauge: PathBuf,
+    /// How many gauges of the mount this round has yet to report.
+    pub left: usize,
     /// The news.
     pub seen: Seen,
 }
@@ -118,7 +120,7 @@ impl Watch {
                 Err(_) => {
                     if let Some(root) = self.calls.iter().position(Calling::is_silent) {
                         let seen = Seen::Trouble(SILENT.into());
-                        return Some(Report { root, gauge: self.roots[root].clone(), seen });
+                        return Some(Report { root, gauge: self.roots[root].clone(), left: 0, seen });
                     }
                     if left.is_zero() {
                         return None;
@@ -168,12 +170,15 @@ fn watch(
     reports: &Sender<Report>,
     calling: &Calling,
 ) {
-    let report = |gauge: &Path, seen| reports.send(Report { root, gauge: gauge.to_path_buf(), seen }).is_ok();
+    let report_one = |gauge: &Path, left, seen| {
+        reports.send(Report { root, gauge: gauge.to_path_buf(), left, seen }).is_ok()
+    };
+    let report = |gauge: &Path, seen| report_one(gauge, 0, seen);
     loop {
         let mut next = INTERVAL;
         calling.begin();
         let listening = match gauges_at(path) {
-            Ok(gauges) => gauges.iter().all(|gauge| {
+            Ok(gauges) => gauges.iter().zip((0..gauges.len()).rev()).all(|(gauge, left)| {
                 let sample = Sample::read(gauge);
                 // There may be many, and each takes a moment.
                 calling.begin();
@@ -186,7 +191,7 @@ fn watch(
                     }
                     Err(error) => Seen::Trouble(trouble(path, &error)),
                 };
-                report(gauge, seen)
+                report_one(gauge, left, seen)
             }),
             Err(error) => report(path, Seen::Trouble(trouble(path, &error))),
         };

@@ -91,6 +91,10 @@ impl Learn {
             }
             let Some(report) = watch.next(INTERVAL) else { continue };
             let sample = match report.seen {
+                Seen::Sample(_) if report.left > 0 => {
+                    let why = "more than one gauge is mounted here; name the folder of one";
+                    return Err(Error::host(name, Errno::EINVAL, why));
+                }
                 Seen::Sample(sample) => sample,
                 Seen::Limits(limits) => {
                     if let Some((_, watched)) = &mut watched {
@@ -105,10 +109,6 @@ impl Learn {
                 Seen::Trouble(_) | Seen::Learned(_) | Seen::Refused(_) => continue,
             };
             let (gauge, watched) = match &mut watched {
-                Some((gauge, _)) if *gauge != report.gauge => {
-                    let why = "more than one gauge is mounted here; name the folder of one";
-                    return Err(Error::host(name, Errno::EINVAL, why));
-                }
                 Some(found) => found,
                 None => {
                     watch.order(report.root, Order::ReadLimits(report.gauge.clone()));

@@ -5,7 +5,7 @@
 //! It reads only files that cause no transfer. It reads data flash when a key asks for it, and once a minute
 //! while the gauge is unsealed anyway and the screen shows the learned values.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::io::{self, IsTerminal};
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -93,6 +93,8 @@ impl Top {
 
     fn stream(&self, mut watch: Watch) -> Result<ExitCode> {
         let mut printed: Vec<(PathBuf, u64)> = Vec::new();
+        // Indices of the roots that have reported all their gauges.
+        let mut complete = BTreeSet::new();
         let mut searched = Instant::now();
         loop {
             let report = watch.next(self.interval);
@@ -101,6 +103,9 @@ impl Top {
                 watch.find_mounts()?;
             }
             let Some(report) = report else { continue };
+            if report.left == 0 {
+                complete.insert(report.root);
+            }
             // A mount's trouble is the trouble of each gauge that was there.
             let is_root = watch.roots.contains(&report.gauge);
             let below: Vec<PathBuf> = printed
@@ -111,7 +116,7 @@ impl Top {
                 .collect();
             if let (Seen::Trouble(why), [_, ..]) = (&report.seen, &*below) {
                 for gauge in below {
-                    let report = Report { root: report.root, gauge, seen: Seen::Trouble(why.clone()) };
+                    let report = Report { gauge, seen: Seen::Trouble(why.clone()), ..report };
                     self.print(&report, &mut printed)?;
                 }
             } else {
@@ -120,10 +125,9 @@ impl Top {
             if output::is_unread() {
                 return Ok(ExitCode::SUCCESS);
             }
-            // Every mount has reported, and every gauge often enough.
-            let has_reported = |root: &PathBuf| printed.iter().any(|(gauge, _)| gauge.starts_with(root));
+            // Every mount has reported all its gauges, and every gauge often enough.
             let enough = self.count.is_some_and(|count| printed.iter().all(|(_, done)| *done >= count));
-            if enough && watch.roots.iter().all(has_reported) {
+            if enough && complete.len() == watch.roots.len() {
                 return Ok(ExitCode::SUCCESS);
             }
         }

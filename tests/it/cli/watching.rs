@@ -305,6 +305,38 @@ fn top_prints_json_until_its_reader_closes_the_pipe() {
     gaugefs(&["top", &at]).failed(&["not a terminal", "--json"]);
 }
 
+/// A mount of so many simulated gauges, which are polled twice and then no more.
+fn mounted_many(folder: &Folder, gauges: usize) -> String {
+    let (at, file) = (folder.file("m"), folder.file("many.toml"));
+    let text = "[defaults]\npoll = 3600\n".to_string() + &"[[gauge]]\nsim = 'bq34z100-g1'\n".repeat(gauges);
+    fs::write(&file, text).expect("a file");
+    gaugefs(&["mount", "--config", &file, &at]).done();
+    at
+}
+
+#[test]
+fn regression_a_count_is_of_each_gauge_of_a_mount() {
+    if !can_mount() {
+        return;
+    }
+    const GAUGES: usize = 9;
+    let folder = Folder::new();
+    let at = mounted_many(&folder, GAUGES);
+    for count in [1, 2] {
+        let count_text = count.to_string();
+        let out = gaugefs(&["top", "--json", "--interval", "0.1", "--count", &count_text, &at]).done();
+        let mut gauges: Vec<_> = out
+            .lines()
+            .map(|line| serde_json::from_str::<Value>(line).expect("JSON")["name"].to_string())
+            .collect();
+        gauges.sort();
+        let each: Vec<_> = gauges.chunk_by(|one, next| one == next).map(<[_]>::len).collect();
+        assert_eq!(each, [count; GAUGES], "{out}");
+    }
+    // One gauge's learning is shown, not that of whichever comes first.
+    gaugefs(&["learn", "--once", &at]).failed(&["more than one gauge"]);
+}
+
 #[test]
 fn learn_says_what_a_cycle_waits_for() {
     if !can_mount() {

@@ -88,7 +88,7 @@ impl Drop for Tree {
 }
 
 fn report(gauge: &str, seen: Seen) -> Report {
-    Report { root: 0, gauge: Path::new("/run/gauges").join(gauge), seen }
+    Report { root: 0, gauge: Path::new("/run/gauges").join(gauge), left: 0, seen }
 }
 
 fn sample(sample: &Sample) -> Seen {
@@ -223,7 +223,7 @@ fn the_screen_shows_what_is_wrong() {
     assert!(screen.contains("no answer for 20 s"), "{screen}");
     // Its daemon was killed.
     let why = "its daemon has died; remove the mount with: gaugefs umount /run/gauges";
-    let gone = Report { root: 0, gauge: "/run/gauges".into(), seen: Seen::Trouble(why.into()) };
+    let gone = Report { root: 0, gauge: "/run/gauges".into(), left: 0, seen: Seen::Trouble(why.into()) };
     model.update(gone, NOON + 21.0);
     let screen = text(&drawn(&model, 80, 24, NOON + 21.0));
     assert!(screen.contains("gone") && screen.contains("gaugefs umount"), "{screen}");
@@ -539,7 +539,7 @@ fn the_charts_begin_with_what_a_log_has_of_the_time_before() {
     let mut two = model();
     two.add_mounts(&[PathBuf::from("/run/gauges"), PathBuf::from("/run/other")], NOON);
     let other = Tree::new("PACK-A", -500_000).sample(NOON);
-    two.update(Report { root: 1, gauge: "/run/other/PACK-A".into(), seen: sample(&other) }, NOON);
+    two.update(Report { root: 1, gauge: "/run/other/PACK-A".into(), left: 0, seen: sample(&other) }, NOON);
     assert!(lines(&two, "PACK-A").iter().flatten().all(|(_, value)| *value != 4.2));
     assert!(lines(&two, "PACK-B").iter().flatten().any(|(_, value)| *value == 3.0));
     // The battery's time was faster.
