@@ -508,16 +508,18 @@ fn valid(register: &Register, reading: i64, flags: i64) -> Option<i64> {
 /// their spaces, because monitors compare them.
 pub(super) fn uevent(name: &str, reading: &Reading<'_>) -> String {
     let mut lines = format!("POWER_SUPPLY_NAME={}\n", plain(name));
-    for attribute in Attribute::all() {
-        if reading.snapshot.is_none() && !LISTED_WHILE_GONE.contains(&attribute.name()) {
-            continue;
-        }
-        if let Some(text) = attribute.text(reading) {
-            let text = if attribute.is_of_pack(reading.chip) { plain(&text) } else { text };
-            lines += &format!("POWER_SUPPLY_{}={}\n", attribute.name().to_uppercase(), text);
-        }
+    for (attribute, text) in listed(reading) {
+        let text = if attribute.is_of_pack(reading.chip) { plain(&text) } else { text };
+        lines += &format!("POWER_SUPPLY_{}={}\n", attribute.name().to_uppercase(), text);
     }
     lines
+}
+
+/// The attributes of one poll that the gauge has, and their texts. While it is gone there are few.
+pub(super) fn listed(reading: &Reading<'_>) -> impl Iterator<Item = (Attribute, String)> {
+    let is_listed =
+        |attribute: &Attribute| reading.snapshot.is_some() || LISTED_WHILE_GONE.contains(&attribute.name());
+    Attribute::all().filter(is_listed).filter_map(|attribute| Some((attribute, attribute.text(reading)?)))
 }
 
 /// Text of a user or a gauge for `uevent`. Shells source that file, so characters with a meaning for them become `_`.

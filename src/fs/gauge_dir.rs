@@ -19,6 +19,8 @@ use gauge_owner::{Answers, Done, Failure, FileOperation, Operation, operations a
 use ti_gauge::authentication;
 use ti_gauge::chip::{Bit, Limited, Register, Role, Tier, snake_case};
 
+mod values;
+
 struct File {
     name: &'static str,
     mode: Mode,
@@ -37,6 +39,12 @@ const fn file(name: &'static str, mode: Mode, show: Show) -> File {
 const fn asks<A: Send>(operation: &'static Operation<A>, mode: Mode, show: Show) -> File {
     assert!(operation.has_file());
     File { operation: Some(operation), ..file(operation.name, mode, show) }
+}
+
+impl File {
+    fn is_there(&self, gauge: &Supply) -> bool {
+        values::is_here(self) || (self.show)(gauge).is_some()
+    }
 }
 
 static FILES: &[File] = &[
@@ -76,6 +84,8 @@ static FILES: &[File] = &[
         gauge.published().failed.as_ref().map_or_else(empty, |failed| line(&failed.facts))
     }),
     file("progress", Mode::Public, |gauge| line(gauge.handle.progress().as_deref().unwrap_or("idle"))),
+    file(values::ALL, Mode::Public, |gauge| Some(values::text(gauge, Mode::Public))),
+    file(values::OWNER, Mode::Read, |gauge| Some(values::text(gauge, Mode::Read))),
 ];
 
 /// Files with a common rule and mode 0444.
@@ -153,7 +163,7 @@ impl Operations for Folder<'_> {
     }
 
     fn list(&self) -> Vec<(String, Node)> {
-        let there = (0..).zip(FILES).filter(|(_, file)| (file.show)(self.0).is_some());
+        let there = (0..).zip(FILES).filter(|(_, file)| file.is_there(self.0));
         let files = there.map(|(at, file)| (file.name.to_string(), self.file(at)));
         self.groups().into_iter().chain(files).collect()
     }
@@ -161,7 +171,7 @@ impl Operations for Folder<'_> {
     /// Renders only the file that is looked up.
     fn lookup(&self, name: &str) -> Option<Node> {
         match (0..).zip(FILES).find(|(_, file)| file.name == name) {
-            Some((at, file)) => (file.show)(self.0).map(|_| self.file(at)),
+            Some((at, file)) => file.is_there(self.0).then(|| self.file(at)),
             None => find(self.groups(), name),
         }
     }

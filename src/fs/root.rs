@@ -48,9 +48,10 @@ impl Operations for Root<'_> {
         list
     }
 
-    /// Looks at the one name only: the covered folder may have many.
+    /// Looks at the one name only: there may be many gauges, and many names in the covered folder.
     fn lookup(&self, name: &str) -> Option<Node> {
-        find(self.own(), name).or_else(|| {
+        let gauge = self.0.supplies.iter().find(|supply| supply.name == name).map(|supply| supply.folder());
+        gauge.or_else(|| find(self.own(), name)).or_else(|| {
             let covered = self.0.covered.as_ref()?;
             covered.target(name).map(|_| Node::Covered(covered.number(name)))
         })

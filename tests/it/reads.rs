@@ -295,3 +295,38 @@ fn hot_reads_cost_no_message() {
     assert!(of_held < READS / 10, "{of_held}");
     assert!(of_opened < if keeps_names { READS / 10 } else { READS * 11 / 10 }, "{of_opened}");
 }
+
+/// Programs that read hundreds of gauges read one file of each.
+#[test]
+fn values_tells_what_the_files_tell_for_a_few_messages() {
+    const FOLDERS: [&str; 3] = ["", "gauge/", "gauge/statistics/"];
+    const OWN: [&str; 2] = ["gauge/poll_interval", "gauge/seal"];
+    let Some(mount) = quiet(CHIP) else { return };
+    within("the second poll", || mount.cat("gauge/statistics/polls") == "2");
+    let folder = mount.path("");
+    let files = FOLDERS.iter().flat_map(|inside| {
+        let entries = fs::read_dir(folder.join(inside)).expect("a folder").map(|entry| entry.expect("one"));
+        entries.map(move |entry| (format!("{inside}{}", entry.file_name().display()), entry))
+    });
+    // Those that every user may read, but for the files that have the others.
+    let is_for_all = |name: &String, entry: &fs::DirEntry| {
+        let status = entry.metadata().expect("there");
+        status.is_file() && status.mode() & 0o004 != 0 && !["uevent", "gauge/values"].contains(&name.as_str())
+    };
+    let files = files.filter(|(name, entry)| is_for_all(name, entry));
+    let mut files: Vec<_> = files.map(|(name, _)| name).chain(OWN.map(String::from)).collect();
+    files.sort();
+    let values = || gaugefs_client::follow::values(&folder, &[]).expect("a gauge");
+    let told = values();
+    assert_eq!(told.keys().collect::<Vec<_>>(), files.iter().collect::<Vec<_>>());
+    for (name, text) in told.iter().filter(|(name, _)| *name != "gauge/age_ms") {
+        assert_eq!(*text, mount.cat(name), "{name}");
+    }
+    assert!(told["gauge/check"].lines().count() > 1, "{told:?}");
+    let for_all = mount.cat("gauge/values");
+    assert!(for_all.contains("gauge/owed=") && OWN.iter().all(|name| !for_all.contains(name)), "{for_all}");
+    let before = messages();
+    values();
+    let cost = messages() - before;
+    assert!(cost <= 5, "{cost} messages");
+}

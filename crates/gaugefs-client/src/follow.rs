@@ -5,7 +5,7 @@
 //! If a daemon hangs, a read blocks. So a separate thread reads, and its receiver learns that the daemon is silent.
 
 use std::fs::File;
-use std::io::{self, Read};
+use std::io::{self, ErrorKind, Read};
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender};
 use std::time::{Duration, Instant};
@@ -44,6 +44,31 @@ pub fn all(folder: &Path, names: &[String]) -> io::Result<Texts> {
         }
         let Some((_, open)) = &parent else { continue };
         texts.extend(if_readable(text_in(open, name))?.map(|text| (path.clone(), text)));
+    }
+    Ok(texts)
+}
+
+/// What this user may read of a gauge, by one read: there may be a thousand gauges. It has the attributes and the files of
+/// `gauge/`, except `gauge/registers` and the answers to requests. A daemon that is older than this program has no such
+/// file, so these files are read of it. An error where no gauge is.
+pub fn values(folder: &Path, names: &[String]) -> io::Result<Texts> {
+    let open = |name: &str| if_readable(File::open(folder.join(name)));
+    let found = match open("gauge/owner_values")? {
+        None => open("gauge/values")?,
+        found => found,
+    };
+    let Some(mut file) = found else {
+        return if place::is_gauge(folder) { all(folder, names) } else { Err(ErrorKind::NotFound.into()) };
+    };
+    let mut bytes = vec![0; 1 << 16];
+    let length = file.read(&mut bytes)?;
+    let mut texts = Texts::new();
+    for (name, line) in
+        String::from_utf8_lossy(&bytes[..length]).lines().filter_map(|line| line.split_once('='))
+    {
+        // A text of several lines has the name before each.
+        let text = texts.entry(name.into()).and_modify(|text: &mut String| text.push('\n')).or_default();
+        text.push_str(line);
     }
     Ok(texts)
 }

@@ -113,6 +113,7 @@ static FILES: &[(&str, &str)] = &[
     ("last_error", ""),
     ("last_error_facts", ""),
     ("progress", ""),
+    ("values", ""),
 ];
 
 /// A file of `gauge/` with its own text.

@@ -43,8 +43,8 @@ With --listen :9947 it answers on all interfaces of the machine, as node_exporte
 a password nor TLS; 127.0.0.1:9947 is for this machine alone. The label mountpoint is the mount point,
 whether that, a gauge in it or a symbolic link was named.
 
-Everything comes from the files of the mount, and causes no bus traffic. A user who may not read
-gauge/seal gets the seal of some parts only, and no poll interval.
+Everything comes from one file of each gauge, gauge/owner_values or gauge/values, and causes no bus
+traffic. A user who may not read the first one gets the seal of some parts only, and no poll interval.
 
 Examples:
   gaugefs metrics
@@ -271,14 +271,28 @@ fn read(path: &Path, files: &[String], report: impl Fn(page::Gauge) -> bool) -> 
     if mounts::of(path).is_none() && mounts::of(&std::fs::canonicalize(path)?).is_none() {
         return Err(io::ErrorKind::NotFound.into());
     }
-    for folder in gaugefs_client::gauges_at(path)? {
-        // A gauge that goes away meanwhile is left out.
-        let Ok(texts) = follow::all(&folder, files) else { continue };
-        if !report(page::Gauge { name: gaugefs_client::last_name(&folder), texts }) {
+    let report =
+        |folder: &Path, texts| report(page::Gauge { name: gaugefs_client::last_name(folder), texts });
+    match follow::values(path, files) {
+        Ok(texts) => {
+            report(path, texts);
+            return Ok(());
+        }
+        Err(error) if error.kind() == io::ErrorKind::NotFound => {}
+        Err(error) => return Err(error),
+    }
+    let mut folders: Vec<_> = std::fs::read_dir(path)?.flatten().map(|entry| entry.path()).collect();
+    folders.sort();
+    let mut found = Err(io::ErrorKind::NotFound.into());
+    for folder in folders {
+        // A gauge that goes away meanwhile is left out, as is what is no gauge.
+        let Ok(texts) = follow::values(&folder, files) else { continue };
+        found = Ok(());
+        if !report(&folder, texts) {
             break;
         }
     }
-    Ok(())
+    found
 }
 
 #[cfg(test)]

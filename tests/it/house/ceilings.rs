@@ -17,10 +17,10 @@ const LINES: [(&str, usize); 10] = [
     ("gauge-owner", 7_590),
     ("gauge-sim", 10_420),
     ("gauge-station", 3_800),
-    ("gaugefs", 18_290),
+    ("gaugefs", 18_300),
     ("gaugefs-client", 2_820),
     ("gaugefs-host", 600),
-    ("gaugefs-screen", 6_140),
+    ("gaugefs-screen", 6_150),
     ("i2c-server", 1_280),
     ("ti-gauge", 28_600),
 ];

@@ -302,6 +302,8 @@ pub(crate) fn shown(gauge: &str) -> Vec<(String, String)> {
         "refresh",
         "report",
         "seal",
+        "values",
+        "owner_values",
     ];
     let mut files = Vec::new();
     for folder in [".", "gauge", "gauge/registers"] {
