@@ -8,7 +8,8 @@
 //! Three parts:
 //!
 //! - **speed**: one operation is open, pread and close of one small file; only its ratio to others of the same run means
-//!   something, and that to tmpfs is a promise. `GAUGEFS_BENCH_PEERS` adds files of other file systems: `NAME=PATH`, separated by colons.
+//!   something, and that to tmpfs is a promise. `GAUGEFS_BENCH_PEERS` adds files of other file systems: `NAME=PATH`, separated by
+//!   colons. `GAUGEFS_BENCH_BEFORE` is the folder of a gauge that an older build has mounted.
 //! - **traffic**: a thousand readers read every attribute, and the transfers on the bus are counted. There must
 //!   be none.
 //! - **exactness**: 16 threads read while a gauge is polled up to 200 times a second, each poll with another
@@ -46,6 +47,8 @@ const ROUNDS: usize = 200;
 const READS_A_ROUND: usize = 500;
 /// Time of a read, that of the same read of a tmpfs being 1, at most, where the kernel keeps the names of files.
 const OF_TMPFS: f64 = 1.5;
+/// Files whose text the kernel does not keep.
+const UNCACHED: [&str; 2] = ["gauge/flags", "df/80/53"];
 const READERS: u64 = 16;
 const READS: u64 = 1_000_000;
 /// How much faster than the machine's clock the gauge's runs.
@@ -195,6 +198,11 @@ fn speed(bench: &Bench, report: &mut Report) {
     files.extend(
         peers.split(':').filter_map(|peer| peer.split_once('=')).map(|(name, path)| (name, path.into())),
     );
+    let attributes = files.len();
+    let before = std::env::var_os("GAUGEFS_BENCH_BEFORE").map(PathBuf::from);
+    for folder in [Some(bench.file("")), before].into_iter().flatten() {
+        files.extend(UNCACHED.map(|name| (name, folder.join(name))));
+    }
     let round = |path: &Path| {
         let mut buffer = [0; 4096];
         let start = Instant::now();
@@ -215,12 +223,19 @@ fn speed(bench: &Bench, report: &mut Report) {
     for ((name, _), time) in files.iter().zip(&ns) {
         println!("{name:20} {time:7.0}   {:8.2}", time / ns[0]);
     }
-    let others = files.iter().zip(&ns).skip(2);
+    let others = files[..attributes].iter().zip(&ns).skip(2);
     let others: Vec<_> = others.map(|((name, _), time)| format!("{name} {:.2}", time / ns[0])).collect();
     report.row(
         "time to read an attribute (open, pread, close), sysfs in the same run being 1 (Linux 6.16 or later)",
         &format!("{:.2}", ns[1] / ns[0]),
         &others.join(", "),
+    );
+    let uncached: Vec<_> = ns[attributes..].iter().map(|time| format!("{:.1}", time / ns[0])).collect();
+    let of = uncached.chunks(UNCACHED.len()).map(|build| build.join("; ")).collect::<Vec<_>>();
+    report.row(
+        &format!("time to read {}, sysfs in the same run being 1", UNCACHED.join("; ")),
+        &of[0],
+        &format!("before: {}; the target: 8", of.get(1).map_or("not measured", String::as_str)),
     );
     let of_tmpfs = ns[1] / ns[2];
     report.row(

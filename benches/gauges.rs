@@ -1,14 +1,12 @@
 // SPDX-License-Identifier: MIT
 
-//! What the daemon costs the machine: the time until the first value can be read; one gauge whose whole tree has been
-//! read; 1, 8, 64 and 512 gauges in one mount before and after everything in their trees is read; then many gauges
-//! compared with one: memory, processor time and wake-ups.
+//! What the daemon costs the machine: one gauge whose whole tree has been read; then 1, 8, 64 and 512 gauges in one mount,
+//! before and after everything in their trees is read: memory, processor time and wake-ups.
 //!
 //!     cargo bench --bench gauges
 //!
-//! The gauges are simulated, so the figures include the daemon's work for the battery behind each. `watched`
-//! means that somebody reads the uevent of every gauge once a second. The promises are a limit of memory, and
-//! that the daemon sleeps between polls.
+//! The gauges are simulated, so the figures include the daemon's work for the battery behind each. The promises are a limit
+//! of memory, and that the daemon sleeps between polls.
 
 #![allow(clippy::disallowed_methods, reason = "it reads what it has made, and /proc")]
 
@@ -22,11 +20,8 @@ use std::time::{Duration, Instant};
 mod report;
 use report::Report;
 
-const NUMBERS: &[usize] = &[1, 64];
 /// How many readers read the trees of many gauges.
 const READERS: usize = 48;
-/// How often a mount is begun; the one in the middle counts.
-const STARTS: usize = 9;
 const SETTLE: Duration = Duration::from_secs(4);
 const WINDOW: Duration = Duration::from_secs(12);
 /// Resident memory of a daemon with one gauge, at most: all of it, most of which is the program, and its own.
@@ -116,13 +111,6 @@ impl Drop for Daemon {
     }
 }
 
-fn watch(folder: &Path, gauges: usize) {
-    for gauge in 0..gauges {
-        let path = folder.join(format!("m/BAT{gauge}/uevent"));
-        std::hint::black_box(fs::read(path).expect("it reads"));
-    }
-}
-
 /// Reads every file of a folder and those below it; returns how many. What cannot be read is left out.
 fn read_all(folder: &Path) -> usize {
     let entries = fs::read_dir(folder).expect("a folder of the mount").flatten();
@@ -162,41 +150,9 @@ fn main() -> ExitCode {
         return ExitCode::SUCCESS;
     }
     let mut report = Report::default();
-    start(&mut report);
     one(&mut report);
     whole(&mut report);
-    many();
     report.finish()
-}
-
-/// From the start of a mount, as it is typed, to the first value that somebody has read.
-fn start(report: &mut Report) {
-    let folder = folder();
-    let gaugefs = |arguments: &[&str]| {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_gaugefs"));
-        let done = command.args(arguments).current_dir(&folder).stdout(Stdio::null()).status();
-        assert!(done.expect("gaugefs runs").success(), "{arguments:?}");
-    };
-    let mut times: Vec<Duration> = (0..STARTS)
-        .map(|_| {
-            let begun = Instant::now();
-            gaugefs(&["mount", "--sim", "bq34z100-g1", "m"]);
-            let capacity = fs::read_to_string(folder.join("m/BAT0/capacity")).expect("a first value");
-            let took = begun.elapsed();
-            assert_eq!(capacity, "60\n");
-            gaugefs(&["umount", "m"]);
-            took
-        })
-        .collect();
-    let _ = fs::remove_dir_all(&folder);
-    times.sort();
-    let [least, middle, most] = [0, STARTS / 2, STARTS - 1].map(|at| times[at].as_secs_f64() * 1e3);
-    println!("start to first value: {least:.0}, {middle:.0}, {most:.0} ms\n");
-    report.row(
-        "from `gaugefs mount` to the first value that has been read",
-        &format!("{middle:.0} ms"),
-        &format!("the slowest of {STARTS}: {most:.0} ms"),
-    );
 }
 
 fn one(report: &mut Report) {
@@ -289,39 +245,5 @@ fn whole(report: &mut Report) {
                 mb(read_rss)
             ),
         );
-    }
-}
-
-fn many() {
-    println!("\npoll  gauges  watched  threads  RSS MiB   of one  CPU ms/s   of one  switches/s   of one");
-    for poll in ["3.0", "0.5"] {
-        for watched in [false, true] {
-            let mut one = None;
-            for &gauges in NUMBERS {
-                let daemon = Daemon::new(gauges, poll);
-                let pid = daemon.0.id();
-                std::thread::sleep(SETTLE);
-                let before = Used::now(pid);
-                let start = Instant::now();
-                while start.elapsed() < WINDOW {
-                    if watched {
-                        watch(&daemon.1, gauges);
-                    }
-                    std::thread::sleep(Duration::from_secs(1));
-                }
-                let (after, seconds) = (Used::now(pid), start.elapsed().as_secs_f64());
-                let (cpu_ms, switches) = after.since(&before);
-                let figures = [after.rss_kib as f64 / 1024.0, cpu_ms / seconds, switches as f64 / seconds];
-                let first = *one.get_or_insert(figures);
-                let [rss, cpu, switches] = figures;
-                let [rss_ratio, cpu_ratio, switches_ratio] = [0, 1, 2].map(|at| figures[at] / first[at]);
-                println!(
-                    "{poll:>4}  {gauges:6}  {:>7}  {:7}  {rss:7.1}  {rss_ratio:7.1}  {cpu:8.2}  {cpu_ratio:7.1}  \
-                     {switches:10.1}  {switches_ratio:7.1}",
-                    if watched { "yes" } else { "no" },
-                    after.threads.len()
-                );
-            }
-        }
     }
 }
