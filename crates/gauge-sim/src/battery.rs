@@ -63,7 +63,8 @@ pub(super) struct Battery {
     /// Voltage measured instead of the pack's.
     pub(super) forced_mv: Option<u16>,
     curve: &'static [(f64, f64)],
-    ohms: f64,
+    /// Of a cell, at 25 degrees Celsius.
+    pub(super) ohms: f64,
     diffusion: f64,
 }
 

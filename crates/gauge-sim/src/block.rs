@@ -17,7 +17,7 @@ use super::device::{Device, Gauge, Wire};
 use super::envelope::{Early, First, Lost};
 use super::flash::{BLOCK, Flash};
 use super::gauging::Gauging;
-use super::knob;
+use super::knob::{self, KnobValue};
 use super::model::{Host, Place};
 use super::model::{Kept, Model, Registers, bits};
 use super::options::Options;
@@ -311,7 +311,8 @@ impl Block {
     fn predicts(&self, device: &Device) -> bool {
         let shown = self.part.status.iter().any(|(status, _)| *status == Status::Initialized);
         let initialized = !shown || device.modelled >= self.ram.initialized_from;
-        device.envelope.first.is_zero() || initialized && !device.unmeasured()
+        let never = shown && device.envelope.no_initcomp;
+        !never && (device.envelope.first.is_zero() || initialized && !device.unmeasured())
     }
 
     fn is(&self, device: &Device, status: Status) -> bool {
@@ -321,7 +322,10 @@ impl Block {
             Status::Sealed => self.shown_level(device) == Level::Sealed,
             Status::CcOffset => self.ram.offset_until.is_some(),
             Status::BoardOffset => self.ram.board_until.is_some(),
-            Status::Initialized => self.present(flash) && device.modelled >= self.ram.initialized_from,
+            Status::Initialized => {
+                let is_over = device.modelled >= self.ram.initialized_from;
+                self.present(flash) && is_over && !device.envelope.no_initcomp
+            }
             Status::WatchdogReset => device.watchdog_expired,
             Status::Sleep => own.sleep.is_some_and(|(allowed, (id, offset))| {
                 let current = f64::from(flash.i16(id, offset));
@@ -755,6 +759,9 @@ impl Wire for Block {
                 knob::show_or_auto(self.board.filter(|_| !fits).map(|board| board.divider.into()))
             }
             "shunt_error" => self.gauging.analog.shunt_error.to_string(),
+            "cell_mohm" => (self.gauging.battery().ohms * 1000.0).to_string(),
+            "thermistor" => self.gauging.analog.thermistor.show(),
+            "keeps_full" => self.gauging.keeps_full.show(),
             "board_offset_ma" => knob::show_or_auto(self.gauging.analog.board_offset_ma),
             "cc_offset_ma" => knob::show_or_auto(self.gauging.analog.cc_offset_ma),
             "temperature_error" => self.gauging.analog.temperature.to_string(),
@@ -789,6 +796,14 @@ impl Wire for Block {
                     return Err(not_permitted(name, "no pin of this gauge detects a battery"));
                 }
                 self.is_away = is_away;
+            }
+            "keeps_full" => {
+                let mut keeps = self.gauging.keeps_full;
+                keeps.turn(name, text)?;
+                if keeps && !self.part.map.learned.as_ref().is_some_and(|learns| learns.of_design) {
+                    return Err(not_permitted(name, "Qmax of this part is no share of Design Capacity"));
+                }
+                self.gauging.keeps_full = keeps;
             }
             "cells" => self.gauging.set_series(knob::or_auto(name, text, 1.0, 32.0)?),
             "real_mah" => self.gauging.set_capacity(knob::or_auto(name, text, 1.0, 32_767.0)?),
@@ -825,7 +840,11 @@ impl Block {
                 analog.cc_offset_ma = offset;
                 self.cc_offset = offset.map_or(self.cc_offset, |ma| (ma * CC_COUNTS).round() as i16);
             }
-            "shunt_error" => analog.shunt_error = knob::number(name, text, -500.0, 500.0)?,
+            "shunt_error" => analog.shunt_error = knob::number(name, text, -900.0, 9000.0)?,
+            "cell_mohm" => {
+                self.gauging.battery_mut().ohms = knob::number(name, text, 1.0, 10_000.0)? / 1000.0;
+            }
+            "thermistor" => analog.thermistor.turn(name, text)?,
             "temperature_error" => analog.temperature = knob::number(name, text, -500.0, 500.0)?,
             "noise_mv" => analog.noise_mv = knob::number(name, text, 0.0, 1000.0)?,
             "noise_ma" => analog.noise_ma = knob::number(name, text, 0.0, 1000.0)?,

@@ -52,6 +52,7 @@ pub(super) struct Device {
     /// The battery and its model have been run up to this time.
     pub(super) modelled: Duration,
     power: Power,
+    powered_at: Duration,
     pub(super) ready_at: Duration,
     /// Due time of a reset, while the gauge still answers as before.
     resets_at: Option<Duration>,
@@ -105,6 +106,7 @@ impl Device {
             clock: SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default(),
             modelled: now,
             power: Power::On,
+            powered_at: now,
             ready_at: now,
             resets_at: None,
             cold: false,
@@ -183,6 +185,7 @@ impl Device {
             self.now = until;
             self.power_up(wire);
         }
+        self.lose_power_again(wire, now);
         if let Some(at) = self.resets_at.take_if(|at| now >= *at) {
             self.now = at;
             self.restart(wire, at);
@@ -190,6 +193,17 @@ impl Device {
         self.now = now;
         self.pending.retain(|pending| now < pending.ends);
         wire.run(self, settle);
+    }
+
+    /// A loose contact: power goes and comes at the last of the moments that have passed, at each of which the gauge starts.
+    fn lose_power_again(&mut self, wire: &mut dyn Wire, now: Duration) {
+        let every = Duration::from_secs(self.envelope.reset_every_s.into());
+        let passed = now.saturating_sub(self.powered_at).as_nanos().checked_div(every.as_nanos()).unwrap_or(0);
+        if !self.is_on() || passed == 0 {
+            return;
+        }
+        self.now = self.powered_at + Duration::from_nanos((passed * every.as_nanos()) as u64);
+        self.power_up(wire);
     }
 
     /// Rewrites one of the gauge's own values, if due.
@@ -332,6 +346,7 @@ impl Device {
 
     pub(super) fn power_up(&mut self, wire: &mut dyn Wire) {
         self.power = Power::On;
+        self.powered_at = self.now;
         self.cold = true;
         self.resets = 0;
         self.watchdog_expired = false;
@@ -676,7 +691,12 @@ impl Gauge {
                 (true, true) => {}
             },
             _ => match device.knob_value(name) {
-                Some(value) => value.turn(name, text)?,
+                Some(value) => {
+                    value.turn(name, text)?;
+                    if name == "reset_every_s" {
+                        device.powered_at = now;
+                    }
+                }
                 None => wire.set_knob(device, name, text)?,
             },
         }

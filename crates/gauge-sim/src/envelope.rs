@@ -107,6 +107,10 @@ pub(super) struct Envelope {
     /// Time after the first answer in which Voltage() is 0 and predictions are wrong.
     pub(super) first: Duration,
     pub(super) first_values: First,
+    /// `[INITCOMP]` never comes.
+    pub(super) no_initcomp: bool,
+    /// Seconds between two short losses of power; 0 for never.
+    pub(super) reset_every_s: u32,
     /// Delay with which CONTROL_STATUS shows a change of the seal state.
     pub(super) status: Duration,
     /// A wrong or incomplete key starts the time in which keys are refused.
@@ -166,6 +170,8 @@ impl Envelope {
             tear: Tear::RestOld,
             first: Duration::ZERO,
             first_values: First::Old,
+            no_initcomp: false,
+            reset_every_s: 0,
             status: Duration::ZERO,
             key_lock: false,
             drop_resets: 0,
@@ -255,6 +261,8 @@ impl Envelope {
             "tear" => &mut self.tear,
             "first_ms" => &mut self.first,
             "first_values" => &mut self.first_values,
+            "no_initcomp" => &mut self.no_initcomp,
+            "reset_every_s" => &mut self.reset_every_s,
             "status_ms" => &mut self.status,
             "key_lock" => &mut self.key_lock,
             "drop_resets" => &mut self.drop_resets,

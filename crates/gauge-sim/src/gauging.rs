@@ -224,6 +224,8 @@ pub(super) struct Gauging {
     pub(super) analog: Analog,
     settings: Settings,
     measured: bool,
+    /// The full charge capacity does not follow Design Capacity.
+    pub(super) keeps_full: bool,
     pub(super) ram: Ram,
 }
 
@@ -271,7 +273,7 @@ impl Gauging {
         let battery = Battery::new(settings.cells, settings.qmax_mah, soc);
         let ram = Ram { max_error: 2, state_s: 3600.0, dod_s: 1800.0, flags: OCVTAKEN, ..Ram::default() };
         let analog = Analog::fitting(settings.gain);
-        let mut new = Self { map, battery, analog, settings, measured: true, ram };
+        let mut new = Self { map, battery, analog, settings, measured: true, keeps_full: false, ram };
         new.load(flash);
         new.begin_learning();
         new
@@ -295,7 +297,11 @@ impl Gauging {
 
     /// Loads data flash and continues counting.
     pub(super) fn apply(&mut self, flash: &Flash) {
+        let qmax_mah = self.settings.qmax_mah;
         self.settings = (self.map.settings)(flash);
+        if self.keeps_full {
+            self.settings.qmax_mah = qmax_mah;
+        }
         self.battery.resize(self.settings.cells, self.settings.qmax_mah);
         self.ram.enabled = self.settings.enabled;
         self.ram.cycles = self.settings.cycles;
@@ -607,7 +613,7 @@ impl Gauging {
         if !self.settings.thermistor {
             return self.die();
         }
-        self.sensed() + self.settings.external_offset
+        self.analog.external(self.sensed()) + self.settings.external_offset
     }
 
     /// ChargeVoltage() and ChargeCurrent() for the present temperature.
@@ -762,9 +768,8 @@ impl Model for Gauging {
 
     /// After a full reset the error is not known (table 7-4).
     fn restart(&mut self, flash: &Flash) {
-        let (battery, analog, measured) = (self.battery.clone(), self.analog.clone(), self.measured);
-        *self = Self::new(self.map, flash, 0.0);
-        (self.battery, self.analog, self.measured) = (battery, analog, measured);
+        let Self { battery, analog, measured, keeps_full, .. } = self.clone();
+        *self = Self { battery, analog, measured, keeps_full, ..Self::new(self.map, flash, 0.0) };
         (self.ram.max_error, self.ram.state_s, self.ram.dod_s) = (100, 0.0, 0.0);
         self.load(flash);
         // The voltage measured now may not be one at rest.
@@ -781,11 +786,12 @@ impl Model for Gauging {
         self.analog.measure();
         self.battery.step(seconds);
         let mut moved = self.battery.charge_mah - before;
-        if self.settings.inverted {
+        let ratio = self.analog.ratio(self.settings.gain) * if self.settings.inverted { -1.0 } else { 1.0 };
+        if ratio != 1.0 {
             // The counter stops at the ends of its scale.
             let (low, high) = (-self.battery.charge_mah, self.battery.capacity_mah - self.battery.charge_mah);
-            self.ram.drift_mah = (self.ram.drift_mah - 2.0 * moved).clamp(low, high);
-            moved = -moved;
+            self.ram.drift_mah = (self.ram.drift_mah + (ratio - 1.0) * moved).clamp(low, high);
+            moved *= ratio;
         }
         if self.battery.is_own {
             // The counter stops at empty and at full.

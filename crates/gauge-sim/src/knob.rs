@@ -78,6 +78,15 @@ pub(super) static KNOBS: &[Knob] = &[
         "the Voltage Divider that fits the board in mV, with the internal divider off; `auto` if data flash fits it",
     ),
     Of::Block.set("shunt_error", "by how much the shunt is larger than data flash says, in thousandths"),
+    Of::Block.set("cell_mohm", "resistance of a cell at 25 degrees Celsius in milliohms"),
+    Of::Block.set(
+        "thermistor",
+        "`in` or `out`: without it a gauge that uses it shows the lowest temperature; `short` the highest",
+    ),
+    Of::Block.set(
+        "keeps_full",
+        "`on`: FullChargeCapacity() does not follow a change of Design Capacity, until a RESET or a loss of power; `off`",
+    ),
     Of::Block.set(
         "board_offset_ma",
         "current in mA that the board adds, from which Board Offset is subtracted; `auto` if that fits",
@@ -131,6 +140,8 @@ pub(super) static KNOBS: &[Knob] = &[
     Of::Gauge
         .set("first_ms", "time after the first answer in which Voltage() is 0 and predictions are wrong"),
     Of::Gauge.set("first_values", "`old` or `nonsense`: what the predictions are meanwhile"),
+    Of::Gauge.set("no_initcomp", "`on`: [INITCOMP] never comes, and predictions stay as before it; `off`"),
+    Of::Gauge.set("reset_every_s", "seconds after which the gauge loses its power for a moment, again and again; 0 never"),
     Of::Gauge.set("status_ms", "time by which CONTROL_STATUS shows a change of the seal state late"),
     Of::Block.set("lock_ms", "how long a gauge that has sealed itself refuses keys"),
     Of::Block.set(

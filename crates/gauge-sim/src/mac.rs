@@ -309,7 +309,7 @@ impl Mac {
     /// The bit of a register that is clear before the first measurement.
     fn hidden(&self, device: &Device, register: u8) -> u16 {
         let (shown, bit) = self.part.initialized;
-        if shown == register && device.unmeasured() { bit } else { 0 }
+        if shown == register && (device.unmeasured() || device.envelope.no_initcomp) { bit } else { 0 }
     }
 
     /// A byte of the word with the level and CONFIG UPDATE, which stays right while gauging stops.
@@ -332,7 +332,8 @@ impl Mac {
         let unmeasured = device.unmeasured();
         let voltage_mv = if unmeasured { 0 } else { self.voltage_mv(&device.flash) };
         let mut registers = self.model.registers(self.shown_level(device), voltage_mv);
-        for &first in self.part.predicted.iter().filter(|_| unmeasured) {
+        let never = device.envelope.no_initcomp && self.part.initialized != (0, 0);
+        for &first in self.part.predicted.iter().filter(|_| unmeasured || never) {
             for at in [first, first + 1] {
                 registers[usize::from(at)] = match device.envelope.first_values {
                     First::Old => self.before[usize::from(at)],

@@ -12,3 +12,4 @@ mod libraries;
 mod mac;
 mod ram;
 mod register;
+mod sick;
