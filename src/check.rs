@@ -47,3 +47,32 @@ pub(crate) fn text(checked: &Checked) -> String {
     }
     text
 }
+
+#[cfg(test)]
+mod tests {
+    use gaugefs_client::check::{Finding as Line, wrong};
+    use ti_gauge::check::{Finding, RULES, Severity};
+
+    use super::*;
+
+    /// More than there are rules.
+    #[test]
+    fn sixty_four_findings_are_told_and_read_back() {
+        let finding = |number: usize| Finding {
+            rule: &RULES[number % RULES.len()],
+            values: format!("value {number}\tof\nmany {}", "x".repeat(2000)),
+        };
+        let checked = Checked { findings: (0..64).map(finding).collect(), ..Checked::default() };
+        let text = text(&checked);
+        let lines = Line::all(&text);
+        assert_eq!(lines.len(), 64, "{text}");
+        for (line, finding) in lines.iter().zip(&checked.findings) {
+            let rule = finding.rule;
+            assert_eq!((&*line.severity, &*line.rule), (rule.severity.as_str(), rule.name));
+            assert_eq!((&*line.means, &*line.remedy), (rule.means, rule.remedy));
+        }
+        let worst =
+            checked.findings.iter().filter(|finding| finding.rule.severity == Severity::Wrong).count();
+        assert_eq!(wrong(&text).expect("some are wrong").matches(", ").count() + 1, worst);
+    }
+}

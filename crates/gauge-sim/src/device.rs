@@ -195,10 +195,11 @@ impl Device {
         wire.run(self, settle);
     }
 
-    /// A loose contact: power goes and comes at the last of the moments that have passed, at each of which the gauge starts.
+    /// A loose contact: power goes and comes again. Of several times that have passed the last one counts.
     fn lose_power_again(&mut self, wire: &mut dyn Wire, now: Duration) {
         let every = Duration::from_secs(self.envelope.reset_every_s.into());
-        let passed = now.saturating_sub(self.powered_at).as_nanos().checked_div(every.as_nanos()).unwrap_or(0);
+        let passed =
+            now.saturating_sub(self.powered_at).as_nanos().checked_div(every.as_nanos()).unwrap_or(0);
         if !self.is_on() || passed == 0 {
             return;
         }

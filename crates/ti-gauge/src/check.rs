@@ -292,14 +292,19 @@ impl<'a> Facts<'a> {
         }
     }
 
-    /// Voltage() in mV for each cell, with its scale.
-    fn cell_mv(&self) -> Result<f64, Lacking> {
+    /// By what the gauge's voltages are multiplied.
+    fn scale(&self) -> Result<f64, Lacking> {
         let own = match self.chip.scaling.voltage {
             Scale::None => 1.0,
             Scale::Register(source) => f64::from(self.word(source)?).max(1.0),
             Scale::Flash(id, offset) => self.number(self.at((id, offset))?)?.max(1.0),
         };
-        Ok(self.polled(Role::VoltageNow)? * own * self.host_scale / self.cells()?)
+        Ok(own * self.host_scale)
+    }
+
+    /// Voltage() in mV for each cell, with its scale.
+    fn cell_mv(&self) -> Result<f64, Lacking> {
+        Ok(self.polled(Role::VoltageNow)? * self.scale()? / self.cells()?)
     }
 
     /// Whether the chemistry is certainly a lithium-ion one, by the part or by data flash.

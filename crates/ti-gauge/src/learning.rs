@@ -96,6 +96,16 @@ bits! {
 }
 
 impl Bits {
+    /// `[OCVTAKEN]`.
+    pub(crate) fn has_open_circuit_voltage(self) -> bool {
+        self.ocv_taken()
+    }
+
+    /// `[FC]`.
+    pub(crate) fn is_full(self) -> bool {
+        self.full()
+    }
+
     /// Update Status, from LearnedStatus().
     pub fn update_status(self) -> u8 {
         let bits = [self.qmax(), self.both(), self.iten(), self.field()];

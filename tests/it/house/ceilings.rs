@@ -15,14 +15,14 @@ use super::{crates, files, without_tests};
 const LINES: [(&str, usize); 10] = [
     ("gauge-bus", 3_220),
     ("gauge-owner", 7_590),
-    ("gauge-sim", 10_420),
+    ("gauge-sim", 10_480),
     ("gauge-station", 3_800),
     ("gaugefs", 18_300),
     ("gaugefs-client", 2_820),
     ("gaugefs-host", 600),
     ("gaugefs-screen", 6_150),
     ("i2c-server", 1_280),
-    ("ti-gauge", 28_600),
+    ("ti-gauge", 28_890),
 ];
 
 /// The least lines of code to one of comment in each crate, in tenths. What others use has a line for each public item.
@@ -87,8 +87,8 @@ const GAUGE: [(&str, &str); 36] = [
     ("ti-gauge", "dataflash/rules.rs Rules"),
     ("ti-gauge", "dataflash/rules.rs Wear"),
 ];
-/// The most fields of all of them. Thirty-one are options that people set, twelve are counters that they read.
-const GAUGE_FIELDS: usize = 262;
+/// The most fields of all of them. Thirty-one are options that people set, thirteen are counters that the program reads.
+const GAUGE_FIELDS: usize = 263;
 
 /// The files of a crate that are product, and their text without tests.
 fn product(folder: &Path) -> BTreeMap<PathBuf, String> {

@@ -125,6 +125,7 @@ impl Readings {
             control_status: access.control_status(),
             is_measured: self.unmeasured == 0,
             own: own.iter().sum(),
+            keys: Statistics::read(&statistics.keys),
         };
         let history = self.history.in_epoch(shared.published().presence);
         history.note(access.chip(), &poll);

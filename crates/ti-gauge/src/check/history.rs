@@ -2,9 +2,11 @@
 
 //! What one poll alone does not show: values that jump, that stand still, and that contradict each other over time.
 
+use std::collections::VecDeque;
+
 use super::{Lacking, Role};
-use crate::chip::{Chip, Source};
-use crate::learning::{Bits, Cycle, Learned, Learns, Limits, Reading, Spoiled};
+use crate::chip::{Chip, SealStatus, Source};
+use crate::learning::{Bits, Cycle, Learned, Learns, Limits, Phase, Reading, Spoiled, State};
 use crate::registers::Registers;
 
 /// Polls in a row without a measurement, half a second to some seconds apart, after which it will not come.
@@ -15,6 +17,15 @@ const STEP_MV: f64 = 10.0;
 /// A jump of the state of charge in percent between two polls that are at most so many seconds apart.
 const JUMP: f64 = 20.0;
 const JUMP_S: f64 = 300.0;
+/// Between two polls that measure a resistance: so many seconds at most, that warm, and so full, in 0.1 K and percent.
+const LOSS_S: f64 = 60.0;
+const WARM: f64 = 2831.0;
+const HALF_FULL: std::ops::RangeInclusive<f64> = 20.0..=90.0;
+/// How many of them agree.
+const LOSSES: usize = 5;
+/// What learning needs to see: SLUA450, chapter 12 of SLUUBW5A.
+const NEEDS: [&str; 4] =
+    ["a rest until [OCVTAKEN]", "10 to 40 °C", "a charge to its end ([FC])", "a discharge to 10 %"];
 /// The time in seconds in which resets belong together.
 const DAY_S: f64 = 86_400.0;
 
@@ -31,6 +42,8 @@ pub struct Poll<'a> {
     pub is_measured: bool,
     /// A count that changes with what this program itself writes to the gauge, or resets.
     pub own: u64,
+    /// How many keys this program has sent.
+    pub keys: u64,
 }
 
 /// What the polls of one pack have shown so far.
@@ -38,6 +51,10 @@ pub struct Poll<'a> {
 pub struct History {
     last: Option<Seen>,
     cycle: Option<Cycle>,
+    learned: Option<Learned>,
+    /// Until when nothing of [`NEEDS`] was seen: its last time, or the first poll.
+    met: Option<[f64; 4]>,
+    losses: VecDeque<f64>,
     resets: Vec<f64>,
     summary: Summary,
 }
@@ -46,7 +63,10 @@ pub struct History {
 struct Seen {
     time: f64,
     own: u64,
+    keys: u64,
+    is_sealed: Option<bool>,
     is_measured: bool,
+    tenths: Option<f64>,
     voltage: Option<f64>,
     current: Option<f64>,
     percent: Option<f64>,
@@ -71,8 +91,16 @@ pub struct Summary {
     pub(super) jump: Option<(f64, f64)>,
     /// A change of Design Capacity that this program has not made.
     pub(super) redesigned: Option<(f64, f64)>,
+    /// Whether the gauge was SEALED and was opened by somebody else.
+    pub(super) opened: bool,
     /// What disturbs a learning cycle, and for how many seconds.
     pub(super) spoiled: Option<(Spoiled, f64)>,
+    /// What learning needs, and for how many seconds it was not seen.
+    pub(super) unmet: [Option<(&'static str, f64)>; 4],
+    /// What was learned, and what is left of it.
+    pub(super) unlearned: Option<(Learned, Learned)>,
+    /// The least of the last losses of voltage, in mV of the pack at the current that empties it in an hour.
+    pub(super) loss: Option<f64>,
 }
 
 impl Summary {
@@ -107,7 +135,10 @@ impl History {
         let now = Seen {
             time: poll.time,
             own: poll.own,
+            keys: poll.keys,
+            is_sealed: is_sealed(chip, poll),
             is_measured: poll.is_measured,
+            tenths: read(Role::Temp),
             voltage: read(Role::VoltageNow).filter(|_| poll.is_measured),
             current: read(Role::CurrentNow).or_else(|| read(Role::CurrentAvg)).filter(|_| poll.is_measured),
             percent: read(Role::Capacity).filter(|_| poll.is_measured),
@@ -118,6 +149,7 @@ impl History {
         summary.unmeasured = if poll.is_measured { 0 } else { summary.unmeasured.saturating_add(1) };
         if let Some(last) = self.last.replace(now) {
             self.compare(&last, &now);
+            self.watch_seal(chip, &last, &now, read(Role::Flags));
         }
         self.watch_rest(&now);
         self.watch_learning(chip, poll, &now, read(Role::Temp));
@@ -152,6 +184,14 @@ impl History {
             let count =
                 if (volts > 0.0) == (step > 0.0) { &mut summary.agreeing } else { &mut summary.opposed };
             *count = count.saturating_add(1);
+            let is_usual = now.tenths.is_some_and(|tenths| tenths >= WARM)
+                && now.percent.is_some_and(|percent| HALF_FULL.contains(&percent));
+            if volts / step > 0.0 && is_usual && now.time - last.time <= LOSS_S {
+                self.losses.push_back(volts / step * design);
+                self.losses.drain(..self.losses.len().saturating_sub(LOSSES));
+                let least = self.losses.iter().copied().reduce(f64::min);
+                summary.loss = least.filter(|_| self.losses.len() == LOSSES);
+            }
         }
         if let Some((before, after)) = last.percent.zip(now.percent)
             && now.time - last.time <= JUMP_S
@@ -159,6 +199,19 @@ impl History {
             && (after - before).abs() >= JUMP + 400.0 * passed / design
         {
             summary.jump = Some((before, after));
+        }
+    }
+
+    /// A reset opens a gauge with RAM as well, and a lost configuration goes with it.
+    fn watch_seal(&mut self, chip: &'static Chip, last: &Seen, now: &Seen, flags: Option<f64>) {
+        let shows_resets = chip.volatile != Some(0);
+        let was_reset = flags.is_some_and(|flags| flags as u32 & chip.volatile.unwrap_or(0) != 0);
+        let is_anothers = last.keys == now.keys && last.own == now.own && last.is_measured && now.is_measured;
+        let opened = &mut self.summary.opened;
+        match (last.is_sealed, now.is_sealed) {
+            (_, Some(true) | None) => *opened = false,
+            (Some(true), Some(false)) => *opened = shows_resets && !was_reset && is_anothers,
+            _ => {}
         }
     }
 
@@ -197,6 +250,47 @@ impl History {
         let state = cycle.update(&reading);
         let spoiled = state.spoiled.filter(|_| state.learned != Learned::All);
         self.summary.spoiled = spoiled.map(|why| (why, state.time - state.since.time));
+        if learns == Learns::ImpedanceTrack && reading.has_learned_status {
+            let before = self.learned.replace(state.learned).unwrap_or(state.learned);
+            let (most, _) = self.summary.unlearned.unwrap_or((before, before));
+            let most = most.max(before);
+            self.summary.unlearned = Some((most, state.learned)).filter(|(most, now)| most > now);
+        }
+        if learns != Learns::FullCharge {
+            self.watch_needs(&state, &reading);
+        }
+    }
+
+    fn watch_needs(&mut self, state: &State, reading: &Reading) {
+        let sees = [
+            state.phase == Phase::Rest && reading.bits.has_open_circuit_voltage(),
+            reading.degrees.is_none_or(|degrees| (10.0..=40.0).contains(&degrees)),
+            reading.bits.is_full(),
+            reading.percent.is_some_and(|percent| percent <= 10.0),
+        ];
+        let met = self.met.get_or_insert([reading.time; 4]);
+        for (at, sees) in sees.into_iter().enumerate() {
+            if sees {
+                met[at] = reading.time;
+            }
+            self.summary.unmet[at] =
+                Some((NEEDS[at], reading.time - met[at])).filter(|(_, seconds)| *seconds > 0.0);
+        }
+    }
+}
+
+/// Whether the gauge is SEALED; `None` if the part does not show it.
+fn is_sealed(chip: &Chip, poll: &Poll<'_>) -> Option<bool> {
+    match &chip.security.status {
+        SealStatus::Bits { sealed, .. } => Some(poll.control_status & sealed != 0),
+        SealStatus::Field { word, shift } => {
+            let word = match word {
+                Source::Status => i64::from(poll.control_status),
+                source => poll.registers.value(chip.register_at(*source)?)?,
+            };
+            Some(word >> shift & 3 == 3)
+        }
+        SealStatus::None => None,
     }
 }
 

@@ -4,22 +4,29 @@
 
 use super::Severity::{Doubtful, Note, Wrong};
 use super::Subject::{Age, Flash, Impossible, Interference, Learning, NotConfigured};
-use super::history::learned;
 use super::{Facts, Lacking, Rule, Severity, Subject, Verdict};
-use crate::chip::{Kind, Register, Role, Row, Safe, Source};
+use crate::chip::{Kind, Quirk, Register, Role, Row, Safe};
 use crate::codec::WINDOW;
 use crate::dataflash::{Place, erased};
-use crate::learning::{Learned, Learns, Spoiled};
 use crate::notation;
 use crate::value::Value;
+
+mod age;
+
+use age::{
+    learning_disturbed, learning_lost, lifetime_voltage, many_cycles, never_learned, not_enabled,
+    not_learned, resistance, was_too_warm, worn,
+};
 
 pub(super) const DESIGN: &[&str] = &["Design Capacity", "Design Capacity mAh"];
 const ENERGY: &[&str] = &["Design Energy"];
 const ENERGY_SCALE: &[&str] = &["Design Energy Scale"];
 const TERMINATE: &[&str] = &["Terminate Voltage", "Cell Terminate Voltage"];
 const TAPER: &[&str] = &["Taper Current", "Taper Rate"];
-const MOST_WARMTH: &[&str] = &["Lifetime Max Temp"];
-const TOO_WARM: &[&str] = &["OT Dsg"];
+/// The voltages at which a charge ends, and how far a cell may be above: where it is that of the charger, and where it is a
+/// little below.
+const CHARGED: [(&[&str], f64); 2] =
+    [(&["Cell Charge Voltage T2-T3", "Charging Voltage"], 100.0), (&["Taper Voltage"], 200.0)];
 
 /// The full charge capacity that a battery can have, as a share of the design capacity: a worn-out one, and a new one of
 /// another make. Max % Default Qmax is 120 %, and below a third no pack is still used.
@@ -95,7 +102,7 @@ pub static RULES: &[Rule] = &[
     ]),
     rule((Impossible, Doubtful), "percent-jumped", percent_jumped, [
         "no current explains that; the gauge has corrected itself, was reset, or does not know its battery",
-        "see whether it has learned (`gaugefs learn`); if it comes back, check the chemistry",
+        "see whether it has learned (`gaugefs learn`); if it comes back, check the chemistry, and CC Gain against the sense resistor",
         "SLUA450",
     ]),
     rule((Impossible, Wrong), "measures-nothing", measures_nothing, [
@@ -107,6 +114,16 @@ pub static RULES: &[Rule] = &[
         "no cell has that voltage",
         "check the number of cells, Voltage Divider and [VOLTSEL]; a new pack of several cells: `gaugefs bringup`",
         "SLUSBZ5D 7.3.8 and 8.2.2.1.3",
+    ]),
+    rule((NotConfigured, Doubtful), "divider", divider, [
+        "with these the voltage of a full pack cannot be measured",
+        "set them together: `gaugefs bringup`, docs/CALIBRATION.md",
+        "SLUSBZ5D 7.3.8 and 8.2.2.1.3",
+    ]),
+    rule((NotConfigured, Doubtful), "chemistry", chemistry, [
+        "the pack is charged higher than its configuration says: another chemistry, or another number of cells",
+        "compare the chemistry and these voltages with the data sheet of the cell (docs/CALIBRATION.md)",
+        "SLUSBZ5D Table 7-11, SLUUAC9A Table 6-3",
     ]),
     rule((Impossible, Wrong), "temperature", temperature, [
         "the end of the sensor's range, as without a thermistor or with a short circuit",
@@ -173,6 +190,11 @@ pub static RULES: &[Rule] = &[
         "watch with `gaugefs learn` which one is missing",
         "SLUA450",
     ]),
+    rule((Learning, Doubtful), "learning-lost", learning_lost, [
+        "a change of Update Status, or of what it is about, has taken it back",
+        "learn anew (docs/CALIBRATION.md), or import the values that were learned: `gaugefs import GAUGE BACKUP`",
+        "SLUSBZ5D Table 7-9",
+    ]),
     rule((Learning, Doubtful), "not-enabled", not_enabled, [
         "Impedance Track is off: nothing is learned, and the capacity does not follow the battery",
         "start it with IT_ENABLE at rest: docs/CALIBRATION.md",
@@ -203,6 +225,21 @@ pub static RULES: &[Rule] = &[
         "find out what warms it",
         "SLUSBZ5D 7.3.6.17",
     ]),
+    rule((Age, Doubtful), "lifetime-voltage", lifetime_voltage, [
+        "the pack has been charged or discharged beyond its maker's limit",
+        "find out what charges or empties it; a cell that was once so low is worn or dangerous",
+        "SLUSBZ5D 7.3.6.17",
+    ]),
+    rule((Age, Doubtful), "resistance", resistance, [
+        "the cells are worn, or a contact is bad; the pack dies under load with much charge left",
+        "check the contacts, then plan for another pack",
+        "SLUA450",
+    ]),
+    rule((Interference, Doubtful), "opened", opened, [
+        "somebody else has the key to this gauge and can write to it",
+        "find the other program; seal it: `gaugefs seal GAUGE`",
+        "SLUSBZ5D 7.3.3.4",
+    ]),
     rule((Interference, Doubtful), "mode-left-on", mode_left_on, [
         "the gauge does not gauge meanwhile",
         "see the values",
@@ -226,7 +263,15 @@ fn found_if(is_true: bool, values: impl FnOnce() -> String) -> Verdict {
 
 fn configuration_lost(facts: &Facts<'_>) -> Verdict {
     match facts.chip.volatile {
-        None | Some(0) => Err(Lacking::Never),
+        None => Err(Lacking::Never),
+        // No bit shows it, but what was written is gone.
+        Some(0) => {
+            let default = facts.named(DESIGN).ok().and_then(|row| facts.default(row));
+            let gone = facts.history.redesigned.filter(|(_, to)| Some(*to) == default);
+            Ok(gone
+                .filter(|_| facts.unwritten.is_empty())
+                .map(|(from, to)| format!("Design Capacity went from {from} back to {to} mAh, TI's default")))
+        }
         Some(_) => {
             facts.word(facts.chip.register(Role::Flags).ok_or(Lacking::Never)?.source)?;
             // Why its profile is not there says more.
@@ -331,6 +376,52 @@ fn temperature(facts: &Facts<'_>) -> Verdict {
     found_if(is_outside, || format!("Temperature() is {:.1} °C", (tenths - FREEZING) / 10.0))
 }
 
+/// A bit and two rows that belong together.
+fn divider(facts: &Facts<'_>) -> Verdict {
+    let gate = facts.chip.gate.as_ref().ok_or(Lacking::Never)?;
+    let (Some(external), Some(place)) =
+        (gate.external.as_ref().filter(|bit| bit.factor.is_some()), gate.divider)
+    else {
+        return Err(Lacking::Never);
+    };
+    let row = facts.at(place)?;
+    let bits = facts.at(external.byte)?;
+    let byte = bytes(facts, bits).ok_or(Lacking::Stored)?[usize::from(external.byte.1 - bits.1.offset)];
+    let is_external = byte & external.mask != 0;
+    let (cells, full_scale) = (facts.cells()?, facts.number(row)?);
+    let charged = facts.number(facts.chip.stored(Role::VoltageMaxDesign).ok_or(Lacking::Never)?)?;
+    let internal = f64::from(gate.cell_divider.ok_or(Lacking::Never)?);
+    let name = external.name;
+    let is_one_cells = (0.9..=1.1).contains(&(full_scale / internal));
+    Ok(match is_external {
+        true if full_scale < cells * charged => {
+            Some(format!("{name} is set, {cells} cells of {charged} mV, Voltage Divider {full_scale} mV"))
+        }
+        false if cells * charged > internal => {
+            Some(format!("{name} is clear, which is for up to {internal} mV: {cells} cells of {charged} mV"))
+        }
+        false if !is_one_cells => {
+            Some(format!("{name} is clear, Voltage Divider {full_scale} mV is for an external one"))
+        }
+        _ => None,
+    })
+}
+
+fn chemistry(facts: &Facts<'_>) -> Verdict {
+    let mv = facts.cell_mv()?;
+    let found = CHARGED.iter().find_map(|(names, margin)| Some((facts.named(names).ok()?, *margin)));
+    let (row, margin) = found.ok_or(Lacking::Never)?;
+    let charged = facts.number(row)?;
+    // Some parts have a distance there, and what no cell has is said by another rule.
+    found_if(charged >= CELL_MV.0 && mv > charged + margin && mv <= LITHIUM_MV.1, || {
+        format!("Voltage() is {mv:.0} mV for each cell, {} {charged} mV", row.1.name)
+    })
+}
+
+fn opened(facts: &Facts<'_>) -> Verdict {
+    found_if(facts.history.opened, || "SEALED at first, and open now; gaugefs has not sent a key".into())
+}
+
 fn current_always_0(facts: &Facts<'_>) -> Verdict {
     let cells = facts.cells().unwrap_or(1.0);
     let still = facts
@@ -374,14 +465,16 @@ fn bytes(facts: &Facts<'_>, row: Row) -> Option<Vec<u8>> {
     facts.chip.layout.encode(row.1.kind, &(facts.stored)(row)?)
 }
 
+/// Whether the defect is in that row.
+fn has((subclass, row): Row, quirk: &Quirk) -> bool {
+    let bytes = row.offset..row.offset + row.kind.size() as u16;
+    subclass.id == quirk.subclass && bytes.contains(&quirk.offset)
+}
+
 fn defect(facts: &Facts<'_>) -> Verdict {
     let mut is_unread = false;
     for quirk in facts.chip.quirks {
-        let covers = |(subclass, row): &Row| {
-            subclass.id == quirk.subclass
-                && (row.offset..row.offset + row.kind.size() as u16).contains(&quirk.offset)
-        };
-        let Some(row) = facts.chip.rows().find(covers) else { continue };
+        let Some(row) = facts.chip.rows().find(|row| has(*row, quirk)) else { continue };
         let byte =
             bytes(facts, row).and_then(|bytes| bytes.get(usize::from(quirk.offset - row.1.offset)).copied());
         match byte {
@@ -444,7 +537,9 @@ fn unsafe_value(facts: &Facts<'_>) -> Verdict {
 
 fn out_of_range(facts: &Facts<'_>) -> Verdict {
     all(facts, |row, value| {
-        let is_checked = !row.1.unprinted && !row.1.learned && !row.1.is_date();
+        // A value that a defect explains is said with it.
+        let is_explained = facts.chip.quirks.iter().any(|quirk| has(row, quirk));
+        let is_checked = !row.1.unprinted && !row.1.learned && !row.1.is_date() && !is_explained;
         (is_checked && notation::check(row.1, value).is_err()).then(|| shown(row, value))
     })
 }
@@ -467,51 +562,6 @@ fn flash_shut(facts: &Facts<'_>) -> Verdict {
     })
 }
 
-fn not_learned(facts: &Facts<'_>) -> Verdict {
-    found_if(learned(facts)? == Learned::Nothing, || "Qmax has not been learned".into())
-}
-
-fn never_learned(facts: &Facts<'_>) -> Verdict {
-    let cycles = facts.polled(Role::CycleCount)?;
-    found_if(learned(facts)? == Learned::Nothing && cycles >= 200.0, || {
-        format!("CycleCount() is {cycles}, and Qmax has not been learned")
-    })
-}
-
-fn not_enabled(facts: &Facts<'_>) -> Verdict {
-    let bit = facts.chip.control_status.iter().find(|bit| bit.name == "QEN");
-    let bit = bit.filter(|_| Learns::of(facts.chip) == Some(Learns::ImpedanceTrack)).ok_or(Lacking::Never)?;
-    found_if(facts.word(Source::Status)? & bit.mask == 0, || "[QEN] is clear".into())
-}
-
-fn learning_disturbed(facts: &Facts<'_>) -> Verdict {
-    let spoiled = facts.history.spoiled.filter(|(why, _)| *why != Spoiled::NotEnabled);
-    Ok(spoiled.map(|(why, seconds)| format!("for {:.1} h: {why}", seconds / 3600.0)))
-}
-
-fn worn(facts: &Facts<'_>, from: f64, below: f64) -> Verdict {
-    let register =
-        facts.chip.register(Role::StateOfHealth).filter(|_| facts.chip.condition.primary.is_none());
-    let register = register.ok_or(Lacking::Never)?;
-    let health = facts.predicted(Role::StateOfHealth)?;
-    let is_ready = register.validity.is_none_or(|source| facts.word(source).is_ok_and(|word| word != 0));
-    found_if(is_ready && health > from && health <= below && health > 0.0, || {
-        format!("StateOfHealth() is {health} %")
-    })
-}
-
-fn many_cycles(facts: &Facts<'_>) -> Verdict {
-    let cycles = facts.polled(Role::CycleCount)?;
-    found_if(cycles >= 500.0, || format!("CycleCount() is {cycles}"))
-}
-
-fn was_too_warm(facts: &Facts<'_>) -> Verdict {
-    let (most, limit) = (facts.number(facts.named(MOST_WARMTH)?)?, facts.number(facts.named(TOO_WARM)?)?);
-    found_if(limit > 0.0 && most > limit, || {
-        format!("Lifetime Max Temp is {:.1} °C, OT Dsg {:.1} °C", most / 10.0, limit / 10.0)
-    })
-}
-
 fn mode_left_on(facts: &Facts<'_>) -> Verdict {
     for mode in facts.chip.preflight.modes.iter().filter(|mode| mode.lasts()) {
         if facts.word(mode.word)? & mode.mask != 0 {
@@ -527,6 +577,10 @@ fn resets_in_a_row(facts: &Facts<'_>) -> Verdict {
 }
 
 fn reconfigured(facts: &Facts<'_>) -> Verdict {
+    // Nobody wrote what a loss of power has taken.
+    if configuration_lost(facts).is_ok_and(|found| found.is_some()) {
+        return Ok(None);
+    }
     Ok(facts
         .history
         .redesigned

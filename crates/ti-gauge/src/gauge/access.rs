@@ -137,6 +137,7 @@ impl Gauge {
     /// Sends both words of a key and returns whether the state followed.
     pub fn try_key(&mut self, key: &Secret, goal: Seal) -> Result<bool> {
         let moment = self.moment();
+        Statistics::count(&self.statistics.keys);
         self.set_secret(true);
         // A word that was not acknowledged is sent again at once: nothing may come between the two.
         let dialect = self.dialect;

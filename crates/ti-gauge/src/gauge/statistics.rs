@@ -24,6 +24,8 @@ pub struct Statistics {
     pub flash_writes: AtomicU64,
     /// Resets that were sent.
     pub resets: AtomicU64,
+    /// Keys that were sent.
+    pub keys: AtomicU64,
     /// Writes whose values were already stored.
     pub unchanged_writes: AtomicU64,
     /// Times until a commit was seen.
