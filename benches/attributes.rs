@@ -226,7 +226,7 @@ fn speed(bench: &Bench, report: &mut Report) {
     let others = files[..attributes].iter().zip(&ns).skip(2);
     let others: Vec<_> = others.map(|((name, _), time)| format!("{name} {:.2}", time / ns[0])).collect();
     report.row(
-        "time to read an attribute (open, pread, close), sysfs in the same run being 1 (Linux 6.16 or later)",
+        "time to read an attribute again (open, pread, close), sysfs in the same run being 1 (Linux 6.16 or later)",
         &format!("{:.2}", ns[1] / ns[0]),
         &others.join(", "),
     );
