@@ -7,14 +7,14 @@ use std::time::Duration;
 
 use gauge_bus::{BusError, Reach};
 use ti_gauge::chip::{CHIPS, FLAT};
-use ti_gauge::dataflash::{DataFlash, Outcome};
-use ti_gauge::error::Cause;
+use ti_gauge::dataflash::{DataFlash, Decision, Outcome};
+use ti_gauge::error::{Cause, Reason};
 use ti_gauge::gauge::{Gauge, Seal};
 use ti_gauge::keys::Keys;
 use ti_gauge::registers::Registers;
 
 use crate::rig::{self, Adapter, Rig};
-use crate::room::drawn;
+use crate::room::{Folder, drawn, half_way};
 
 const WINDOW: usize = 32;
 
@@ -175,6 +175,59 @@ fn data_flash_that_cannot_be_written_as_a_whole_is_only_read() {
             assert_eq!(rig.seal(), Seal::Sealed, "{chip}");
         }
     }
+}
+
+/// An interrupted write waits for an adapter that can finish or undo it, however often it is tried without one.
+#[test]
+fn what_cannot_be_put_back_on_an_adapter_waits_for_another_one() {
+    let folder = Folder::new("words");
+    let mut rig = Rig::calibrated("bq34z100-g1", Seal::Sealed);
+    let old = rig.sim.flash();
+    half_way(&mut rig, &folder);
+    let (torn, journal) = (rig.sim.flash(), folder.text());
+    assert!(torn != old && journal.is_some());
+    rig.sim.set_reach(Reach::smbus(2, false));
+    rig.start(&folder);
+    let programmed = rig.get("programmed");
+    for _ in 0..5 {
+        for error in [
+            rig.arrive().expect_err("a block is too long"),
+            rig.dataflash
+                .decide(&mut rig.gauge, Decision::Undo(None), Duration::ZERO)
+                .expect_err("a person changes nothing about that"),
+        ] {
+            assert!(matches!(error.reason(), Reason::ShortWrites { .. }), "{error}");
+            let text = error.to_string();
+            assert!(
+                text.contains("was interrupted") && text.contains("connect it to another adapter"),
+                "{text}"
+            );
+        }
+        let owed = rig.dataflash.owed().expect("it is owed");
+        assert!(!owed.needs_decision, "{}", owed.why);
+        assert!(rig.sim.flash() == torn && rig.get("programmed") == programmed);
+        assert_eq!((folder.text(), rig.seal()), (journal.clone(), Seal::Sealed));
+    }
+    rig.sim.set_reach(Reach::FULL);
+    rig.start(&folder);
+    assert!(rig.arrive().expect("nothing is in the way").is_some());
+    assert!(rig.sim.flash() == old);
+    assert_eq!((rig.seal(), folder.files()), (Seal::Sealed, vec![]));
+}
+
+/// What is owed and needs no block to be written is settled there as well.
+#[test]
+fn what_is_as_it_was_is_settled_on_any_adapter() {
+    let folder = Folder::new("whole");
+    let mut rig = Rig::calibrated("bq34z100-g1", Seal::Sealed);
+    let old = rig.sim.flash();
+    half_way(&mut rig, &folder);
+    rig.sim.set_flash(48, 11, &1000_u16.to_be_bytes());
+    assert!(rig.sim.flash() == old);
+    rig.sim.set_reach(Reach::smbus(2, false));
+    rig.start(&folder);
+    assert!(rig.arrive().expect("nothing is written").is_some());
+    assert_eq!((rig.seal(), folder.files()), (Seal::Sealed, vec![]));
 }
 
 /// The sum of a block is that of its bytes in any order, so a message that was read two bytes too early is not noticed by it.

@@ -45,15 +45,19 @@ impl Task<'_> {
             ControlFlow::Continue(whose) => whose,
             ControlFlow::Break(verdict) => return Ok(verdict),
         };
-        // The mode that the write started may still be on; `begin` detects that.
-        if sequence(gauge).always_finishes() {
-            session.begin(gauge)?;
-        }
         let forward = match self.decision {
             Some(Decision::Finish(_)) => true,
             Some(Decision::Undo(_) | Decision::Discard) => false,
             None => job.is_intact() && job.all(Held::New) && !self.plan.by_gauge,
         };
+        // A row that is erased meanwhile is put back with all its blocks.
+        if !(job.is_intact() && job.all(if forward { Held::New } else { Held::Old })) {
+            gauge.check_writes()?;
+        }
+        // The mode that the write started may still be on; `begin` detects that.
+        if sequence(gauge).always_finishes() {
+            session.begin(gauge)?;
+        }
         if self.plan.by_gauge && forward && job.blocks.iter().any(|seen| seen.held == Held::Torn) {
             let why = "what the gauge has measured was lost while it was stored: it can only be undone";
             return Ok(Verdict::Undecided(why.into()));
