@@ -14,6 +14,7 @@ use std::fs::{self, File};
 use std::os::fd::{AsRawFd, BorrowedFd};
 use std::os::unix::fs::{FileTypeExt, MetadataExt};
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 use nix::errno::Errno;
 use nix::fcntl::{FcntlArg, fcntl};
@@ -21,6 +22,7 @@ use nix::libc;
 use nix::sys::stat::{major, minor};
 
 use crate::adapters::{self, AdapterModel};
+use crate::clock::Clock;
 use crate::error::{Driver, Error, ErrorKind, Result};
 use crate::{Reach, regular};
 
@@ -154,6 +156,21 @@ impl Adapter {
     /// Whether it is known what it sends as one message: by the table of drivers, or because a program serves it.
     pub fn is_known(&self) -> bool {
         self.device & (FILE | CUSE) != 0 || self.model().is_some()
+    }
+
+    /// Whether its driver is still starting, and gets no answer: a transfer would take seconds and fail.
+    pub fn is_starting(&self) -> bool {
+        adapter::is_starting(Path::new("/"), self.number())
+    }
+
+    /// Waits for a driver that is still starting.
+    pub fn wait_until_started(&self, clock: &dyn Clock) {
+        if self.is_starting() {
+            log::warn!("{self}: waiting for its driver, which takes up to 20 s to start");
+        }
+        while self.is_starting() {
+            clock.sleep(Duration::from_millis(100));
+        }
     }
 
     /// The kernel driver that is bound to an address, and its device: on this bus, or on one in front of it or behind it.

@@ -235,7 +235,12 @@ impl Source {
                 Ok(Opened::new(chip, Box::new(replay), subject))
             }
             &Self::Bus { ref bus, address, chip, reach } => {
-                let opened = on_bus(bus, address, chip, reach, &subject, mountpoint, clock);
+                let opened = match waits && chip.is_some() {
+                    true => refuse_starting(bus),
+                    false => Ok(()),
+                };
+                let opened =
+                    opened.and_then(|()| on_bus(bus, address, chip, reach, &subject, mountpoint, clock));
                 let opened = match (opened, chip) {
                     (Err(error), Some(chip)) if waits && may_come(&error) => {
                         absent(bus, address, chip, subject, error, clock)?
@@ -338,6 +343,14 @@ fn claim(adapter: &Adapter, address: u8, mountpoint: &Path, clock: &Arc<dyn Cloc
         }
         Err(error)
     })
+}
+
+/// Refuses an adapter whose driver is still starting: among many gauges it is not waited for.
+fn refuse_starting(bus: &Path) -> Result<()> {
+    match Adapter::find(bus).is_ok_and(|adapter| adapter.is_starting()) {
+        true => Err(Error::host(bus.display().to_string(), Errno::ENODEV, "its driver is still starting")),
+        false => Ok(()),
+    }
 }
 
 /// A gauge whose bus is not there, or does not reach it, because of `error`.

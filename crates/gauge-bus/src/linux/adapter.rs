@@ -4,10 +4,14 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 use super::mux;
 use crate::adapters::{AdapterModel, Source};
 use crate::regular;
+
+/// The longest start of a driver, from the node of its adapter on.
+const STARTS: Duration = Duration::from_secs(30);
 
 /// The model of an adapter, in the system below `root`. Behind a mux it is that of the adapter before all muxes.
 pub fn model(root: &Path, number: u64) -> Option<&'static AdapterModel> {
@@ -19,7 +23,33 @@ pub fn model(root: &Path, number: u64) -> Option<&'static AdapterModel> {
 }
 
 fn device(root: &Path, number: u64) -> PathBuf {
-    mux::device(root, mux::above(root, number).pop().unwrap_or(number))
+    mux::device(root, before_all(root, number))
+}
+
+/// The adapter before all muxes.
+fn before_all(root: &Path, number: u64) -> u64 {
+    mux::above(root, number).pop().unwrap_or(number)
+}
+
+/// Whether the driver of an adapter of the system below `root` is still starting: it adds the adapter, and gets no answer of
+/// the chip before it has ended its probe(). A transfer meanwhile takes seconds and fails.
+///
+/// hid-mcp2221 is such a driver before Linux 6.7, which calls hid_device_io_start(). It asks for four GPIOs meanwhile, 4 s
+/// each; its last step is their chip.
+pub(super) fn is_starting(root: &Path, number: u64) -> bool {
+    let device = device(root, number);
+    let is_such = kernel(root).is_some_and(|kernel| kernel < [6, 7])
+        && model(root, number).is_some_and(|model| model.name == "mcp2221");
+    let has_gpios = || {
+        let beside = fs::read_dir(device.join("..")).into_iter().flatten().flatten();
+        beside.into_iter().any(|entry| entry.file_name().as_encoded_bytes().starts_with(b"gpiochip"))
+    };
+    let is_new = || {
+        let node = fs::metadata(root.join(format!("dev/i2c-{}", before_all(root, number))));
+        let age = node.and_then(|node| node.modified()).ok().and_then(|since| since.elapsed().ok());
+        age.is_some_and(|age| age < STARTS)
+    };
+    is_such && !has_gpios() && is_new()
 }
 
 /// The clock of a bus, and from where it is known.
@@ -67,8 +97,6 @@ fn kernel(root: &Path) -> Option<[u32; 2]> {
 
 #[cfg(test)]
 mod tests {
-    use std::time::Duration;
-
     use nix::errno::Errno;
 
     use super::*;
@@ -151,6 +179,31 @@ mod tests {
         system.channel(3, 4, "3-0070", 0);
         system.channel(4, 5, "4-0071", 7);
         assert_eq!(said(&system, 5, Errno::ETIMEDOUT, false, QUICK), "maybe");
+    }
+
+    #[test]
+    fn a_driver_without_answers_before_the_end_of_its_probe_is_waited_for() {
+        let system = System::new("starts");
+        let release = |release: &str| system.write("proc/sys/kernel/osrelease", release.as_bytes());
+        let starts = |number| is_starting(system.root(), number);
+        release("6.1.0-48-amd64\n");
+        for (number, driver) in [(1, "mcp2221"), (2, "cp2112")] {
+            system.adapter(number, Some(driver), "a bridge");
+            assert!(!starts(number), "{driver}: it has no node yet");
+            system.write(&format!("dev/i2c-{number}"), b"");
+        }
+        system.channel(1, 3, "1-0070", 0);
+        assert_eq!([1, 2, 3, 9].map(starts), [true, false, true, false]);
+        release("6.12.118+deb13-amd64\n");
+        assert!(!starts(1), "the driver has its answers from the beginning");
+        release("6.1.0-48-amd64\n");
+        let node = fs::File::options().write(true).open(system.root().join("dev/i2c-1")).expect("a node");
+        node.set_modified(std::time::SystemTime::now() - 2 * STARTS).expect("its time");
+        assert!(!starts(1), "nothing is waited for forever");
+        node.set_modified(std::time::SystemTime::now()).expect("its time");
+        assert!(starts(1));
+        system.write("sys/devices/usb/1/gpiochip0/dev", b"254:0\n");
+        assert!(!starts(1), "that was the last step");
     }
 
     #[test]

@@ -53,8 +53,9 @@ impl fmt::Debug for LinuxBus {
 }
 
 impl LinuxBus {
-    /// Opens an adapter and claims an address on it. Nothing is sent.
+    /// Opens an adapter, whose driver is waited for, and claims an address on it. Nothing is sent.
     pub fn open(adapter: Adapter, address: u8, clock: Arc<dyn Clock>) -> Result<Self> {
+        adapter.wait_until_started(&*clock);
         let device = LinuxI2CDevice::new(&adapter.path, address.into());
         let device = device.map_err(|error| refusal(&adapter, address, errno(&error)))?;
         let above = hold_all(&device, &adapter, address).map_err(|other| {
@@ -118,6 +119,9 @@ impl Target {
             Some(device) => Ok(device),
             gone => {
                 self.adapter = Adapter::find(&self.adapter.path).map_err(|_| BusError::Gone)?;
+                if self.adapter.is_starting() {
+                    return Err(BusError::Gone);
+                }
                 self.model = self.adapter.model();
                 let device = LinuxI2CDevice::new(&self.adapter.path, self.address.into());
                 let device = device.map_err(|error| claim_error(errno(&error)))?;
