@@ -110,3 +110,23 @@ fn what_is_wrong_is_shown_by_the_file_the_command_list_doctor_and_metrics() {
     within("it is certain", || read(&gauge, "gauge/check").starts_with("wrong\tmeasures-nothing"));
     gaugefs(&["umount", &at]).done();
 }
+
+/// The values of several polls count, also of those before and after a gauge that does not answer.
+#[test]
+fn sick_simulated_gauges_are_found() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    for (chip, knob, rule) in [
+        ("bq34z100-g1", "thermistor=out", "temperature"),
+        ("bq27441-g1", "no_initcomp=on", "measures-nothing"),
+        ("bq34z100-g1", "reset_every_s=3", "resets-in-a-row"),
+    ] {
+        let at = folder.file(rule);
+        gaugefs(&["mount", "--sim", chip, "--poll", "0.5", "--sim-set", knob, &at]).done();
+        let gauge = format!("{at}/BAT0");
+        within(rule, || read(&gauge, "gauge/check").contains(&format!("wrong\t{rule}\t")));
+        gaugefs(&["umount", &at]).done();
+    }
+}

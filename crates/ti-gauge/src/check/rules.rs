@@ -22,11 +22,12 @@ pub(super) const DESIGN: &[&str] = &["Design Capacity", "Design Capacity mAh"];
 const ENERGY: &[&str] = &["Design Energy"];
 const ENERGY_SCALE: &[&str] = &["Design Energy Scale"];
 const TERMINATE: &[&str] = &["Terminate Voltage", "Cell Terminate Voltage"];
+const TAPER_VOLTAGE: &[&str] = &["Taper Voltage"];
 const TAPER: &[&str] = &["Taper Current", "Taper Rate"];
 /// The voltages at which a charge ends, and how far a cell may be above: where it is that of the charger, and where it is a
 /// little below.
 const CHARGED: [(&[&str], f64); 2] =
-    [(&["Cell Charge Voltage T2-T3", "Charging Voltage"], 100.0), (&["Taper Voltage"], 200.0)];
+    [(&["Cell Charge Voltage T2-T3", "Charging Voltage"], 100.0), (TAPER_VOLTAGE, 200.0)];
 
 /// The full charge capacity that a battery can have, as a share of the design capacity: a worn-out one, and a new one of
 /// another make. Max % Default Qmax is 120 %, and below a third no pack is still used.
@@ -42,6 +43,10 @@ const TEMPERATURE: (f64, f64) = (2331.0, 3631.0);
 const FREEZING: f64 = 2731.0;
 /// Voltages in V that a mAh of Design Energy can stand for.
 const NOMINAL_V: (f64, f64) = (1.0, 4.6);
+/// CC Gain times the milliohms of the sense resistor, and by what share CC Delta may be of another one: the factors of TI's tool,
+/// of drivers and of new parts differ by 0.5 %.
+const GAIN_MOHM: f64 = 4.768;
+const SAME: f64 = 0.02;
 /// Steps of the current from which its sign is certain.
 const STEPS: u32 = 5;
 /// A current of 0 for so long in seconds, while the voltage of a cell changes by so many mV.
@@ -119,6 +124,11 @@ pub static RULES: &[Rule] = &[
         "with these the voltage of a full pack cannot be measured",
         "set them together: `gaugefs bringup`, docs/CALIBRATION.md",
         "SLUSBZ5D 7.3.8 and 8.2.2.1.3",
+    ]),
+    rule((NotConfigured, Doubtful), "sense-resistor", sense_resistor, [
+        "current and charge are converted as if through two different sense resistors",
+        "calibrate the current, or write both for the resistor of the board (docs/CALIBRATION.md)",
+        "SLUSBZ5D Table 7-11 and 8.2.2",
     ]),
     rule((NotConfigured, Doubtful), "chemistry", chemistry, [
         "the pack is charged higher than its configuration says: another chemistry, or another number of cells",
@@ -316,7 +326,7 @@ fn rows_at_default(facts: &Facts<'_>) -> Verdict {
         return Ok(None);
     }
     let mut left = Vec::new();
-    for row in [ENERGY, TERMINATE, TAPER].iter().filter_map(|names| facts.named(names).ok()) {
+    for row in [ENERGY, TERMINATE, TAPER, TAPER_VOLTAGE].iter().filter_map(|names| facts.named(names).ok()) {
         if is_default(row)? {
             left.push(format!("{} {} {}", row.1.name, facts.number(row)?, row.1.unit));
         }
@@ -404,6 +414,17 @@ fn divider(facts: &Facts<'_>) -> Verdict {
             Some(format!("{name} is clear, Voltage Divider {full_scale} mV is for an external one"))
         }
         _ => None,
+    })
+}
+
+fn sense_resistor(facts: &Facts<'_>) -> Verdict {
+    let calibration = facts.chip.calibration.ok_or(Lacking::Never)?;
+    let (gain, delta) =
+        (facts.number(facts.at(calibration.gain)?)?, facts.number(facts.at(calibration.delta)?)?);
+    let differ = (delta / gain / calibration.ratio - 1.0).abs();
+    let [of_gain, of_delta] = [gain, delta / calibration.ratio].map(|gain| GAIN_MOHM / gain);
+    found_if(gain != 0.0 && delta != 0.0 && differ > SAME, || {
+        format!("CC Gain is of {of_gain:.2} mΩ, CC Delta of {of_delta:.2} mΩ")
     })
 }
 

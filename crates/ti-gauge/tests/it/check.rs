@@ -281,6 +281,7 @@ const CASES: &[(&str, &str, Make, Make, &str)] = &[
     ("divider", "bq34z100-g1", |b| { b.store("Number of series cell", 2.0); b.poll() }, |b| { b.store("Number of series cell", 1.0); b.poll() }, "[VOLTSEL] is clear"),
     ("divider", "bq34z100-g1", |b| { b.store_all(&external(16_700.0)); b.poll() }, |b| { b.store_all(&external(16_900.0)); b.poll() }, "[VOLTSEL] is set"),
     ("divider", "bq34z100-g1", |b| { b.store("Voltage Divider", 5600.0); b.poll() }, |b| { b.store("Voltage Divider", 5400.0); b.poll() }, "external one"),
+    ("sense-resistor", "bq34z100-g1", |b| { b.store("CC Gain", 0.4768 * 1.03); b.poll() }, |b| { b.store("CC Gain", 0.4768 * 1.01); b.poll() }, "of 9.71 mΩ, CC Delta of 10.0"),
     ("chemistry", "bq34z100-g1", |b| { b.set("voltage_mv", 4301); b.poll_after(2) }, |b| { b.set("voltage_mv", 4299); b.poll_after(2) }, "4200 mV"),
     ("chemistry", "bq27441-g1", |b| { b.set("voltage_mv", 4301); b.poll_after(2) }, |b| { b.set("voltage_mv", 4299); b.poll_after(2) }, "Taper Voltage 4100"),
     ("chemistry", "bq34z100-g1", |b| { b.set("voltage_mv", 4600); b.poll_after(2) }, |b| { b.set("voltage_mv", 4601); b.poll_after(2) }, "4600 mV"),
@@ -379,6 +380,7 @@ const SICK: &[(&str, Make, &[&str], &[&str])] = &[
         b.set("load_ma", 0);
         b.poll_each(250, 80);
     }, &[], &["percent-jumped"]),
+    ("bq34z100-r2", |b| { b.store("CC Gain", 0.9); b.poll_after(2) }, &[], &["sense-resistor"]),
     ("bq34z100-g1", |b| { b.set("thermistor", "out"); b.poll_after(2) }, &["temperature"], &[]),
     ("bq34z100-g1", |b| { b.set("thermistor", "short"); b.poll_after(2) }, &["temperature"], &[]),
     ("bq27441-g1", |b| { b.set("thermistor", "out"); b.poll_after(2) }, &[], &[]),
