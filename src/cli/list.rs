@@ -53,7 +53,7 @@ impl List {
         let (mut code, mut notes) = (ExitCode::SUCCESS, Vec::new());
         let mut rows = vec![["GAUGE", "PART", "SERIAL", "CAPACITY", "STATUS", "AGE"].map(String::from)];
         for (mount, found) in look::gauges(&mounts)? {
-            for Seen { listed, notes: its, wrong, .. } in &found.gauges {
+            for Seen { listed, notes: its, wrong, doubtful, .. } in &found.gauges {
                 if self.json {
                     print_json(listed)?
                 } else {
@@ -61,7 +61,8 @@ impl List {
                 }
                 let path = ti_gauge::text::printable(&listed.gauge);
                 notes.extend(its.iter().map(|note| format!("{path}: {note}")));
-                notes.extend(wrong.iter().map(|wrong| format!("{path}: {wrong}; see: gaugefs check {path}")));
+                let found = wrong.iter().chain(doubtful);
+                notes.extend(found.map(|found| format!("{path}: {found}; see: gaugefs check {path}")));
             }
             let Some(error) = trouble(&mount, &found) else { continue };
             code = ExitCode::FAILURE;

@@ -24,7 +24,7 @@ use serde::{Deserialize, Serialize};
 use crate::error::{Error, Result};
 use crate::output::print_file;
 use gauge_bus::regular;
-use gaugefs_client::{Gauge, mounts};
+use gaugefs_client::{Gauge, check, mounts};
 
 /// Looks that must find a process in the same call: 5 s. A look needs no gauge, so a working daemon answers at once.
 const LIMIT: u32 = 20;
@@ -61,6 +61,8 @@ pub(crate) struct Seen {
     pub(crate) is_owed: bool,
     /// What is certainly wrong by `gauge/check`.
     pub(crate) wrong: Option<String>,
+    /// What a person has to decide by it.
+    pub(crate) doubtful: Option<String>,
 }
 
 impl Seen {
@@ -69,8 +71,9 @@ impl Seen {
         let facts = gauge.text("gauge/last_error_facts").unwrap_or_default();
         let error = if is_owed || !is_mistake(&facts) { Some(error) } else { standing(&error) };
         let notes = error.filter(|error| is_owed || !error.is_empty());
-        let wrong = gauge.text("gauge/check").ok().and_then(|text| gaugefs_client::check::wrong(&text));
-        Self { listed: Listed::read(gauge), notes: notes.into_iter().collect(), is_owed, wrong }
+        let found = gauge.text("gauge/check").unwrap_or_default();
+        let (wrong, doubtful) = (check::wrong(&found), check::doubtful(&found));
+        Self { listed: Listed::read(gauge), notes: notes.into_iter().collect(), is_owed, wrong, doubtful }
     }
 }
 

@@ -31,7 +31,16 @@ impl Finding {
 
 /// `wrong: full-capacity, temperature`, for the lists of gauges; `None` while nothing is certainly wrong.
 pub fn wrong(text: &str) -> Option<String> {
-    let wrong = Finding::all(text).into_iter().filter(|finding| finding.severity == "wrong");
-    let names: Vec<_> = wrong.map(|finding| finding.rule).collect();
-    (!names.is_empty()).then(|| format!("wrong: {}", names.join(", ")))
+    named(text, "wrong")
+}
+
+/// `doubtful: design-capacity-default`, of what a person has to decide.
+pub fn doubtful(text: &str) -> Option<String> {
+    named(text, "doubtful")
+}
+
+fn named(text: &str, severity: &str) -> Option<String> {
+    let found = Finding::all(text).into_iter().filter(|finding| finding.severity == severity);
+    let names: Vec<_> = found.map(|finding| finding.rule).collect();
+    (!names.is_empty()).then(|| format!("{severity}: {}", names.join(", ")))
 }

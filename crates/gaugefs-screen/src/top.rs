@@ -16,10 +16,10 @@ use nix::errno::Errno;
 use serde::Serialize;
 use serde_json::Value;
 
-use gaugefs_client::mounts;
 use gaugefs_client::names::attribute;
 use gaugefs_client::sample::Sample;
 use gaugefs_client::watch::{Report, Seen, Watch};
+use gaugefs_client::{check, mounts};
 use gaugefs_host::error::{Error, Result};
 use gaugefs_host::output::{self, print_json};
 
@@ -186,6 +186,13 @@ struct Line<'a> {
     check: Option<String>,
 }
 
+/// What `gauge/check` finds wrong and doubtful.
+fn found(sample: &Sample) -> Option<String> {
+    let found = [check::wrong(&sample.check), check::doubtful(&sample.check)];
+    let found: Vec<String> = found.into_iter().flatten().collect();
+    (!found.is_empty()).then(|| found.join("; "))
+}
+
 /// Why there is no sample.
 #[derive(Serialize)]
 struct Trouble<'a> {
@@ -216,7 +223,7 @@ impl<'a> Line<'a> {
             registers: sample.registers.iter().map(|(name, value)| (name.as_str(), *value)).collect(),
             seal: sample.seal.as_deref(),
             last_error: &sample.last_error,
-            check: gaugefs_client::check::wrong(&sample.check),
+            check: found(sample),
         }
     }
 }

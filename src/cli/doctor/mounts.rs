@@ -39,20 +39,22 @@ pub(super) fn check(host: &Host) -> Vec<Finding> {
             findings.push(warning(&what, says, format!("Unmount what covers it: umount {what}")));
         } else {
             let found = look.map(Look::end).unwrap_or_default();
-            findings.extend(found.gauges.iter().flat_map(|Seen { listed, notes, is_owed, wrong }| {
-                let note = |note: &String| {
-                    if !is_owed {
-                        let remedy = "That is its gauge/last_error, which ends when it is over.";
-                        return warning(&listed.gauge, note, remedy);
-                    }
-                    let remedy =
-                        format!("What is known of it, and what to type: gaugefs settle {}", listed.gauge);
-                    problem(&listed.gauge, note, remedy)
-                };
-                let remedy = || format!("What shows it, and what to do: gaugefs check {}", listed.gauge);
-                let wrong = wrong.iter().map(|wrong| warning(&listed.gauge, wrong, remedy()));
-                notes.iter().map(note).chain(wrong).collect::<Vec<_>>()
-            }));
+            findings.extend(found.gauges.iter().flat_map(
+                |Seen { listed, notes, is_owed, wrong, .. }| {
+                    let note = |note: &String| {
+                        if !is_owed {
+                            let remedy = "That is its gauge/last_error, which ends when it is over.";
+                            return warning(&listed.gauge, note, remedy);
+                        }
+                        let remedy =
+                            format!("What is known of it, and what to type: gaugefs settle {}", listed.gauge);
+                        problem(&listed.gauge, note, remedy)
+                    };
+                    let remedy = || format!("What shows it, and what to do: gaugefs check {}", listed.gauge);
+                    let wrong = wrong.iter().map(|wrong| warning(&listed.gauge, wrong, remedy()));
+                    notes.iter().map(note).chain(wrong).collect::<Vec<_>>()
+                },
+            ));
             findings.push(if found.late {
                 let says = "a gaugefs whose process does not answer";
                 let remedy = format!(

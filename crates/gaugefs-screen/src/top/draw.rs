@@ -17,6 +17,7 @@ use super::super::ticks;
 use super::super::wrap::wrapped;
 use super::history::Quantity;
 use super::model::{Gauge, Model};
+use gaugefs_client::check;
 use gaugefs_client::sample::Sample;
 use gaugefs_client::watch::learned_parameters;
 use ti_gauge::chip::{Chip, snake_case};
@@ -382,12 +383,13 @@ fn details(model: &Model, gauge: &Gauge, now: f64, width: u16) -> Vec<Line<'stat
     }
     let error = Some(&sample.last_error).filter(|error| !error.is_empty());
     let error = error.map(|error| format!("last error: {error}"));
-    let wrong = gaugefs_client::check::wrong(&sample.check).map(|wrong| format!("check: {wrong}"));
-    for text in [error, wrong].into_iter().flatten() {
-        let text = wrapped(&text, width.into());
+    let found = |found: Option<String>| found.map(|found| format!("check: {found}"));
+    let (wrong, doubtful) = (found(check::wrong(&sample.check)), found(check::doubtful(&sample.check)));
+    for (text, color) in [(doubtful, Color::Yellow), (error, Color::Red), (wrong, Color::Red)] {
+        let text = text.map_or_else(Vec::new, |text| wrapped(&text, width.into()));
         let at = usize::from(lines.len() > 1);
         for line in text.into_iter().take(2).rev() {
-            lines.insert(at, Line::styled(line, coloured(model, Color::Red)));
+            lines.insert(at, Line::styled(line, coloured(model, color)));
         }
     }
     lines
