@@ -45,6 +45,7 @@ mod set;
 mod settle;
 mod sim;
 mod umount;
+mod unmounted;
 #[cfg(feature = "screen")]
 mod watch;
 

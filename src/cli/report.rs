@@ -9,14 +9,12 @@ use clap::{ArgGroup, Args};
 use nix::errno::Errno;
 
 use super::PASSED_OVER;
-use crate::config::{address, chips};
+use super::unmounted::Unmounted;
 use crate::error::{Error, Result};
 use crate::output::{check_file, is_standard_output, print, say, write_file};
 use crate::{daemon, report};
 use gauge_bus::regular::Replace;
-use gauge_owner::GaugeOptions;
 use gaugefs_client::Gauge;
-use ti_gauge::chip::Chip;
 
 const REPORT: &str = "\
 The file has the gauge's identity and registers, kernel and adapter, and a trace of what a mount
@@ -34,31 +32,13 @@ Examples:
 
 /// Write a file about a gauge, for a bug report
 #[derive(Args, Debug)]
-#[command(after_help = REPORT, group = ArgGroup::new("source").required(true).args(["gauge", "bus", "sim"]))]
+#[command(after_help = REPORT, group = ArgGroup::new("source").required(true).args(["gauges", "bus", "sim"]))]
 pub(super) struct Report {
     /// Folder of a mounted gauge, such as /run/gauges/BAT0
+    #[arg(id = "gauges", value_name = "GAUGE", conflicts_with = "chip")]
     gauge: Option<PathBuf>,
-    /// I2C bus of a gauge that is not mounted, such as /dev/i2c-1
-    #[arg(long, value_name = "DEVICE")]
-    bus: Option<PathBuf>,
-    /// 7-bit address of the gauge [default: 0x55]
-    #[arg(long, value_name = "ADDRESS", value_parser = address, requires = "bus", conflicts_with_all = ["gauge", "sim"])]
-    address: Option<u8>,
-    /// Chip of the gauge [default: the gauge is asked]
-    #[arg(long, value_name = "CHIP", value_parser = chips(), ignore_case = true, hide_possible_values = true, requires = "bus", conflicts_with_all = ["gauge", "sim"])]
-    chip: Option<&'static Chip>,
-    /// Write one byte per transfer, as some gauges need above 100 kHz
-    #[arg(long, requires = "bus", conflicts_with_all = ["gauge", "sim"])]
-    byte_writes: bool,
-    /// Simulate a gauge of this chip, to see what a report is like
-    #[arg(long, value_name = "CHIP", value_parser = chips(), ignore_case = true, hide_possible_values = true)]
-    sim: Option<&'static Chip>,
-    /// File with the gauge's keys; a mounted gauge has them already
-    #[arg(long, value_name = "FILE", conflicts_with = "gauge")]
-    key_file: Option<PathBuf>,
-    /// Never try the manual's default key
-    #[arg(long, conflicts_with = "gauge")]
-    no_default_keys: bool,
+    #[command(flatten)]
+    unmounted: Unmounted,
     /// File to write, - for standard output [default: gaugefs-report-CHIP.txt]
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
@@ -82,7 +62,7 @@ impl Report {
         }
         let text = match &self.gauge {
             Some(gauge) => of_mounted(gauge)?,
-            None => daemon::report(&self.options())?,
+            None => daemon::report(&self.unmounted.options())?,
         };
         let name = || format!("gaugefs-report-{}.txt", report::chip(&text).unwrap_or("gauge")).into();
         let file = self.output.clone().unwrap_or_else(name);
@@ -97,20 +77,6 @@ impl Report {
                 PASSED_OVER.into()
             }
         })
-    }
-
-    /// The gauge that is not mounted.
-    fn options(&self) -> GaugeOptions {
-        GaugeOptions {
-            sim: self.sim,
-            bus: self.bus.clone(),
-            address: self.address,
-            chip: self.chip,
-            byte_writes: self.byte_writes,
-            key_file: self.key_file.clone(),
-            no_default_keys: self.no_default_keys,
-            ..GaugeOptions::default()
-        }
     }
 }
 

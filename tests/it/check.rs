@@ -4,10 +4,11 @@
 
 use std::fs;
 use std::path::Path;
+use std::process::{Command, Stdio};
 
 use serde_json::Value as Json;
 
-use crate::room::{CHIP, Folder, can_mount, gaugefs, read, within};
+use crate::room::{CHIP, Folder, Ran, can_mount, command, gaugefs, read, run, within};
 
 fn answers(out: &str) -> Vec<Json> {
     out.lines().map(|line| serde_json::from_str(line).expect("an object")).collect()
@@ -70,11 +71,58 @@ fn files_are_checked_by_who_receives_them_and_bad_ones_are_named() {
     assert_eq!((ran.code, answers(&ran.out).len()), (Some(0), 512));
 }
 
+/// As from `cat FILE | gaugefs`.
+fn piped(file: &str, arguments: &[&str]) -> Ran {
+    let mut cat = Command::new("cat").arg(file).stdout(Stdio::piped()).spawn().expect("cat");
+    let mut check = command(arguments);
+    check.stdin(cat.stdout.take().expect("a pipe"));
+    let ran = run(check);
+    cat.wait().expect("cat ends");
+    ran
+}
+
+#[test]
+fn a_report_or_an_image_is_read_from_a_pipe() {
+    let folder = Folder::new();
+    let (report, image) = (folder.file("report.txt"), folder.file("golden.toml"));
+    gaugefs(&["report", "--sim", "bq27441-g1", "-o", &report]).done();
+    fs::write(&image, "chip = \"bq34z100-g1\"\n[configuration-data]\ndesign-capacity = 1000\n")
+        .expect("a file");
+    for file in [&report, &image] {
+        let ran = piped(file, &["check", "--json", "-"]);
+        assert_eq!(ran.code, Some(0), "{file}: {}{}", ran.out, ran.err);
+        let answer = &answers(&ran.out)[0];
+        assert_eq!(answer["gauge"], "standard input");
+        assert!(rules(answer, "doubtful").contains(&"design-capacity-default".into()), "{answer}");
+    }
+    let ran = piped("/dev/null", &["check", "-"]);
+    assert_eq!(ran.code, Some(1), "{}{}", ran.out, ran.err);
+    assert!(ran.err.contains("standard input"), "{}", ran.err);
+}
+
+#[test]
+fn the_rules_are_printed_with_their_limits() {
+    let out = gaugefs(&["check", "--rules"]).done();
+    for says in [
+        "remaining-above-full (wrong): more than 1.1 times",
+        "percent-jumped (doubtful): 20 % or more within 5 minutes",
+        "150 mV or more",
+        "three or more within a day",
+        "    SLUA450\n",
+    ] {
+        assert!(out.contains(says), "{says}: {out}");
+    }
+    assert_eq!(gaugefs(&["check", "--rules", "BAT0"]).code, Some(2));
+}
+
 #[test]
 fn a_check_of_nothing_or_of_two_places_is_misuse() {
-    for line in
-        [&["check"][..], &["check", "BAT0", "--bus", "/dev/i2c-1"], &["check", "--key-file", "x", "BAT0"]]
-    {
+    for line in [
+        &["check"][..],
+        &["check", "BAT0", "--bus", "/dev/i2c-1"],
+        &["check", "--key-file", "x", "BAT0"],
+        &["report", "--chip", CHIP, "BAT0"],
+    ] {
         assert_eq!(gaugefs(line).code, Some(2), "{line:?}");
     }
 }
@@ -96,12 +144,18 @@ fn what_is_wrong_is_shown_by_the_file_the_command_list_doctor_and_metrics() {
     assert_eq!(rules(&answers(&ran.out)[0], "wrong"), ["cell-voltage"]);
     let list = gaugefs(&["list"]);
     assert!(list.err.contains("wrong: cell-voltage"), "{}", list.err);
+    assert!(list.err.contains(&format!("{gauge}: doubtful: design-capacity-default; see: ")), "{}", list.err);
     let doctor = gaugefs(&["doctor"]);
     assert!(doctor.out.contains("wrong: cell-voltage"), "{}", doctor.out);
     let metrics = gaugefs(&["metrics", &at]);
     assert!(metrics.out.contains("rule=\"cell-voltage\""), "{}{}", metrics.out, metrics.err);
     let top = gaugefs(&["top", "--json", "--count", "1", &at]);
-    assert!(top.out.contains("wrong: cell-voltage"), "{}{}", top.out, top.err);
+    assert!(
+        top.out.contains("wrong: cell-voltage; doubtful: design-capacity-default"),
+        "{}{}",
+        top.out,
+        top.err
+    );
     // The gauge measures nothing from here on.
     fs::write(Path::new(&gauge).join("sim/voltage_mv"), "0").expect("a knob");
     within("no measurement", || read(&gauge, "gauge/check").contains("missing\t"));

@@ -22,6 +22,7 @@ mod events;
 #[allow(dead_code, reason = "the tests of the boot loader use the rest")]
 #[path = "../../crates/ti-gauge/tests/it/firmware.rs"]
 mod firmware;
+mod fitting;
 mod forgetful;
 mod hangup;
 mod house;

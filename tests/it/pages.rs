@@ -32,7 +32,7 @@ pages! {
     raspberry_pi: "docs/RASPBERRY-PI.md", 0;
     adapters: "docs/ADAPTERS.md", 0;
     forgetful: "docs/FORGETFUL.md", 3;
-    numbers: "docs/NUMBERS.md", 7;
+    numbers: "docs/NUMBERS.md", 10;
     commands: "docs/COMMANDS.md", 1;
     keys: "docs/KEYS.md", 0;
     recovery: "docs/RECOVERY.md", 0;

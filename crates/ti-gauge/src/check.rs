@@ -9,8 +9,15 @@ use crate::chip::{Chip, Role, Row, Scale, Source};
 use crate::registers::Registers;
 use crate::value::Value;
 
+mod battery;
+mod devicetree;
 mod history;
+mod plan;
 mod rules;
+
+pub use battery::{Battery, CHEMISTRIES, Chemistry, Family, Typical};
+pub use devicetree::is_source;
+pub use plan::{Differs, Has, Plan, Step};
 
 pub use history::{History, Poll, Summary};
 pub use rules::RULES;

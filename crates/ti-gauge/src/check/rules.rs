@@ -96,7 +96,7 @@ pub static RULES: &[Rule] = &[
         "SLUSBZ5D 7.3.1.3; github.com/usetrmnl/trmnl-firmware pull request 542",
     ]),
     rule((Impossible, Wrong), "remaining-above-full", remaining_above_full, [
-        "more than a full battery has",
+        "more than 1.1 times a full battery's charge",
         "let the gauge predict anew with a reset; if it comes back, check the sign of the current",
         "SLUSBZ5D 7.3.1.3",
     ]),
@@ -106,7 +106,7 @@ pub static RULES: &[Rule] = &[
         "SLUSBZ5D 7.3.1.3, SLUUAC9A Table 4-1",
     ]),
     rule((Impossible, Doubtful), "percent-jumped", percent_jumped, [
-        "no current explains that; the gauge has corrected itself, was reset, or does not know its battery",
+        "20 % or more within 5 minutes, beyond four times what the current explains; the gauge has corrected itself, was reset, or does not know its battery",
         "see whether it has learned (`gaugefs learn`); if it comes back, check the chemistry, and CC Gain against the sense resistor",
         "SLUA450",
     ]),
@@ -141,7 +141,7 @@ pub static RULES: &[Rule] = &[
         "SLUSBZ5D 6.3 and Table 7-13",
     ]),
     rule((Impossible, Doubtful), "current-always-0", current_always_0, [
-        "the charge changes and the gauge sees no current",
+        "in two days without current the voltage of a cell changes by 150 mV or more: the gauge does not see the current",
         "check that the current passes through the sense resistor, CC Gain, and CC Deadband",
         "SLUSBZ5D 7.3.8",
     ]),
@@ -256,7 +256,7 @@ pub static RULES: &[Rule] = &[
         "the modes of the part's table",
     ]),
     rule((Interference, Wrong), "resets-in-a-row", resets_in_a_row, [
-        "something resets it: its supply, its watchdog, or another program",
+        "three or more within a day: something resets it, such as its supply, its watchdog or another program",
         "check the supply of the gauge, and that nobody else polls it: `gaugefs doctor`",
         "SLUSBH1C 9.5.4.3",
     ]),
@@ -305,7 +305,8 @@ fn design_capacity_default(facts: &Facts<'_>) -> Verdict {
 
 fn design_energy(facts: &Facts<'_>) -> Verdict {
     let (design, energy) = (facts.number(facts.named(DESIGN)?)?, facts.number(facts.named(ENERGY)?)?);
-    let scale = facts.named(ENERGY_SCALE).and_then(|row| facts.number(row)).unwrap_or(1.0).max(1.0);
+    let steps = if facts.named(ENERGY)?.1.unit == "10mWh" { 10.0 } else { 1.0 };
+    let scale = facts.named(ENERGY_SCALE).and_then(|row| facts.number(row)).unwrap_or(steps).max(1.0);
     let cells = facts.cells().unwrap_or(1.0);
     // Sources differ in whether it is the energy of a cell or of the pack, and in what is scaled.
     let fits = |factor: f64| {

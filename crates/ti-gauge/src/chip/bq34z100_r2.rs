@@ -268,7 +268,8 @@ const CHANGED: [Subclass; 4] = [
         P::int( 8, I2, "CC Threshold",                 100,  32767,    900, "mAh"),
         P::int(10, U1, "Max Error Limit",                0,    100,    100, "%"),
         P::int(11, I2, "Design Capacity",                0,  32767,   1000, "mAh").safe(CAPACITY),
-        P::int(13, I2, "Design Energy",                  0,  32767,   5400, "mWh"),
+        // In 10 mWh, where the sister part has mWh (SLUUCO5A Table 3-4, SLUSF37 8.2.2.1.1).
+        P::int(13, I2, "Design Energy",                  0,  32767,   5400, "10mWh"),
         P::int(15, I2, "SOH Load I",                -32767,      0,   -400, "mA"),
         P::int(17, U2, "Cell Charge Voltage T1-T2",      0,   4600,   4200, "mV"),
         P::int(19, U2, "Cell Charge Voltage T2-T3",      0,   4600,   4200, "mV").role(Role::VoltageMaxDesign),
