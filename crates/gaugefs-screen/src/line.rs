@@ -318,7 +318,7 @@ mod tests {
         assert_eq!(shown.matches('[').count(), 1, "{shown}");
     }
 
-    const REASON: &str = "FAIL FOURTH SN00124 serial 1003 (pack 4): bring-up: Voltage(): verify: 0.0 mV (8 readings, 0 to 0) with \
+    const REASON: &str = "FAIL FOURTH SN00124 serial 1003 (pack 4): bring-up: Voltage(): verify: 0.0 mV (3 readings, 0 to 0) with \
                           the new divider, and it should be 13878 to 16962 mV: is the divider right, and the number of \
                           cells?; the old value was restored and verified";
 

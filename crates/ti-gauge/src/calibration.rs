@@ -17,15 +17,19 @@ use crate::notation;
 use crate::unit;
 use crate::value::Value;
 
-/// Readings for a mean, and their interval. Gauges measure once a second, and the watchdog of some resets them after
+/// Most readings for a mean, and their interval. Gauges measure once a second, and the watchdog of some resets them after
 /// more than two standard commands a second.
 const READINGS: usize = 8;
 const INTERVAL: Duration = Duration::from_millis(600);
+/// From the first to the last of three measurements: readings of that time that agree within a count are enough.
+const MEASURES: Duration = Duration::from_secs(1);
+const AGREED: Duration = MEASURES.saturating_mul(2);
 /// Comparisons of a gauge that was silent for a moment: if another one has taken its place, that one must answer.
 const RECOGNITIONS: usize = 3;
 /// Readings before and after an offset measurement, which itself takes up to 16 s.
 const FEW_READINGS: usize = 4;
-const AFTER_RESET: Duration = Duration::from_millis(1500);
+/// Until the first reading after a reset. What a gauge still shows of the time before it does not agree with what follows.
+const AFTER_RESET: Duration = Duration::from_secs(1);
 /// A request has 16 s until its first commit; the readings leave some of them.
 const READ_LIMIT: Duration = Duration::from_secs(12);
 /// Longest offset measurement.
@@ -195,7 +199,7 @@ impl Task<'_> {
 
     fn steady(&mut self, target: Target, count: usize) -> Result<Readings> {
         let (name, unit) = naming(self.gauge.chip, target.role);
-        (self.tell)(&format!("reading {name} {count} times"));
+        (self.tell)(&format!("reading {name} up to {count} times"));
         self.gauge.limit(Some(READ_LIMIT.saturating_sub(self.waited())));
         let readings = self.undisturbed(target.role, count);
         self.gauge.limit(None);
@@ -688,20 +692,42 @@ fn is_running(gauge: &mut Gauge, bits: u32) -> Result<bool> {
     agreed("CONTROL_STATUS", || Ok(gauge.control_status()?.1 & bits != 0))
 }
 
+/// Reads a register that often, or until three of the gauge's measurements agree, which alone count then.
 fn readings(gauge: &mut Gauge, role: Role, count: usize) -> Result<Readings> {
     let chip = gauge.chip;
     let register = chip.register(role).ok_or_else(|| not_documented(chip))?;
-    let mut values = Vec::with_capacity(count);
+    let mut read: Vec<(Duration, f64)> = Vec::with_capacity(count);
     for number in 0..count {
         if number > 0 {
-            gauge.wait(INTERVAL);
+            // Two seconds in as few readings as show three measurements, then at the pace of many.
+            gauge.wait(if count > FEW_READINGS && number <= 2 { MEASURES } else { INTERVAL });
         }
+        let now = gauge.clock.now();
         let word = read_word(gauge, register.source)?;
-        let value = if register.signed { f64::from(word as i16) } else { f64::from(word) };
-        values.push(if role == Role::Temp { (value - FREEZING) * CELSIUS_STEP } else { value });
+        read.push((now, if register.signed { f64::from(word as i16) } else { f64::from(word) }));
+        let alike = agreeing(&read);
+        if alike.first().is_some_and(|(since, _)| now.saturating_sub(*since) >= AGREED) {
+            read.drain(..read.len() - alike.len());
+            break;
+        }
     }
-    let mean = values.iter().sum::<f64>() / values.len().max(1) as f64;
-    let least = values.iter().copied().fold(f64::INFINITY, f64::min);
-    let most = values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    let values = read.iter().map(|&(_, value)| match role {
+        Role::Temp => (value - FREEZING) * CELSIUS_STEP,
+        _ => value,
+    });
+    let count = read.len();
+    let mean = values.clone().sum::<f64>() / count.max(1) as f64;
+    let least = values.clone().fold(f64::INFINITY, f64::min);
+    let most = values.fold(f64::NEG_INFINITY, f64::max);
     Ok(Readings { mean, least, most, count })
+}
+
+/// The last readings that lie within a count of each other.
+fn agreeing(read: &[(Duration, f64)]) -> &[(Duration, f64)] {
+    let (mut least, mut most) = (f64::INFINITY, f64::NEG_INFINITY);
+    let alike = read.iter().rev().take_while(|(_, value)| {
+        (least, most) = (least.min(*value), most.max(*value));
+        most - least <= 1.0
+    });
+    &read[read.len() - alike.count()..]
 }

@@ -73,7 +73,7 @@ mod tests {
         calibrate(&mut rig, Job::Temperature(25.0)).expect("no fault");
         let text = rig.handle.published().calibration.to_string();
         let lines: Vec<&str> = text.lines().collect();
-        assert!(lines[0].starts_with("reading Temperature() 8 times"), "{text}");
+        assert!(lines[0].starts_with("reading Temperature() up to 8 times"), "{text}");
         assert!(lines[1].starts_with("writing Ext Temp Offset = -30"), "{text}");
         assert!(lines[2].contains("the error was +") && lines.len() == 3, "{text}");
         calibrate(&mut rig, Job::Temperature(60.0)).expect_err("too far");

@@ -586,3 +586,27 @@ fn an_offset_that_is_still_measured_is_not_settled_yet() {
     rig.dataflash.settle(&mut rig.gauge, Duration::ZERO).expect("it is over");
     assert_eq!((rig.sim.flash() == old, rig.seal(), folder.files()), (true, Seal::Sealed, vec![]));
 }
+
+/// A gauge shows no voltage for up to two seconds after a reset.
+#[test]
+fn three_measurements_that_agree_are_enough() {
+    for (noise, first_ms, readings) in [("0", "0", 3), ("0", "2000", 3), ("3", "0", 8)] {
+        let mut rig = Rig::new("bq34z100-g1");
+        for (knob, text) in [("noise_mv", noise), ("first_ms", first_ms)] {
+            rig.sim.set(knob, text).expect("a knob");
+        }
+        rig.clock.sleep(Duration::from_secs(3));
+        let begun = rig.clock.now();
+        let job = Job::Voltage(3932.0);
+        let text = run(&mut rig.dataflash, &mut rig.gauge, &job, Duration::ZERO, &mut |_| {})
+            .unwrap_or_else(|error| panic!("{noise} mV, {first_ms} ms: {error}"));
+        let took = rig.clock.now() - begun;
+        println!("{noise} mV, {first_ms} ms: {took:?}: {text}");
+        assert_eq!(text.matches(&format!("({readings} readings")).count(), 2, "{text}");
+        let most = if readings == 3 { 7500 } else { 13_000 };
+        assert!(took < Duration::from_millis(most), "{took:?}: {text}");
+        let mut voltage = [0; 2];
+        rig.gauge.read(0x08, &mut voltage).expect("it answers");
+        assert!(u16::from_le_bytes(voltage).abs_diff(3932) <= 10, "{voltage:?}: {text}");
+    }
+}
