@@ -117,6 +117,8 @@ const KNOBS: &[(&str, &str, Option<&str>)] = &[
     ("drop_resets", "data flash", Some("2")),
     ("drop_seals", "data flash", Some("1")),
     ("drop_keys", "data flash", Some("1")),
+    ("drop_updates", "data flash", Some("1")),
+    ("reseals", "block access", Some("on")),
     ("tear", "data flash", Some("neighbour")),
     ("endurance", "data flash", Some("3")),
     ("board_divider", "block access", Some("33000")),

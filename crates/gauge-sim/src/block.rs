@@ -72,6 +72,8 @@ struct Ram {
     offset_until: Option<Duration>,
     update: Mode,
     locked_until: Duration,
+    /// SEALED was sent since the last start.
+    was_sealed: bool,
     /// BAT_INSERT was sent after the last BAT_REMOVE.
     inserted: bool,
     initialized_from: Duration,
@@ -192,6 +194,10 @@ impl Block {
     }
 
     fn end_update(&mut self, device: &mut Device, exit: Exit) {
+        // The bit by which it seals itself is its own, and stays.
+        let seals = self.part.level(&device.flash) == Level::Sealed;
+        device.end_update();
+        self.part.remember_seal(&mut device.flash, seals);
         match exit {
             Exit::Anew => self.gauging.load(&device.flash),
             Exit::Plain | Exit::Forgotten => self.gauging.apply(&device.flash),
@@ -200,7 +206,7 @@ impl Block {
             device.flash.itpor = false;
         }
         self.ram.registers = None;
-        if self.part.level(&device.flash) == Level::Sealed {
+        if seals || device.envelope.reseals && self.ram.was_sealed {
             self.close(device.now);
             self.ram.locked_until = device.now + device.timing.lock;
         }
@@ -444,6 +450,7 @@ impl Block {
             Action::Seal if device.loses(Lost::Seal) => {}
             Action::Seal => {
                 if self.part.data_memory.is_some() {
+                    self.ram.was_sealed = true;
                     self.part.remember_seal(&mut device.flash, true);
                     device.save();
                 }
@@ -707,6 +714,7 @@ impl Wire for Block {
                 "the part has no FULL ACCESS; write unsealed",
             ));
         }
+        self.ram.was_sealed = level == Level::Sealed;
         self.part.remember_seal(&mut device.flash, level == Level::Sealed);
         device.save();
         match level {

@@ -60,6 +60,8 @@ pub(super) struct Device {
     cold: bool,
     /// First measurement of Voltage() since power came.
     pub(super) measured_from: Duration,
+    /// What the first block that was written in this CONFIG UPDATE held before.
+    first: Option<Kept>,
     /// Full resets since power came.
     pub(super) resets: u16,
     pub(super) watchdog_expired: bool,
@@ -111,6 +113,7 @@ impl Device {
             resets_at: None,
             cold: false,
             measured_from: now,
+            first: None,
             resets: 0,
             watchdog_expired: false,
             watchdog: Watchdog::new(),
@@ -286,6 +289,10 @@ impl Device {
             let changed = (0..kept.bytes.len()).find(|&at| kept.bytes[at] != old(at));
             kept.bytes[changed.unwrap_or(0)] ^= 0x01;
         }
+        if !self.part.has_flash() && self.first.is_none() {
+            let Kept { area, offset, bytes } = &kept;
+            self.first = Some(Kept::new(*area, *offset, self.flash.bytes_at(*area, *offset, bytes.len())));
+        }
         self.program(wire, kept);
         if let Some(Commit::Torn(words)) = fault
             && let Some(pending) = self.pending.pop()
@@ -319,6 +326,15 @@ impl Device {
         wire.model().configure(&self.flash);
     }
 
+    /// CONFIG UPDATE has ended: a gauge may have lost the block that was written first.
+    pub(super) fn end_update(&mut self) {
+        if let Some(Kept { area, offset, bytes }) = self.first.take()
+            && self.envelope.loses(Lost::Update)
+        {
+            self.flash.set(area, offset, &bytes);
+        }
+    }
+
     /// The whole block around the bytes.
     fn whole_block(&self, kept: Kept) -> Kept {
         let (block, at) = (kept.offset / BLOCK, kept.offset % BLOCK);
@@ -349,6 +365,7 @@ impl Device {
         self.power = Power::On;
         self.powered_at = self.now;
         self.cold = true;
+        self.first = None;
         self.resets = 0;
         self.watchdog_expired = false;
         self.resets_at = None;

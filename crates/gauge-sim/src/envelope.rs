@@ -92,6 +92,7 @@ pub(super) enum Lost {
     Reset,
     Seal,
     Key,
+    Update,
 }
 
 /// One gauge of the envelope. [`Timing`] has the times that every gauge has.
@@ -118,6 +119,9 @@ pub(super) struct Envelope {
     drop_resets: u32,
     drop_seals: u32,
     drop_keys: u32,
+    drop_updates: u32,
+    /// At the end of CONFIG UPDATE a gauge that was sealed is sealed again, whatever its data memory says.
+    pub(super) reseals: bool,
     /// Interval between rewrites of the gauge's own values, in time and in transfers; 0 for never.
     pub(super) rewrite: Duration,
     pub(super) rewrite_every: u32,
@@ -151,6 +155,8 @@ pub(super) const DRAWN: &[&str] = &[
     "drop_resets",
     "drop_seals",
     "drop_keys",
+    "drop_updates",
+    "reseals",
     "rewrite_ms",
     "rewrite_every",
     "nack_as",
@@ -177,6 +183,8 @@ impl Envelope {
             drop_resets: 0,
             drop_seals: 0,
             drop_keys: 0,
+            drop_updates: 0,
+            reseals: false,
             rewrite: Duration::ZERO,
             rewrite_every: 0,
             nack_as: NackAs::Enxio,
@@ -250,6 +258,11 @@ impl Envelope {
         // SLUSBH1C 9.5.4.3, SLUS914A 7.3, SLUSBZ5D 6.14.
         new.watchdog = matches!(part.scheme, Scheme::Block(_)) && random.roll(2) == 0;
         new.bus_free_us = random.pick(&[0, 66]);
+        // No document says what a gauge keeps of a CONFIG UPDATE that goes wrong.
+        if !part.has_flash() {
+            new.drop_updates = u32::from(random.roll(8) == 0);
+            new.reseals = random.roll(4) == 0;
+        }
         new
     }
 
@@ -268,6 +281,8 @@ impl Envelope {
             "drop_resets" => &mut self.drop_resets,
             "drop_seals" => &mut self.drop_seals,
             "drop_keys" => &mut self.drop_keys,
+            "drop_updates" => &mut self.drop_updates,
+            "reseals" => &mut self.reseals,
             "rewrite_ms" => &mut self.rewrite,
             "rewrite_every" => &mut self.rewrite_every,
             "nack_as" => &mut self.nack_as,
@@ -292,6 +307,7 @@ impl Envelope {
             Lost::Reset => &mut self.drop_resets,
             Lost::Seal => &mut self.drop_seals,
             Lost::Key => &mut self.drop_keys,
+            Lost::Update => &mut self.drop_updates,
         };
         let any = *left > 0;
         *left = left.saturating_sub(1);

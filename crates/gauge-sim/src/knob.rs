@@ -151,6 +151,8 @@ pub(super) static KNOBS: &[Knob] = &[
     Of::Gauge.set("drop_resets", "how many RESETs the gauge ignores from now on"),
     Of::Gauge.set("drop_seals", "how many SEAL commands it ignores"),
     Of::Gauge.set("drop_keys", "how many right keys it refuses"),
+    Of::Gauge.set("drop_updates", "how often it has the first block that was written again after CONFIG UPDATE"),
+    Of::Block.set("reseals", "`on`: a gauge that was sealed seals itself after CONFIG UPDATE without its bit; `off`"),
     Of::Gauge.set(
         "rewrite_ms",
         "interval at which the gauge changes one of its own values and programs its row; 0 never",

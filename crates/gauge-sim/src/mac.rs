@@ -179,6 +179,7 @@ impl Mac {
     }
 
     fn end_update(&mut self, device: &mut Device, exit: Exit) {
+        device.end_update();
         if exit == Exit::Anew {
             self.model.restart(&device.flash);
         }

@@ -25,7 +25,7 @@ pub(super) enum Host {
 
 pub(super) type Place = (u16, usize);
 
-/// Bytes that the gauge itself stores, and their place in flash.
+/// Bytes of data flash, and their place.
 pub(super) struct Kept {
     pub(super) area: u16,
     pub(super) offset: usize,

@@ -707,7 +707,7 @@ fn readings(gauge: &mut Gauge, role: Role, count: usize) -> Result<Readings> {
         read.push((now, if register.signed { f64::from(word as i16) } else { f64::from(word) }));
         let alike = agreeing(&read);
         if alike.first().is_some_and(|(since, _)| now.saturating_sub(*since) >= AGREED) {
-            read.drain(..read.len() - alike.len());
+            read = alike.to_vec();
             break;
         }
     }

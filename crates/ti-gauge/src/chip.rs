@@ -471,6 +471,9 @@ pub struct Security {
     pub seal: u16,
     /// Silence before keys after a refusal. The manuals print 4 s (bq35100: 10 s) by the gauge's clock; this has a margin.
     pub key_silence: Duration,
+    /// The bit of data memory by which a gauge seals itself at the end of CONFIG UPDATE, if SEALED is known to set it:
+    /// subclass, offset, mask.
+    pub seals_itself: Option<(u8, u16, u8)>,
     /// The blocks that a SEALED gauge shows: DataFlashBlock(), and the subclass whose first bytes it is.
     pub shown_sealed: &'static [(u8, u8)],
     /// Where the keys are stored, for changing them.
@@ -605,6 +608,7 @@ impl Security {
         full_access: false,
         seal: 0,
         key_silence: Duration::ZERO,
+        seals_itself: None,
         shown_sealed: &[],
         storage: KeyStorage::Fixed("no table describes its keys"),
     };

@@ -613,10 +613,13 @@ impl DataFlash {
         &mut self,
         gauge: &mut Gauge,
         session: &mut Session,
-        planned: Vec<Planned>,
+        mut planned: Vec<Planned>,
         reset: bool,
         care: Care,
     ) -> Result<Job> {
+        if care == Care::Sure {
+            planned.iter_mut().for_each(|block| session.keep_open(gauge.chip, block));
+        }
         // A loss of power takes all of RAM, and disturbs no row beside the one that is written.
         let neighbours = match care {
             Care::Quick => Vec::new(),

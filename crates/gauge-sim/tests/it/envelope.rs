@@ -610,6 +610,8 @@ mod draws {
             "drop_resets 1",
             "drop_seals 1",
             "drop_keys 1",
+            "drop_updates 1",
+            "reseals on",
             "rewrite_every 1",
             "nack_as enxio",
             "nack_as eio",

@@ -80,6 +80,7 @@ pub static CHIP: Chip = Chip {
         seal: 0x0030,
         // TI's advice to owners of sibling gauges whose keys were refused.
         key_silence: Duration::from_millis(5200),
+        seals_itself: None,
         shown_sealed: &[],
         storage: KeyStorage::Fixed("its keys are in ROM"),
     },

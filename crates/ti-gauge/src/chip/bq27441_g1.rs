@@ -133,6 +133,8 @@ pub(super) const SECURITY: Security = Security {
     seal: 0x0020,
     // 6.4.5.1.1: a gauge that sealed itself at the end of CONFIG UPDATE takes no key for so long.
     key_silence: Duration::from_millis(5200),
+    // Update Status bit 7: 6.4.2.3.2, and 4.1.14 for SEALED.
+    seals_itself: Some((82, 2, 0x80)),
     shown_sealed: &[],
     storage: KeyStorage::Fixed("its only key is in ROM"),
 };

@@ -75,6 +75,7 @@ pub static CHIP: Chip = Chip {
         seal: 0x0020,
         // TI's advice to owners whose keys were refused.
         key_silence: Duration::from_millis(5200),
+        seals_itself: None,
         // SLUS914A 4.1.2.3.
         shown_sealed: &[(1, 57)],
         // SLUS914A 4.5: the bytes are entered the other way round than they lie in data flash, Key 1 first.

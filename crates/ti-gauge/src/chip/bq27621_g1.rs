@@ -16,8 +16,8 @@ use super::Tier::{Poll, Slow, Static, Window};
 use super::bq27427::ACCESS;
 use super::bq27441_g1::{CAPACITY, CONDITION, ITPOR, LOAD_SELECT, OP_CONFIG_B, SECURITY};
 use super::{
-    Bit, Chip, Evidence, Identity, Mode, Pack, Parameter as P, Preflight, Register, Role, Scaling, Source,
-    Subclass, Subcommand,
+    Bit, Chip, Evidence, Identity, Mode, Pack, Parameter as P, Preflight, Register, Role, Scaling, Security,
+    Source, Subclass, Subcommand,
 };
 use crate::codec::Layout;
 use crate::value::Type::U;
@@ -48,7 +48,8 @@ pub static CHIP: Chip = Chip {
     control_status: CONTROL_STATUS,
     condition: CONDITION,
     scaling: Scaling::NONE,
-    security: SECURITY,
+    // No document at hand says that SEALED sets OpConfigB [DEF_SEAL].
+    security: Security { seals_itself: None, ..SECURITY },
     // TI's image waits as the BQ27427's do: 1.1 s to CONFIG UPDATE, 10 ms after a checksum, 2 s at the end.
     access: ACCESS,
     gate: None,

@@ -74,6 +74,7 @@ pub static CHIP: Chip = Chip {
         seal: 0x0030,
         // TI's advice to owners of sibling gauges whose keys were refused.
         key_silence: Duration::from_millis(5200),
+        seals_itself: None,
         shown_sealed: &[],
         storage: KeyStorage::Fixed(
             "it shows them at SECURITY_KEYS, and how they are written there is in no document at hand",

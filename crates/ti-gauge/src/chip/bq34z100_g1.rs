@@ -77,6 +77,7 @@ pub static CHIP: Chip = Chip {
         seal: 0x0020,
         // TI's advice to owners whose keys were refused; not in the datasheet.
         key_silence: Duration::from_millis(5200),
+        seals_itself: None,
         // 7.3.2.16.
         shown_sealed: &[(1, 58), (4, 59)],
         // Table 7-11 and a real part's image: 36 72 04 14 for keys that are sent as 14 04, 72 36; four

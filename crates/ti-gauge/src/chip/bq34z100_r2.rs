@@ -81,6 +81,7 @@ pub static CHIP: Chip = Chip {
         seal: 0x0020,
         // As on the bq34z100-G1, by TI's advice to owners whose keys were refused.
         key_silence: Duration::from_millis(5200),
+        seals_itself: None,
         // SLUSBZ5D 7.3.2.16.
         shown_sealed: &[(1, 58), (4, 59)],
         // The image has 36 72 04 14 for keys that are sent as 14 04, 72 36; four different bytes, so there is one way

@@ -84,6 +84,7 @@ pub static CHIP: Chip = Chip {
         seal: 0x0020,
         // E2E 888302: a full-access key right after the unseal key was refused, 10 s later it was taken.
         key_silence: Duration::from_secs(11),
+        seals_itself: None,
         shown_sealed: &[],
         // An owner read 04 14 36 72 from a part (E2E 668766), though one address lower; what a part holds is
         // compared with its keys before it is changed. Its authentication key cannot be tried.

@@ -94,14 +94,15 @@ impl Job {
         if self.care == Care::Quick {
             self.store_together(gauge, session)?;
         }
+        // RAM that is known has only to be in the window.
+        let care = if gauge.chip.volatile.is_some() { Care::Quick } else { Care::Sure };
         let mut touched = self.touched;
         let outcome = self.blocks.iter().filter(|seen| !seen.is_at(Side::New)).try_for_each(|seen| {
             let compared = session.pack.compared;
             session.assure(gauge)?;
             // Where the pack has been compared, other blocks were loaded.
             let in_window = self.in_window && session.pack.compared == compared;
-            let block =
-                if in_window { seen.block.clone() } else { reload(gauge, &seen.to_new(), Care::Sure)? };
+            let block = if in_window { seen.block.clone() } else { reload(gauge, &seen.to_new(), care)? };
             session.go_forward(gauge);
             store(gauge, session, &block, &mut touched)
                 .map(|()| gauge.statistics.progress.step(Phase::Committing))

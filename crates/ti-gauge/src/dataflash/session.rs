@@ -9,7 +9,9 @@ use gauge_bus::BusError;
 use super::calmode;
 use super::schemes::{Care, sequence};
 use super::state::{Copied, has_kept};
-use crate::chip::{Bit, Calibration};
+use super::window::{Planned, locate};
+use crate::chip::{Bit, Calibration, Chip};
+use crate::codec::Bytes;
 use crate::error::{Cause, Error, Reason, Result, Step};
 use crate::gauge::{Gauge, Moment, SEAL_LAG, Seal};
 
@@ -203,6 +205,19 @@ impl Session {
             return Err(Error::new(gauge.chip.model, Cause::Gone, why).at(Step::Identify));
         }
         Ok(false)
+    }
+
+    /// A gauge that was found sealed seals itself at the end of CONFIG UPDATE, and takes no key for seconds then. The block with
+    /// the bit that makes it do so is written without it: SEALED, with which it is left, sets it again.
+    pub(super) fn keep_open(&self, chip: &Chip, block: &mut Planned) {
+        let bit = chip.security.seals_itself.filter(|_| self.found == Seal::Sealed);
+        let Some((subclass, offset, mask)) = bit else { return };
+        let (place, at) = locate(subclass, offset);
+        // Somebody may write it as well.
+        if block.place == place && !block.written.has(at) {
+            block.new[at] &= !mask;
+            block.learned = block.learned.without(Bytes::of(|byte| byte == at));
+        }
     }
 
     fn reopen(&mut self, gauge: &mut Gauge) -> Result<()> {

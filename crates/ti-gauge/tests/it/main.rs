@@ -19,6 +19,7 @@ mod gate;
 mod gauge;
 mod image;
 mod journal;
+mod kept_open;
 mod keychange;
 mod layout;
 mod learning;
