@@ -203,7 +203,37 @@ pub(crate) fn gauges(paths: &[PathBuf]) -> Result<Vec<(PathBuf, Found)>> {
 
 /// Looks at a path, and waits for the end.
 pub(crate) fn at(path: &Path) -> Result<Found> {
-    Ok(Look::begin(path)?.end())
+    match in_local(path) {
+        Some(found) => Ok(found),
+        None => Ok(Look::begin(path)?.end()),
+    }
+}
+
+/// File systems that wait for no other process and no server.
+const LOCAL: [&str; 11] =
+    ["bcachefs", "btrfs", "devtmpfs", "erofs", "ext4", "f2fs", "overlay", "ramfs", "rootfs", "tmpfs", "xfs"];
+
+/// What a look finds, if no call on the way to the path can hang: without a process, which takes longer to start than the
+/// rest of a mount. `None` if there may be such a call.
+fn in_local(path: &Path) -> Option<Found> {
+    let plain: PathBuf = absolute(path).ok()?.components().collect();
+    let mounts = mounts::all().ok()?;
+    let mut on_the_way: Vec<_> = plain.ancestors().collect();
+    on_the_way.reverse();
+    for folder in on_the_way {
+        let mount = mounts::containing(mounts.iter().cloned(), folder)?;
+        // A link may lead anywhere, and so may a path up from it.
+        if !LOCAL.contains(&&*mount.kind) || folder.ends_with("..") {
+            return None;
+        }
+        match fs::symlink_metadata(folder) {
+            Ok(status) if status.is_symlink() => return None,
+            Ok(_) => {}
+            Err(error) if error.kind() == io::ErrorKind::NotFound => break,
+            Err(_) => return None,
+        }
+    }
+    Some(Found { path: Some(plain), dead: Some(false), ..Found::default() })
 }
 
 /// In the child: prints the full path, whether its daemon is gone, and the gauges if requested, each as soon as it is
@@ -298,6 +328,25 @@ pub(super) fn resolve(path: &Path) -> Result<PathBuf> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn only_a_path_through_local_folders_needs_no_process() {
+        let folder = std::env::temp_dir().join(format!("gaugefs-local-{}", std::process::id()));
+        let link = folder.join("link");
+        fs::create_dir(&folder).expect("a folder");
+        std::os::unix::fs::symlink("/", &link).expect("a link");
+        let found = |path: PathBuf| in_local(&path).and_then(|found| found.path);
+        let is_local = found(folder.clone()) == Some(folder.clone());
+        for missing in ["missing", "missing/too"].map(|name| folder.join(name)) {
+            assert_eq!(found(missing.clone()), is_local.then_some(missing));
+        }
+        for other in
+            [link.clone(), link.join("etc"), folder.join("../x"), "/proc".into(), "/sys/class".into()]
+        {
+            assert_eq!(found(other.clone()), None, "{}", other.display());
+        }
+        fs::remove_dir_all(folder).expect("removed");
+    }
 
     /// A busy machine does not let it run: `mount` said that a plain folder was in a mount whose process is stopped.
     #[test]

@@ -5,6 +5,7 @@
 //! None is in a shared folder such as `/tmp`, where the first user to create it would keep all others out.
 
 use std::path::PathBuf;
+use std::sync::OnceLock;
 
 use nix::unistd::{User, geteuid};
 
@@ -39,8 +40,10 @@ pub fn state() -> Option<PathBuf> {
 
 /// The services' account, whose folders root uses too. `None` for other users, who trust only themselves and root.
 pub fn service() -> Option<u32> {
+    // A daemon asks for each gauge's folders, and each time the system would load what finds accounts in networks.
+    static ACCOUNT: OnceLock<Option<u32>> = OnceLock::new();
     let account = || User::from_name(SERVICE).ok().flatten().map(|user| user.uid.as_raw());
-    geteuid().is_root().then(account).flatten()
+    geteuid().is_root().then(|| *ACCOUNT.get_or_init(account)).flatten()
 }
 
 fn named(variable: &str) -> Option<PathBuf> {
