@@ -13,13 +13,14 @@
 //! | `root`, `covered` | the mount point, and the kernel's supplies underneath it |
 //! | `mains` | the folder of the Mains supply |
 //! | `supply` | the folder of a gauge; `attribute` has one row for each power_supply attribute |
-//! | `df` | data flash; `transaction` and `raw` parse what is written to `df/transaction`, `caller` is who writes it |
+//! | `df` | data flash, and `rendered` its index; `transaction` and `raw` parse what is written to `df/transaction`, `caller` is who writes it |
 //! | `gauge_dir` | `gauge/`, one row for each file |
 //! | `sim_dir` | `sim/` |
 //!
 //! `place` has the number of each node.
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use nix::errno::Errno;
 
@@ -34,6 +35,7 @@ mod gauge_dir;
 mod mains;
 mod place;
 mod raw;
+mod rendered;
 mod root;
 mod sim_dir;
 mod smart_battery;
@@ -56,6 +58,9 @@ pub(crate) use smart_battery::{
     ADDRESS as BATTERY_ADDRESS, BatteryEvent, SmartBattery, obstacle as battery_obstacle,
 };
 pub use supply::{Supply, SupplyItem};
+
+/// Number of gauges whose polls need not be foreseen.
+const FEW: usize = 8;
 
 /// The kernel splits a write(2) at pages of the file. Larger pages are multiples of this.
 const PAGE: usize = 4096;
@@ -192,7 +197,7 @@ pub enum Shape {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Content {
     /// These bytes.
-    Bytes(Vec<u8>),
+    Bytes(Arc<[u8]>),
     /// Bytes that [`Fs::read`] must first read from the gauge. Until then the file shows this size, which is no smaller
     /// than theirs.
     Unread(u64),
@@ -202,7 +207,7 @@ pub enum Content {
 
 impl From<Option<String>> for Content {
     fn from(text: Option<String>) -> Self {
-        text.map_or(Content::Absent, |text| Content::Bytes(text.into_bytes()))
+        text.map_or(Content::Absent, |text| Content::Bytes(text.into_bytes().into()))
     }
 }
 
@@ -242,7 +247,7 @@ trait Operations {
         Content::Absent
     }
 
-    fn read(&self, done: Done<Vec<u8>>) {
+    fn read(&self, done: Done<Arc<[u8]>>) {
         match self.content() {
             Content::Bytes(bytes) => done(Ok(bytes)),
             Content::Unread(_) | Content::Absent => done(Err(no_value())),
@@ -399,6 +404,22 @@ impl Fs {
         self.at(node).may_be_cached()
     }
 
+    /// Whether a folder is there for the life of the mount: that of a gauge.
+    pub fn is_fixed(&self, node: Node) -> bool {
+        matches!(node, Node::Of(_, Item::Supply(SupplyItem::Folder))) && !self.is_overlay()
+    }
+
+    /// How long a file keeps its value unless somebody asks for another poll; `None` with few gauges, whose polls are seldom
+    /// enough to notify the kernel of each.
+    pub fn unchanged_for(&self, node: Node) -> Option<Duration> {
+        if self.supplies.len() <= FEW {
+            return None;
+        }
+        let Node::Of(gauge, _) = node else { return Some(Duration::ZERO) };
+        let handle = self.handle(gauge)?;
+        Some(handle.published().interval.saturating_sub(handle.age().unwrap_or(Duration::MAX)))
+    }
+
     /// Whether somebody may write a file.
     pub fn may_be_written(&self, node: Node) -> bool {
         self.shape(node) == Shape::File && self.mode(node) & 0o200 != 0
@@ -454,7 +475,7 @@ impl Fs {
 
     /// Reads a file's [`Content::Unread`] from the gauge. `done` gets the bytes, either at once or from the gauge's
     /// thread.
-    pub fn read(&self, node: Node, done: Done<Vec<u8>>) {
+    pub fn read(&self, node: Node, done: Done<Arc<[u8]>>) {
         self.at(node).read(done);
     }
 

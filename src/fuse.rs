@@ -7,7 +7,9 @@
 //!   a nodeid of its own with its exact size, and GETATTR and READ of that nodeid serve those bytes until FORGET, or
 //!   until nobody has used it for a while. So no reader gets the size of one value with the bytes of another, and a value that
 //!   has not changed comes from the kernel's page cache without a message. A file that may be written has a nodeid
-//!   for each lookup, so that nobody reads what the kernel has copied there for a writer and gaugefs then refuses.
+//!   for each lookup, so that nobody reads what the kernel has copied there for a writer and gaugefs then refuses. Its
+//!   attributes are leased to the kernel for a moment, in which one program opens and reads it; a write to the gauge begins
+//!   when no lease is left, so that everybody has to ask again before it is answered.
 //! - `entry` is the answer to a LOOKUP.
 //! - `notify` is the thread that notifies the kernel that files have a new value.
 //!

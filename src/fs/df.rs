@@ -13,16 +13,17 @@ use super::transaction::{self, Moment, Staged};
 use super::{Content, Item, Mode, Node, Operations, Shape};
 use crate::error::{Cause, Error, Result};
 use gauge_owner::{Attempt, Done, operations as op};
+use index::Index;
 use ti_gauge::chip::{Chip, FLAT, Kind, Parameter, Range, Subclass, kebab_case};
 use ti_gauge::dataflash::{Change, Place};
 use ti_gauge::notation;
 use ti_gauge::text;
 use ti_gauge::value::Value;
 
+mod index;
+
 /// The size of a file before it is read: as in sysfs.
 const UNREAD: u64 = 4096;
-/// A line of `df/index` is shorter than this.
-const LINE: u64 = 256;
 /// A line of `df/transaction` is shorter than this.
 const STAGED: u64 = 512;
 /// A larger transaction is rendered when it is read, and not at each lookup.
@@ -98,33 +99,6 @@ impl Operations for Folder<'_> {
     }
 }
 
-struct Index<'a>(&'a Arc<Supply>);
-
-impl Operations for Index<'_> {
-    fn parent(&self) -> Node {
-        self.0.df_node(DfItem::Folder)
-    }
-
-    fn mode(&self) -> Mode {
-        Mode::Read
-    }
-
-    fn content(&self) -> Content {
-        let rows = self.0.chip().subclasses.iter().map(|subclass| subclass.parameters.len());
-        Content::Unread(LINE * (1 + rows.sum::<usize>() as u64))
-    }
-
-    fn read(&self, done: Done<Vec<u8>>) {
-        let supply = Arc::clone(self.0);
-        let readable = supply.subclasses().filter(|(_, subclass)| subclass.kind != Kind::Security);
-        self.0.handle.ask(
-            &op::READ,
-            readable.map(|(at, _)| at.into()).collect(),
-            Box::new(move |read| done(unless_sealed(read.map(drop)).map(|()| supply.index()))),
-        );
-    }
-}
-
 struct Staging<'a>(&'a Arc<Supply>);
 
 impl Operations for Staging<'_> {
@@ -139,27 +113,29 @@ impl Operations for Staging<'_> {
     fn content(&self) -> Content {
         let Some(staged) = self.0.staged() else {
             return Content::Bytes(match self.0.handle.progress() {
-                Some(progress) => format!("{progress}\n").into_bytes(),
-                None => IDLE.to_vec(),
+                Some(progress) => format!("{progress}\n").into_bytes().into(),
+                None => IDLE.into(),
             });
         };
         if staged.len() <= SHOWN_AT_ONCE {
             let changes = staged.changes(self.0.chip());
             if self.0.unread(&changes).is_empty() {
-                return Content::Bytes(self.0.staged_text(&changes));
+                return Content::Bytes(self.0.staged_text(&changes).into());
             }
         }
         Content::Unread(STAGED * (1 + staged.len() as u64))
     }
 
-    fn read(&self, done: Done<Vec<u8>>) {
+    fn read(&self, done: Done<Arc<[u8]>>) {
         let supply = Arc::clone(self.0);
-        let Some(staged) = supply.staged() else { return done(Ok(IDLE.to_vec())) };
+        let Some(staged) = supply.staged() else { return done(Ok(IDLE.into())) };
         let staged = staged.changes(supply.chip());
         self.0.handle.ask(
             &op::READ,
             supply.unread(&staged),
-            Box::new(move |read| done(unless_sealed(read.map(drop)).map(|()| supply.staged_text(&staged)))),
+            Box::new(move |read| {
+                done(unless_sealed(read.map(drop)).map(|()| supply.staged_text(&staged).into()));
+            }),
         );
     }
 
@@ -255,14 +231,14 @@ impl Operations for Field<'_> {
 
     fn content(&self) -> Content {
         match self.supply.handle.kept(self.at.into()) {
-            Some(bytes) => Content::Bytes(self.supply.parameter_text(self.at, self.row, &bytes)),
+            Some(bytes) => Content::Bytes(self.supply.parameter_text(self.at, self.row, &bytes).into()),
             None => Content::Unread(UNREAD),
         }
     }
 
-    fn read(&self, done: Done<Vec<u8>>) {
+    fn read(&self, done: Done<Arc<[u8]>>) {
         let (supply, at, row) = (Arc::clone(self.supply), self.at, self.row);
-        self.supply.read(at, done, move |bytes| supply.parameter_text(at, row, bytes));
+        self.supply.read(at, done, move |bytes| supply.parameter_text(at, row, &bytes).into());
     }
 
     fn write(&self, _: Caller, data: &[u8], done: Done<()>) {
@@ -309,13 +285,13 @@ impl Operations for Raw<'_> {
 
     fn content(&self) -> Content {
         match self.supply.handle.kept(self.at.into()) {
-            Some(bytes) => Content::Bytes(bytes.to_vec()),
+            Some(bytes) => Content::Bytes(bytes),
             None => Content::Unread(self.supply.subclass(self.at).stored().into()),
         }
     }
 
-    fn read(&self, done: Done<Vec<u8>>) {
-        self.supply.read(self.at, done, <[u8]>::to_vec);
+    fn read(&self, done: Done<Arc<[u8]>>) {
+        self.supply.read(self.at, done, |bytes| bytes);
     }
 }
 
@@ -427,15 +403,17 @@ impl Supply {
     }
 
     /// Reads a subclass; a file shows the `text` of its bytes.
-    fn read<T>(&self, at: u8, done: Done<Vec<u8>>, text: T)
+    fn read<T>(&self, at: u8, done: Done<Arc<[u8]>>, text: T)
     where
-        T: FnOnce(&[u8]) -> Vec<u8> + Send + 'static,
+        T: FnOnce(Arc<[u8]>) -> Arc<[u8]> + Send + 'static,
     {
         let subclass = self.subclass(at);
         if subclass.kind == Kind::Security {
             return done(Err(Error::new(subclass.name, Cause::NotPermitted, "keys are never read")));
         }
-        let done = Box::new(move |read: Result<Vec<Arc<[u8]>>>| done(read.map(|read| text(&read[0]))));
+        let done = Box::new(move |read: Result<Vec<Arc<[u8]>>>| {
+            done(read.map(|mut read| text(read.swap_remove(0))));
+        });
         self.handle.ask(&op::READ, vec![at.into()], done);
     }
 
@@ -511,36 +489,6 @@ impl Supply {
         }
         lines.into_bytes()
     }
-
-    /// `df/index`: a line for each parameter of the table.
-    fn index(&self) -> Vec<u8> {
-        let dm_code = self.published().answers.dm_code;
-        let rows = self.chip().subclasses.iter().map(|subclass| subclass.parameters.len());
-        // Lines are at most half as long as allowed.
-        let mut lines = String::with_capacity((LINE / 2) as usize * rows.sum::<usize>());
-        lines += "subclass\toffset\ttype\tname\tunit\tmin\tmax\tdefault\tflags\tvalue\n";
-        for (at, subclass) in self.chip().subclasses.iter().enumerate() {
-            let is_secret = subclass.kind == Kind::Security;
-            let bytes = if is_secret { None } else { self.handle.kept(at) };
-            for parameter in subclass.parameters {
-                let (id, offset) = match subclass.id {
-                    FLAT => ("flash".to_string(), address(parameter)),
-                    id => (id.to_string(), parameter.offset.to_string()),
-                };
-                let [min, max, default] =
-                    bounds(subclass, parameter, dm_code).map(|bound| bound.unwrap_or("-".into()));
-                let value = bytes
-                    .as_ref()
-                    .map_or("-".into(), |bytes| column(value_text(self.chip(), subclass, parameter, bytes)));
-                let unit = if parameter.unit.is_empty() { "-" } else { parameter.unit };
-                let (kind, name, flags) = (parameter.kind, parameter.name, flags(subclass, parameter));
-                lines += &format!(
-                    "{id}\t{offset}\t{kind}\t{name}\t{unit}\t{min}\t{max}\t{default}\t{flags}\t{value}\n"
-                );
-            }
-        }
-        lines.into_bytes()
-    }
 }
 
 /// A sealed gauge without a key shows everything but the values in data flash.
@@ -583,18 +531,6 @@ fn bounds(subclass: &Subclass, parameter: &Parameter, dm_code: Option<u16>) -> [
             [None, None, default.map(show)]
         }
     }
-}
-
-fn flags(subclass: &Subclass, parameter: &Parameter) -> String {
-    let flags = [
-        ("learned", parameter.learned),
-        ("reset", subclass.kind == Kind::Reset),
-        ("safe-limit", parameter.safe.is_some()),
-        ("security", subclass.kind == Kind::Security),
-        ("unproven", parameter.unproven),
-    ];
-    let set: Vec<_> = flags.iter().filter(|(_, set)| *set).map(|(name, _)| *name).collect();
-    if set.is_empty() { "-".into() } else { set.join(",") }
 }
 
 #[cfg(test)]

@@ -67,7 +67,7 @@ impl Operations for Type {
     }
 
     fn content(&self) -> Content {
-        Content::Bytes(b"Mains\n".to_vec())
+        Content::Bytes(b"Mains\n".as_slice().into())
     }
 }
 

@@ -2,6 +2,8 @@
 
 //! The number of each node, and back: nothing is remembered of shown nodes.
 
+use std::ops::RangeInclusive;
+
 use super::{Attribute, DfItem, GaugeItem, Item, MainsItem, Node, SimItem, SupplyItem};
 
 /// Numbers of `df/SUBCLASS/OFFSET` and of links to them, among those of a gauge's items.
@@ -25,6 +27,18 @@ impl Node {
             Node::Covered(number) => COVERED | number,
             Node::Of(gauge, item) => (u32::from(gauge) + 1) << 16 | u32::from(item.place()),
         }
+    }
+
+    /// The numbers of a gauge's nodes.
+    pub fn of_gauge(gauge: u16) -> RangeInclusive<u32> {
+        let first = (u32::from(gauge) + 1) << 16;
+        first..=first | u32::from(u16::MAX)
+    }
+
+    /// The numbers of the Mains supply's nodes.
+    pub fn of_mains() -> RangeInclusive<u32> {
+        let place = |item| Node::Mains(item).place();
+        place(MainsItem::Folder)..=place(MainsItem::Subsystem)
     }
 
     /// The node of that number.
@@ -118,8 +132,13 @@ mod tests {
             for gauge in [0, 1, 511, 32_765] {
                 let node = Node::Of(gauge, item);
                 assert_eq!(Node::at(node.place()), Some(node));
+                assert!(
+                    Node::of_gauge(gauge).contains(&node.place())
+                        && !Node::of_gauge(gauge + 1).contains(&node.place())
+                );
             }
         }
+        assert!(mains.iter().all(|&item| Node::of_mains().contains(&Node::Mains(item).place())));
         assert_eq!(Node::at(0), None);
     }
 

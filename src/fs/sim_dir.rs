@@ -150,7 +150,7 @@ mod tests {
         assert_eq!(Node::at(voltage.place()), Some(voltage));
         assert_eq!((one.shape(voltage), one.mode(voltage)), (Shape::File, 0o600));
         assert_eq!(write(&one, voltage, b" 3210\n"), Ok(()));
-        assert_eq!(one.content(voltage), Content::Bytes(b"3210\n".to_vec()));
+        assert_eq!(one.content(voltage), Content::Bytes(b"3210\n".as_slice().into()));
         assert_eq!(write(&one, voltage, b"nonsense"), Err(Errno::EINVAL));
         assert_eq!(write(&one, voltage, &[b'1'; 4096]), Err(Errno::EFBIG));
         let counter = one.lookup(Node::Root, "transfers").expect("a knob");

@@ -5,6 +5,7 @@
 use std::sync::Arc;
 
 use super::attribute::{self, Attribute, Kind, Reading};
+use super::rendered::Rendered;
 use super::transaction::Transaction;
 use super::{
     Content, DfItem, GaugeItem, Item, Knobs, Node, Operations, SUBSYSTEM, Scales, Shape, SimItem, find,
@@ -19,6 +20,8 @@ pub struct Supply {
     pub(super) handle: Handle,
     pub(super) knobs: Option<Box<dyn Knobs>>,
     pub(super) transaction: Transaction,
+    /// `df/index`.
+    pub(super) rendered: Rendered,
     scales: Scales,
 }
 
@@ -26,7 +29,7 @@ impl Supply {
     /// A gauge whose folder has that name, such as `BAT0`. Its measurements are shown as they are.
     pub fn new(name: String, handle: Handle) -> Self {
         let (transaction, scales) = (Transaction::default(), Scales::default());
-        Self { index: 0, name, handle, knobs: None, transaction, scales }
+        Self { index: 0, name, handle, knobs: None, transaction, rendered: Rendered::default(), scales }
     }
 
     /// Shows its measurements in another way.

@@ -35,6 +35,10 @@ use crate::fs::{Caller, Fs, Node, Process, Shape};
 /// daemon goes unnoticed.
 const TTL: Duration = Duration::from_secs(2);
 
+/// How long it may keep the folder of a gauge, which stays as long as the mount. A path to it begins at the mount point,
+/// whose attributes it asks for before that.
+const FIXED_TTL: Duration = Duration::from_secs(60);
+
 /// How long a write waits until the kernel tells that the open file before it is closed.
 const CLOSES: Duration = Duration::from_secs(1);
 
@@ -45,6 +49,10 @@ const CLOSES: Duration = Duration::from_secs(1);
 const CAPABILITY: &str = "security.capability";
 /// The size of that attribute; any but 0 will do.
 const CAPABILITY_SIZE: u32 = 20;
+
+/// What the kernel and `ls` ask of each file, and this tree has of none: labels and access lists. `ls` does not ask again
+/// after this answer.
+const UNSUPPORTED: [&str; 3] = ["security.selinux", "system.posix_acl_access", "system.posix_acl_default"];
 
 /// The unit of a file's blocks.
 const BLOCK: u64 = 512;
@@ -143,21 +151,25 @@ impl Adapter {
         }
     }
 
-    /// How long the kernel may keep a name. That of a file means the value that it had.
+    /// How long the kernel may keep a name. That of a file means the value that it had, and of many gauges it is kept until
+    /// the next poll only: a notification makes the kernel look up every name again.
     fn name_ttl(&self, node: Node) -> Duration {
         let fixed = self.fs.shape(node) != Shape::File;
-        if self.fs.may_be_cached(node) && (fixed || self.announcer.keeps_names()) {
-            TTL
-        } else {
-            Duration::ZERO
+        match self.fs.may_be_cached(node) && (fixed || self.announcer.keeps_names()) {
+            false => Duration::ZERO,
+            true if self.fs.is_fixed(node) => FIXED_TTL,
+            true if fixed => TTL,
+            true => {
+                let unchanged =
+                    self.fs.unchanged_for(node).map(|time| time.saturating_sub(inodes::NAME_OVER));
+                unchanged.unwrap_or(TTL).min(TTL)
+            }
         }
     }
 
-    /// How long the kernel may keep the attributes. Before each read of a file that may be written, it has to ask for
-    /// them, so that it finds out about a write that is under way.
+    /// How long the kernel may keep the attributes.
     fn attr_ttl(&self, shown: &Shown) -> Duration {
         match self.fs.shape(shown.node) {
-            Shape::File if self.fs.may_be_written(shown.node) => Duration::ZERO,
             Shape::File => shown.valid,
             Shape::Folder | Shape::Link => self.name_ttl(shown.node),
         }
@@ -173,54 +185,65 @@ impl Adapter {
             let arrival = Arrival { adapter: self.clone(), number, answered: false };
             self.announcer.pass_on(|refused| match refused {
                 Some(error) => arrival.with(Err(error)),
-                None => self.fs.read(node, Box::new(move |read| arrival.with(read.map(Arc::from)))),
+                None => self.fs.read(node, Box::new(move |read| arrival.with(read))),
             });
         }
     }
 
-    /// Passes a write on when the open file before it is closed. The kernel tells of that in its own time, and perhaps
-    /// after what a shell has written to the next one.
+    /// Passes a write on when nothing else of the gauge's files is leased, and when the open file before it is closed. The
+    /// kernel tells of that in its own time, and perhaps after what a shell has written to the next one.
     fn write_in_turn(&self, write: Write<'_>) {
+        let (node, caller, place) = (write.writing.node, write.caller, write.writing.node.place());
         // One at a time: whoever has several open files in use at once waits for none of them.
-        let (node, caller, place) = (write.node, write.caller, write.node.place());
-        if !self.fs.awaits_close(node, caller) || !lock(&self.waits).insert(place) {
+        let awaits_close = self.fs.awaits_close(node, caller) && lock(&self.waits).insert(place);
+        let now = Now::read();
+        let leases = self.inodes().leases(write.writing.number, now);
+        if !awaits_close && leases.is_zero() {
             return self.begin_write(write);
         }
         let write = Write { data: write.data.into_owned().into(), ..write };
-        let (adapter, until) = (self.clone(), Instant::now() + CLOSES);
+        let (adapter, until) = (self.clone(), now.instant + CLOSES);
         let later = move || {
-            while adapter.fs.awaits_close(node, caller) && Instant::now() < until {
+            thread::sleep(leases);
+            while awaits_close && adapter.fs.awaits_close(node, caller) && Instant::now() < until {
                 thread::sleep(Duration::from_millis(1));
             }
-            lock(&adapter.waits).remove(&place);
+            if awaits_close {
+                lock(&adapter.waits).remove(&place);
+            }
             adapter.begin_write(write);
         };
-        // If there can be no thread, the reply is dropped, which answers EIO.
+        // If there can be no thread, the write is dropped, which answers it.
         let started = thread::Builder::new().name("write".into()).stack_size(128 * 1024).spawn(later);
-        if started.is_err() {
+        if started.is_err() && awaits_close {
             lock(&self.waits).remove(&place);
         }
     }
 
-    fn begin_write(&self, write: Write<'_>) {
-        self.announcer.pass_on(|refused| match refused {
-            Some(error) => write.reply.error(errno(&error)),
-            None => self.pass_on_write(write),
+    fn begin_write(&self, Write { mut writing, caller, offset, data }: Write<'_>) {
+        self.announcer.pass_on(|refused| {
+            if let Some(error) = refused {
+                return writing.answer(Err(error));
+            }
+            writing.is_begun = true;
+            let (fs, node) = (self.fs.clone(), writing.node);
+            fs.write(node, caller, offset, &data, Box::new(move |outcome| writing.answer(outcome)));
         });
     }
 
-    fn pass_on_write(&self, Write { number, node, caller, offset, data, reply }: Write<'_>) {
+    /// Notes a write(2) that has arrived: what the kernel has copied may be refused.
+    fn writing(&self, number: u64, node: Node, length: usize, reply: ReplyWrite) -> Writing {
         self.using(number).write_begins(number, Now::read());
-        let mut writing = Writing {
+        Writing {
             fs: self.fs.clone(),
             table: self.table.clone(),
             announcer: self.announcer.clone(),
             number,
             node,
-            length: u32::try_from(data.len()).unwrap_or(u32::MAX),
+            length: u32::try_from(length).unwrap_or(u32::MAX),
+            is_begun: false,
             reply: Some(reply),
-        };
-        self.fs.write(node, caller, offset, &data, Box::new(move |outcome| writing.answer(outcome)));
+        }
     }
 
     /// Gives the kernel bytes of a nodeid's value.
@@ -301,16 +324,14 @@ impl Drop for Arrival {
 
 /// A write(2) that has arrived.
 struct Write<'a> {
-    number: u64,
-    node: Node,
+    writing: Writing,
     caller: Caller,
     /// Where the data begins in the file.
     offset: u64,
     data: Cow<'a, [u8]>,
-    reply: ReplyWrite,
 }
 
-/// A write that was passed on. It gets an answer, even if the gauge's owner ends without giving one.
+/// A write that has an answer coming. It gets one, even if the gauge's owner ends without giving it.
 struct Writing {
     fs: Arc<Fs>,
     table: Arc<Table>,
@@ -318,6 +339,8 @@ struct Writing {
     number: u64,
     node: Node,
     length: u32,
+    /// It was passed on.
+    is_begun: bool,
     reply: Option<ReplyWrite>,
 }
 
@@ -340,8 +363,14 @@ impl Writing {
 
 impl Drop for Writing {
     fn drop(&mut self) {
-        let why = "the gauge has been given up during a write; mount it again to find out what it holds";
-        self.answer(Err(Error::host("", nix::errno::Errno::ENOTRECOVERABLE, why)));
+        let (errno, why) = match self.is_begun {
+            true => (
+                nix::errno::Errno::ENOTRECOVERABLE,
+                "the gauge has been given up during a write; mount it again to find out what it holds",
+            ),
+            false => (nix::errno::Errno::EIO, "gaugefs cannot start a thread, so nothing was sent"),
+        };
+        self.answer(Err(Error::host("", errno, why)));
     }
 }
 
@@ -374,15 +403,16 @@ impl Filesystem for Adapter {
                 return reply.error(Errno::ENOENT);
             };
             let content = || Value::of(self.fs.content(node));
+            let entry_ttl = self.name_ttl(node);
             let shown = match self.fs.shape(node) {
                 Shape::File => {
                     let sharing = self.sharing(node, request.pid());
-                    inodes::look_up(&*self.table, node, content, sharing, Now::read())
+                    inodes::look_up(&*self.table, node, content, (sharing, entry_ttl), Now::read())
                 }
                 Shape::Folder | Shape::Link => Some(self.inodes().fixed(node)),
             };
             let Some(shown) = shown else { return reply.error(Errno::ENOENT) };
-            let (attr_ttl, entry_ttl) = (self.attr_ttl(&shown), self.name_ttl(node));
+            let attr_ttl = self.attr_ttl(&shown);
             let entry = Entry { nodeid: shown.number, attr: self.attr(&shown), attr_ttl, entry_ttl };
             self.announcer.device.answer(request, &entry, reply);
         });
@@ -435,7 +465,7 @@ impl Filesystem for Adapter {
                 return self.answer_when_read(inodes, number, Waiter::Attributes(reply));
             }
             inodes.settle(number, now);
-            let Some(shown) = inodes.shown(number, now) else { return reply.error(Errno::ESTALE) };
+            let Some(shown) = inodes.show(number, now) else { return reply.error(Errno::ESTALE) };
             drop(inodes);
             reply.attr(&self.attr_ttl(&shown), &self.attr(&shown));
         });
@@ -567,7 +597,8 @@ impl Filesystem for Adapter {
             // Only of a stream does it matter who writes.
             let process = self.fs.is_stream(node).then(|| Process::of_thread(request.pid()));
             let caller = Caller { file: number, process: process.flatten() };
-            self.write_in_turn(Write { number, node, caller, offset, data: data.into(), reply });
+            let writing = self.writing(number, node, data.len(), reply);
+            self.write_in_turn(Write { writing, caller, offset, data: data.into() });
         });
     }
 
@@ -628,6 +659,9 @@ impl Filesystem for Adapter {
                 return reply.size(CAPABILITY_SIZE);
             }
             let list = node.map(|node| self.fs.xattrs(node)).unwrap_or_default();
+            if UNSUPPORTED.iter().any(|unsupported| name == *unsupported) {
+                return reply.error(Errno::EOPNOTSUPP);
+            }
             // ENOSYS would make the kernel stop asking for extended attributes at all.
             match list.iter().find(|(found, _)| OsStr::new(found) == name) {
                 Some((_, value)) => answer_xattr(value.as_bytes(), size, reply),

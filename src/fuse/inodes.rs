@@ -14,9 +14,14 @@
 //! has in itself which node it is of, and the table holds those in use only. One that nobody has used for a while rests:
 //! nothing is known of it. If it is used again, because somebody has held it open, it is renewed.
 //!
+//! Of a value that is shared, the table keeps a hash and the nodeid even then: if a lookup finds the same value, it finds the
+//! same nodeid, for which the kernel still has the bytes.
+//!
 //! This module knows neither FUSE nor any lock, and reads no clock: every caller passes the time.
 
 use std::collections::{BTreeMap, HashMap};
+use std::hash::{BuildHasher, RandomState};
+use std::ops::RangeInclusive;
 use std::sync::Arc;
 use std::time::{Duration, Instant, SystemTime};
 
@@ -40,6 +45,16 @@ const IN_USE: Duration = RENEWAL_DELAY.saturating_mul(2);
 /// How long such a nodeid is in use if the kernel has its whole value, has nothing to drop, and asks for the name each
 /// time.
 const READ_THROUGH: Duration = Duration::from_secs(1);
+
+/// How long the kernel may keep the attributes of a file that may be written, after it has asked for them: as long as a
+/// program needs to open and read it.
+pub(super) const LEASE: Duration = Duration::from_millis(4);
+
+/// Until then it certainly asks again. It counts in its clock's ticks, of up to 10 ms, and from when it gets the answer.
+pub(super) const LEASE_OVER: Duration = Duration::from_millis(30);
+
+/// How much longer than it was told the kernel may use a name, because it counts from when it gets the answer.
+pub(super) const NAME_OVER: Duration = RENEWAL_DELAY;
 
 /// The table keeps so many nodeids, in use or not.
 const SPARE: usize = 128;
@@ -75,7 +90,7 @@ impl Value {
     /// The value of a file; `None` if the file does not exist.
     pub(super) fn of(content: Content) -> Option<Self> {
         match content {
-            Content::Bytes(bytes) => Some(Value::Bytes(bytes.into())),
+            Content::Bytes(bytes) => Some(Value::Bytes(bytes)),
             Content::Unread(size) => Some(Value::Unread(size)),
             Content::Absent => None,
         }
@@ -141,6 +156,18 @@ pub(super) struct Inode<W> {
     /// The kernel was told to drop its bytes. It stays set after they are read again: another reader's answer with the
     /// same order may be on its way, and that reader then asks once more.
     was_dropped: bool,
+    /// Until when the kernel may use its name without asking.
+    named: Option<Instant>,
+    /// Until when the kernel may use its attributes without asking, although it may be written.
+    leased: Option<Instant>,
+}
+
+/// A shared nodeid that rests, and its value.
+#[derive(Clone, Copy, Debug)]
+struct Rested {
+    turn: u32,
+    hash: u64,
+    since: SystemTime,
 }
 
 /// So many lookups that no number of them takes them back.
@@ -163,6 +190,8 @@ impl<W> Inode<W> {
             used: now.instant,
             is_read: false,
             was_dropped: false,
+            named: None,
+            leased: None,
         }
     }
 
@@ -181,6 +210,12 @@ impl<W> Inode<W> {
 
     pub(super) fn is_gone(&self) -> bool {
         self.value == Value::Gone
+    }
+
+    /// Whether it shows a value that is the file's and will be for as long as it shows it.
+    fn is_settled(&self) -> bool {
+        let is_value = matches!(self.value, Value::Bytes(_));
+        is_value && self.superseded.is_none() && self.renewed.is_none() && self.is_idle()
     }
 
     fn is_idle(&self) -> bool {
@@ -204,7 +239,12 @@ impl<W> Inode<W> {
         let node = node(number)?;
         // A nodeid that is not shared may rest sooner, and readers past the kernel's copy (O_DIRECT) have to ask
         // before.
-        let most = if self.sharing == Sharing::All { RENEWAL_DELAY } else { READ_THROUGH / 2 };
+        let most = match self.sharing {
+            Sharing::All => RENEWAL_DELAY,
+            Sharing::By(_) => READ_THROUGH / 2,
+            // But for a lease.
+            Sharing::Alone => Duration::ZERO,
+        };
         let valid = match self.superseded {
             // Readers of an unread value must ask before: from Linux 7.2 on, only that answer's errno reaches programs.
             _ if self.renewed.is_some() || self.is_unread() => Duration::ZERO,
@@ -222,6 +262,23 @@ pub(super) fn node(number: u64) -> Option<Node> {
     Node::at(number as u32)
 }
 
+/// The lower bits of the numbers of a gauge's nodes.
+const GROUP: u32 = 0xffff;
+
+/// The first number of the gauge of a nodeid.
+fn group(number: u64) -> u32 {
+    number as u32 & !GROUP
+}
+
+/// The number of a nodeid as a key, or back: those of a node, and of a gauge, are in a row.
+fn key(number: u64) -> u64 {
+    number.rotate_left(TURN)
+}
+
+fn keys(places: &RangeInclusive<u32>) -> RangeInclusive<u64> {
+    u64::from(*places.start()) << TURN..=u64::from(*places.end()) << TURN | u64::from(u32::MAX)
+}
+
 #[derive(Debug)]
 struct Listing {
     /// Hash of the names; `None` if the kernel certainly keeps others.
@@ -237,7 +294,13 @@ pub(super) struct Inodes<W> {
     /// Of the next nodeid of a file.
     turn: u64,
     started: SystemTime,
+    /// By their [`key`].
     live: BTreeMap<u64, Inode<W>>,
+    /// Those that a lookup may find again, by their nodes.
+    rested: BTreeMap<u32, Rested>,
+    hasher: RandomState,
+    /// Unanswered writes to files of each gauge.
+    writes: BTreeMap<u32, u32>,
     /// The nodeid that a lookup of a node finds, unless the value has changed.
     current: BTreeMap<u32, u64>,
     listings: HashMap<Node, Listing>,
@@ -253,6 +316,9 @@ impl<W> Inodes<W> {
             turn: 0,
             started: now.time,
             live: BTreeMap::new(),
+            rested: BTreeMap::new(),
+            hasher: RandomState::new(),
+            writes: BTreeMap::new(),
             current: BTreeMap::new(),
             listings: HashMap::new(),
             room: SPARE,
@@ -261,7 +327,7 @@ impl<W> Inodes<W> {
     }
 
     pub(super) fn get(&self, number: u64) -> Option<&Inode<W>> {
-        self.live.get(&number)
+        self.live.get(&key(number))
     }
 
     pub(super) fn shown(&self, number: u64, now: Now) -> Option<Shown> {
@@ -278,7 +344,9 @@ impl<W> Inodes<W> {
         loop {
             self.turn = self.turn % (TURNS - 1) + 1;
             let number = self.turn << TURN | u64::from(node.place());
-            if !self.live.contains_key(&number) {
+            let is_known = |rested: &Rested| u64::from(rested.turn) == self.turn;
+            if !self.live.contains_key(&key(number)) && !self.rested.get(&node.place()).is_some_and(is_known)
+            {
                 return number;
             }
         }
@@ -291,17 +359,50 @@ impl<W> Inodes<W> {
         if self.live.len() < self.room && !is_time {
             return;
         }
-        self.live.retain(|_, inode| !inode.rests(now));
+        let (current, rested, hasher) = (&self.current, &mut self.rested, &self.hasher);
+        self.live.retain(|&key, inode| {
+            let (place, turn) = ((key >> TURN) as u32, key as u32);
+            if inode.rests(now)
+                && let Value::Bytes(bytes) = &inode.value
+                && inode.is_settled()
+                && !inode.was_dropped
+                && current.get(&place) == Some(&self::key(key))
+            {
+                rested.insert(place, Rested { turn, hash: hasher.hash_one(bytes), since: inode.since });
+            }
+            !inode.rests(now)
+        });
         (self.room, self.tidied) = (self.live.len() + SPARE, now.instant);
-        self.current.retain(|_, number| self.live.contains_key(number));
+        self.current.retain(|_, number| self.live.contains_key(&key(*number)));
+    }
+
+    /// What a lookup finds again: the nodeid of the value that the node has had before.
+    fn found_again(&mut self, node: Node, value: &Value, sharing: Sharing, now: Now) -> Option<u64> {
+        let rested = *self.rested.get(&node.place()).filter(|_| sharing != Sharing::Alone)?;
+        let Value::Bytes(bytes) = value else { return None };
+        let number = u64::from(rested.turn) << TURN | u64::from(node.place());
+        if rested.hash != self.hasher.hash_one(bytes) || self.live.contains_key(&key(number)) {
+            return None;
+        }
+        self.rested.remove(&node.place());
+        let since = rested.since;
+        let inode = Inode { lookups: UNKNOWN, since, ..Inode::new(value.clone(), sharing, now) };
+        self.live.insert(key(number), inode);
+        self.current.insert(node.place(), number);
+        Some(number)
     }
 
     /// Uses a resting nodeid again: it shows the file's present value from now on.
     pub(super) fn wake(&mut self, number: u64, value: Value, sharing: Sharing, now: Now) {
+        // It is of another value then.
+        let place = number as u32;
+        if self.rested.get(&place).is_some_and(|rested| u64::from(rested.turn) == number >> TURN) {
+            self.rested.remove(&place);
+        }
         // The kernel may have the earlier bytes.
         let renewed = Some(now.instant);
         let inode = Inode { lookups: UNKNOWN, renewed, was_dropped: true, ..Inode::new(value, sharing, now) };
-        self.live.entry(number).or_insert(inode);
+        self.live.entry(key(number)).or_insert(inode);
     }
 
     pub(super) fn current(&self, node: Node) -> Option<u64> {
@@ -318,8 +419,9 @@ impl<W> Inodes<W> {
     pub(super) fn enter(&mut self, node: Node, value: Value, sharing: Sharing, now: Now) -> Shown {
         self.tidy(now);
         let current = self.current(node).filter(|_| sharing != Sharing::Alone);
+        let current = current.or_else(|| self.found_again(node, &value, sharing, now));
         if let Some(number) = current
-            && let Some(inode) = self.live.get_mut(&number)
+            && let Some(inode) = self.live.get_mut(&key(number))
         {
             // Threads outside this process's PID namespace all have the number 0.
             let own = inode.sharing == sharing && sharing != Sharing::By(0) && !inode.is_awaited();
@@ -327,7 +429,7 @@ impl<W> Inodes<W> {
                 inode.lookups += 1;
                 (inode.looks, inode.refusal) = (Some(0), None);
                 inode.used = now.instant;
-                return inode.shown(number, now).expect("it is of this node");
+                return self.show(number, now).expect("it is of this node");
             }
             self.retire(number, now);
         }
@@ -336,21 +438,48 @@ impl<W> Inodes<W> {
         if sharing != Sharing::Alone {
             self.current.insert(node.place(), number);
         }
-        let shown = inode.shown(number, now).expect("it is of this node");
-        self.live.insert(number, inode);
-        shown
+        self.live.insert(key(number), inode);
+        self.show(number, now).expect("it is of this node")
+    }
+
+    /// What the kernel is told of a nodeid. While nobody writes to the gauge, what may be written is leased: a later write
+    /// to the gauge begins when the lease is over, so that the kernel has asked again before its answer.
+    pub(super) fn show(&mut self, number: u64, now: Now) -> Option<Shown> {
+        let is_written = self.writes.contains_key(&group(number));
+        let inode = self.live.get_mut(&key(number))?;
+        let shown = inode.shown(number, now)?;
+        if inode.sharing != Sharing::Alone || is_written || !inode.is_settled() {
+            return Some(shown);
+        }
+        inode.leased = Some(now.instant + LEASE_OVER);
+        Some(Shown { valid: LEASE, ..shown })
+    }
+
+    /// How long a write through a nodeid waits for leases of its gauge's files, but for its own: the kernel drops that.
+    pub(super) fn leases(&self, number: u64, now: Now) -> Duration {
+        let first = group(number);
+        let others = self.live.range(keys(&(first..=first | GROUP))).filter(|&(&at, _)| at != key(number));
+        let until = others.filter_map(|(_, inode)| inode.leased).max();
+        until.map_or(Duration::ZERO, |until| until.saturating_duration_since(now.instant))
+    }
+
+    /// Notes that the kernel may keep the name of a nodeid for some time.
+    fn name(&mut self, number: u64, kept: Duration, now: Now) {
+        if let Some(inode) = self.live.get_mut(&key(number)).filter(|_| !kept.is_zero()) {
+            inode.named = inode.named.max(Some(now.instant + kept + NAME_OVER));
+        }
     }
 
     /// Notes that the kernel has a nodeid's bytes up to `end`.
     pub(super) fn served(&mut self, number: u64, end: u64, now: Now) {
-        let Some(inode) = self.live.get_mut(&number) else { return };
+        let Some(inode) = self.live.get_mut(&key(number)) else { return };
         inode.used = now.instant;
         inode.is_read |= end >= inode.value.size();
     }
 
     /// Marks a nodeid as superseded: its node has another value now.
     pub(super) fn retire(&mut self, number: u64, now: Now) {
-        let Some(inode) = self.live.get_mut(&number) else { return };
+        let Some(inode) = self.live.get_mut(&key(number)) else { return };
         // An unread nodeid has not shown any value, so nothing is kept.
         if !matches!(inode.value, Value::Unread(_)) {
             inode.superseded.get_or_insert(now.instant);
@@ -366,19 +495,22 @@ impl<W> Inodes<W> {
         }
     }
 
-    /// Files whose changes must be noticed: those that show a read value that is not superseded.
-    pub(super) fn up_to_date(&self) -> impl Iterator<Item = (u64, Node, &Value)> {
+    /// Files of these nodes whose changes must be noticed: those that show a read value that is not superseded.
+    pub(super) fn up_to_date(
+        &self,
+        places: &RangeInclusive<u32>,
+    ) -> impl Iterator<Item = (u64, Node, &Value)> {
         let files = self
             .live
-            .iter()
+            .range(keys(places))
             .filter(|(_, inode)| inode.superseded.is_none() && !matches!(inode.value, Value::Unread(_)));
-        files.filter_map(|(&number, inode)| Some((number, node(number)?, &inode.value)))
+        files.filter_map(|(&at, inode)| Some((key(at), node(key(at))?, &inode.value)))
     }
 
     /// Adds a request that waits for an unread value. Returns whether it is the first, which means that the caller has
     /// to ask for the value.
     pub(super) fn wait(&mut self, number: u64, waiter: W) -> bool {
-        let Some(inode) = self.live.get_mut(&number) else { return false };
+        let Some(inode) = self.live.get_mut(&key(number)) else { return false };
         let first = inode.waiting.is_none();
         inode.waiting.get_or_insert_default().push(waiter);
         first
@@ -392,7 +524,7 @@ impl<W> Inodes<W> {
         value: Option<&Arc<[u8]>>,
         now: Now,
     ) -> Option<(Shown, Vec<W>)> {
-        let inode = self.live.get_mut(&number)?;
+        let inode = self.live.get_mut(&key(number))?;
         let waiting = inode.waiting.take().unwrap_or_default();
         inode.used = now.instant;
         if let Some(bytes) = value {
@@ -403,7 +535,7 @@ impl<W> Inodes<W> {
         }
         let is_shared = inode.sharing != Sharing::Alone;
         let is_present = value.is_some() && inode.superseded.is_none() && inode.writing == 0;
-        let shown = self.shown(number, now)?;
+        let shown = self.show(number, now)?;
         if is_present && is_shared {
             // Lookups until the next poll find the value that was read.
             if let Some(other) = self.current(shown.node).filter(|&other| other != number) {
@@ -416,10 +548,10 @@ impl<W> Inodes<W> {
 
     /// Takes back lookups; a nodeid without any is dropped.
     pub(super) fn forget(&mut self, number: u64, lookups: u64) {
-        let Some(inode) = self.live.get_mut(&number) else { return };
+        let Some(inode) = self.live.get_mut(&key(number)) else { return };
         inode.lookups = inode.lookups.saturating_sub(lookups);
         if inode.lookups == 0 {
-            self.live.remove(&number);
+            self.live.remove(&key(number));
             self.drop_current(number);
         }
     }
@@ -427,7 +559,7 @@ impl<W> Inodes<W> {
     /// Counts a request for a nodeid's attributes. Returns whether somebody has it open: both `stat` and `open` look
     /// the name up and ask once, so only `fstat` can ask again. An opener for overwriting does not want the value.
     pub(super) fn ask(&mut self, number: u64) -> bool {
-        let Some(looks) = self.live.get_mut(&number).and_then(|inode| inode.looks.as_mut()) else {
+        let Some(looks) = self.live.get_mut(&key(number)).and_then(|inode| inode.looks.as_mut()) else {
             return false;
         };
         *looks = looks.saturating_add(1);
@@ -437,27 +569,27 @@ impl<W> Inodes<W> {
     /// Keeps the errno of a value that only `fstat` has asked for. Many programs read on after a failed `fstat`, and
     /// would not hear of a gauge that stays open.
     pub(super) fn refuse(&mut self, number: u64, errno: Errno, now: Now) {
-        if let Some(inode) = self.live.get_mut(&number) {
+        if let Some(inode) = self.live.get_mut(&key(number)) {
             inode.refusal = Some((errno, now.instant));
         }
     }
 
     /// The errno for a read that follows the `fstat`, once.
     pub(super) fn take_refusal(&mut self, number: u64, now: Now) -> Option<Errno> {
-        let (errno, since) = self.live.get_mut(&number)?.refusal.take()?;
+        let (errno, since) = self.live.get_mut(&key(number))?.refusal.take()?;
         (now.instant.saturating_duration_since(since) < FOLLOWS).then_some(errno)
     }
 
     /// Notes that a nodeid will be overwritten.
     pub(super) fn overwrite(&mut self, number: u64) {
-        if let Some(inode) = self.live.get_mut(&number) {
+        if let Some(inode) = self.live.get_mut(&key(number)) {
             inode.looks = None;
         }
     }
 
     /// Notes that a thread asks for the attribute that precedes a write.
     pub(super) fn asks(&mut self, number: u64, thread: u32) {
-        let Some(inode) = self.live.get_mut(&number) else { return };
+        let Some(inode) = self.live.get_mut(&key(number)) else { return };
         let before = if inode.asked.0 == thread { inode.asked.1 } else { 0 };
         inode.asked = (thread, before + 1);
     }
@@ -465,15 +597,16 @@ impl<W> Inodes<W> {
     /// The thread removes that attribute. Returns whether it is about to write: the kernel asks twice before a write,
     /// and once before a change of owner.
     pub(super) fn is_about_to_write(&mut self, number: u64, thread: u32) -> bool {
-        let Some(inode) = self.live.get_mut(&number) else { return false };
+        let Some(inode) = self.live.get_mut(&key(number)) else { return false };
         let (by, count) = std::mem::take(&mut inode.asked);
         by == thread && count >= 2
     }
 
     /// A write through this nodeid begins. The kernel's copy has the written text, whatever the outcome.
     pub(super) fn write_begins(&mut self, number: u64, now: Now) {
+        *self.writes.entry(group(number)).or_default() += 1;
         self.retire(number, now);
-        if let Some(inode) = self.live.get_mut(&number) {
+        if let Some(inode) = self.live.get_mut(&key(number)) {
             inode.writing += 1;
         }
     }
@@ -481,7 +614,11 @@ impl<W> Inodes<W> {
     /// A write is about to be answered. The nodeid now shows the file's present value, so that the writer reads the
     /// write's result.
     pub(super) fn write_ends(&mut self, number: u64, value: Value, now: Now) {
-        let Some(inode) = self.live.get_mut(&number) else { return };
+        if let Some(writes) = self.writes.get_mut(&group(number)) {
+            *writes -= 1;
+        }
+        self.writes.retain(|_, writes| *writes > 0);
+        let Some(inode) = self.live.get_mut(&key(number)) else { return };
         inode.writing -= 1;
         if inode.writing == 0 {
             self.renew(number, value, now);
@@ -496,7 +633,7 @@ impl<W> Inodes<W> {
 
     /// Gives a nodeid its file's present value.
     pub(super) fn renew(&mut self, number: u64, value: Value, now: Now) {
-        let Some(inode) = self.live.get_mut(&number) else { return };
+        let Some(inode) = self.live.get_mut(&key(number)) else { return };
         inode.value = value;
         inode.superseded = None;
         inode.renewed = Some(now.instant);
@@ -508,7 +645,7 @@ impl<W> Inodes<W> {
     /// Ends settling, or until then gives the nodeid a new file time. During a write it gets one each time: the
     /// kernel's page has what is being written, and a reader that drops it waits until the write is answered.
     pub(super) fn settle(&mut self, number: u64, now: Now) {
-        let Some(inode) = self.live.get_mut(&number) else { return };
+        let Some(inode) = self.live.get_mut(&key(number)) else { return };
         inode.used = now.instant;
         inode.renewed = inode.renewed.filter(|&since| now.instant < since + SETTLING);
         if inode.renewed.is_some() || inode.writing > 0 {
@@ -552,23 +689,27 @@ impl<W> Inodes<W> {
 
     /// Changes a nodeid's file time, so that the kernel drops its bytes and asks for them again.
     pub(super) fn touch(&mut self, number: u64) {
-        if let Some(inode) = self.live.get_mut(&number) {
+        if let Some(inode) = self.live.get_mut(&key(number)) {
             inode.since += Duration::from_nanos(1);
             inode.was_dropped = true;
         }
     }
 }
 
-/// Counts a lookup of a node. The value is asked for under the lock: nobody would notify the kernel of a change in
-/// between. `None` if the file does not exist.
+/// Counts a lookup of a node, whose name the kernel may keep for some time. The value is asked for under the lock: nobody
+/// would notify the kernel of a change in between. `None` if the file does not exist.
 pub(super) fn look_up<W>(
     table: &impl Shared<Inodes<W>>,
     node: Node,
     content: impl FnOnce() -> Option<Value>,
-    sharing: Sharing,
+    (sharing, kept): (Sharing, Duration),
     now: Now,
 ) -> Option<Shown> {
-    table.with(|inodes| content().map(|value| inodes.enter(node, value, sharing, now)))
+    table.with(|inodes| {
+        let shown = inodes.enter(node, content()?, sharing, now);
+        inodes.name(shown.number, kept, now);
+        Some(shown)
+    })
 }
 
 /// A write through a nodeid is about to be answered; the file's value is asked for under the lock.
@@ -581,17 +722,17 @@ pub(super) fn end_write<W>(
     table.with(|inodes| inodes.write_ends(number, present(), now));
 }
 
-/// Retires every nodeid whose file has another value now. Returns whether the kernel keeps one of their names.
+/// Retires every nodeid of these nodes whose file has another value now. Returns whether the kernel may keep one of their
+/// names: it asks again for others.
 pub(super) fn retire_outdated<W>(
     table: &impl Shared<Inodes<W>>,
-    has_changed: impl Fn(Node) -> bool,
+    places: &[RangeInclusive<u32>],
     present: impl Fn(Node) -> Value,
-    may_be_cached: impl Fn(Node) -> bool,
     now: impl Fn() -> Now,
 ) -> bool {
     let files: Vec<(u64, Node, Value)> = table.with(|inodes| {
         inodes.tidy(now());
-        let files = inodes.up_to_date().filter(|(_, node, _)| has_changed(*node));
+        let files = places.iter().flat_map(|places| inodes.up_to_date(places));
         files.map(|(number, node, value)| (number, node, value.clone())).collect()
     });
     let mut outdated = false;
@@ -600,9 +741,9 @@ pub(super) fn retire_outdated<W>(
             continue;
         }
         table.with(|inodes| {
-            // The kernel asks again for other names at each use.
-            outdated |= inodes.current(node) == Some(number) && may_be_cached(node);
-            inodes.retire(number, now());
+            let now = now();
+            outdated |= inodes.get(number).is_some_and(|inode| inode.named > Some(now.instant));
+            inodes.retire(number, now);
         });
     }
     outdated

@@ -14,9 +14,10 @@
 //! | `inval_inode` of a file | its pages; a READ or WRITE locks one until it is answered | not sent; see `getattr` in `adapter` |
 //! | `inval_entry` | the lock of the folder, which a LOOKUP holds until it is answered | not sent |
 //! | `inval_inode` of a folder, without its pages | nothing | when its listing has changed |
-//! | `FUSE_NOTIFY_INC_EPOCH` | nothing | when a file has a new value |
+//! | `FUSE_NOTIFY_INC_EPOCH` | nothing | when the kernel may still keep the name of an old value |
 //!
-//! The last one makes the kernel look up every name again. Linux has it since 6.16; an older one may not keep the
+//! The last one makes the kernel look up every name again, and read what they name, also of other gauges. So names of many
+//! gauges are given until the gauge's next poll only, and then nothing has to be sent. Linux has it since 6.16; an older one may not keep the
 //! names of files at all, so that it sends a LOOKUP each time a file is opened.
 
 use std::hash::{DefaultHasher, Hash, Hasher};
@@ -198,19 +199,11 @@ impl Announcing {
     /// Looks only at changed gauges, because many gauges are polled one after the other.
     fn announce(&mut self) {
         let gauges = self.announcer.signal.take_changed();
-        let has_changed = |node: Node| match node {
-            Node::Of(gauge, _) => gauges.contains(&gauge),
-            // The Mains supply follows from all gauges.
-            Node::Mains(_) => !gauges.is_empty(),
-            Node::Root | Node::Covered(_) => false,
-        };
-        let outdated = inodes::retire_outdated(
-            &*self.table,
-            has_changed,
-            |node| present(&self.fs, node),
-            |node| self.fs.may_be_cached(node),
-            Now::read,
-        );
+        // The Mains supply follows from all gauges.
+        let mains = (!gauges.is_empty()).then(Node::of_mains);
+        let places: Vec<_> = gauges.iter().map(|&gauge| Node::of_gauge(gauge)).chain(mains).collect();
+        let outdated =
+            inodes::retire_outdated(&*self.table, &places, |node| present(&self.fs, node), Now::read);
         if outdated
             && self.announcer.keeps_names()
             && let Err(error) = look_up_again(&self.announcer.device)

@@ -25,6 +25,9 @@ const SCHEDULES: usize = 300;
 /// Schedules with a fixed number of switches to another thread.
 const SWITCHES: usize = 3;
 
+/// How long the kernel may keep a name.
+const KEPT: Duration = Duration::from_secs(2);
+
 const FILE: Node = Node::Of(0, Item::Df(DfItem::Raw(0)));
 
 impl<T> Shared<T> for Mutex<T> {
@@ -111,9 +114,8 @@ impl World {
             let changed = self.changed.swap(false, Ordering::SeqCst);
             let outdated = inodes::retire_outdated(
                 &self.table,
-                |_| changed,
+                if changed { &[0..=u32::MAX] } else { &[] },
                 |_| self.present(),
-                |_| true,
                 || self.now(),
             );
             if outdated {
@@ -124,7 +126,7 @@ impl World {
     }
 
     fn look_up(&self, sharing: Sharing) -> u64 {
-        let shown = inodes::look_up(&self.table, FILE, || Some(self.present()), sharing, self.now());
+        let shown = inodes::look_up(&self.table, FILE, || Some(self.present()), (sharing, KEPT), self.now());
         shown.expect("the file exists").number
     }
 

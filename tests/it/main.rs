@@ -10,6 +10,7 @@ mod cli;
 mod client;
 mod config;
 mod copies;
+mod costs;
 mod doctor;
 mod documents;
 #[allow(dead_code, reason = "the tests of the engine use the rest")]

@@ -15,7 +15,7 @@ use gauge_sim::SimBus;
 use nix::errno::Errno;
 use ti_gauge::keys::Keys;
 
-use crate::room::{CHIP, Swift, errno, mapped, quiet, swift, within};
+use crate::room::{CHIP, Swift, errno, keeps_names, mapped, messages, quiet, swift, within};
 
 /// Of data flash: a parameter, all bytes of a subclass, a link, and all of it.
 const UNREAD: [&str; 4] =
@@ -260,27 +260,10 @@ fn regression_inode_numbers_have_32_bits() {
     assert!(count > 300, "{count}");
 }
 
-/// Messages that this process has read from the kernel: the mount's thread reads nothing else.
-fn messages() -> u64 {
-    let threads =
-        fs::read_dir("/proc/self/task").expect("threads").map(|entry| entry.expect("a thread").path());
-    let of_mounts = threads.filter(|thread| {
-        fs::read_to_string(thread.join("comm")).is_ok_and(|name| name.starts_with("fuser-"))
-    });
-    let calls = |thread: std::path::PathBuf| {
-        let text = fs::read_to_string(thread.join("io")).expect("the kernel counts calls");
-        text.lines().find_map(|line| line.strip_prefix("syscr: ")?.parse::<u64>().ok()).expect("a count")
-    };
-    of_mounts.map(calls).sum()
-}
-
 #[test]
 fn hot_reads_cost_no_message() {
     const READS: u64 = 2000;
     let Some(mount) = quiet(CHIP) else { return };
-    let release = nix::sys::utsname::uname().expect("a kernel").release().to_string_lossy().into_owned();
-    let mut numbers = release.split(['.', '-', '+']).map(|number| number.parse::<u32>().unwrap_or(0));
-    let keeps_names = (numbers.next(), numbers.next()) >= (Some(6), Some(16));
     let held = File::open(mount.path("voltage_now")).expect("opens");
     let cost = |what: &dyn Fn()| {
         what();
@@ -290,10 +273,10 @@ fn hot_reads_cost_no_message() {
     };
     assert_eq!(mount.cat("voltage_now"), String::from_utf8_lossy(&pread(&held).expect("a value")).trim_end());
     let (of_held, of_opened) = (cost(&|| drop(pread(&held))), cost(&|| drop(mount.cat("voltage_now"))));
-    println!("Linux {release}: {READS} reads cost {of_held} messages held open, {of_opened} opened anew");
+    println!("{READS} reads cost {of_held} messages held open, {of_opened} opened anew");
     // Each two seconds the kernel asks whether they still hold.
     assert!(of_held < READS / 10, "{of_held}");
-    assert!(of_opened < if keeps_names { READS / 10 } else { READS * 11 / 10 }, "{of_opened}");
+    assert!(of_opened < if keeps_names() { READS / 10 } else { READS * 11 / 10 }, "{of_opened}");
 }
 
 /// Programs that read hundreds of gauges read one file of each.

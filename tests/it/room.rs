@@ -23,7 +23,9 @@ pub(crate) use commands::{
     within,
 };
 pub(crate) use documents::{TEXT, page, readme, root, rows, section, table, within_code};
-pub(crate) use mounted::{Mount, Swift, errno, mapped, quiet, statistic, swift, write_cut};
+pub(crate) use mounted::{
+    Mount, Swift, errno, keeps_names, mapped, messages, quiet, statistic, swift, write_cut,
+};
 pub(crate) use scratch::{Connections, Folder, folder, folder_named, remove};
 pub(crate) use served::Server;
 pub(crate) use session::{Session, Step, steps};

@@ -76,7 +76,8 @@ impl Tree {
         let (done, is_done) = mpsc::channel();
         let answer = Box::new(move |outcome| done.send(outcome).expect("somebody waits"));
         self.fs.read(self.node(path), answer);
-        is_done.recv().expect("an answer").map_err(|error| Errno::from_raw(error.errno()))
+        let read = is_done.recv().expect("an answer");
+        read.map(|bytes| bytes.to_vec()).map_err(|error| Errno::from_raw(error.errno()))
     }
 
     fn count(&self, wanted: &str) -> u64 {

@@ -47,6 +47,9 @@ fn shown(inodes: &Inodes<u32>, number: u64, millis: u64) -> Shown {
     inodes.shown(number, at(millis)).expect("the nodeid is known")
 }
 
+/// All nodes.
+const ALL: RangeInclusive<u32> = 0..=u32::MAX;
+
 fn value(inodes: &Inodes<u32>, number: u64) -> &Value {
     inodes.get(number).expect("the nodeid is known").value()
 }
@@ -80,7 +83,7 @@ fn a_retired_nodeid_is_not_found_again() {
     let old = inodes.enter(FILE, bytes("1\n"), THREAD, at(0)).number;
     inodes.retire(old, at(1));
     assert_eq!(inodes.current(FILE), None);
-    assert_eq!(inodes.up_to_date().count(), 0);
+    assert_eq!(inodes.up_to_date(&ALL).count(), 0);
     assert_ne!(inodes.enter(FILE, bytes("1\n"), THREAD, at(2)).number, old);
 }
 
@@ -255,6 +258,138 @@ fn a_nodeid_that_rests_is_renewed_when_it_is_used_again() {
     assert_eq!(value(&inodes, entered.number), &bytes("22\n"));
 }
 
+/// The kernel still has its bytes.
+#[test]
+fn a_lookup_finds_the_nodeid_of_an_unchanged_value_again_after_a_rest() {
+    let rest = IN_USE.as_millis() as u64;
+    for sharing in [Sharing::All, THREAD] {
+        let mut inodes = inodes();
+        let first = inodes.enter(FILE, bytes("1\n"), sharing, at(0));
+        drop_resting(&mut inodes, rest);
+        assert!(inodes.live.is_empty());
+        assert_eq!(inodes.enter(FILE, bytes("1\n"), sharing, at(2 * rest)), first, "{sharing:?}");
+        // The kernel may have looked it up before.
+        inodes.forget(first.number, 1);
+        assert!(inodes.get(first.number).is_some());
+        drop_resting(&mut inodes, 3 * rest);
+        let second = inodes.enter(FILE, bytes("2\n"), sharing, at(4 * rest)).number;
+        assert_ne!(second, first.number, "another value: {sharing:?}");
+        drop_resting(&mut inodes, 5 * rest);
+        let third = inodes.enter(FILE, bytes("1\n"), sharing, at(6 * rest)).number;
+        assert!(third != first.number && third != second, "{sharing:?}");
+    }
+}
+
+/// The value that it shows then may be another one, or the kernel may have been told to drop its bytes.
+#[test]
+fn a_nodeid_that_was_used_after_its_rest_or_renewed_or_written_is_not_found_again() {
+    let rest = IN_USE.as_millis() as u64;
+    type Step = fn(&mut Inodes<u32>, u64);
+    let steps: [Step; 5] = [
+        |inodes, number| {
+            drop_resting(inodes, IN_USE.as_millis() as u64);
+            inodes.wake(number, bytes("2\n"), THREAD, at(IN_USE.as_millis() as u64));
+            drop_resting(inodes, 2 * IN_USE.as_millis() as u64);
+        },
+        |inodes, number| inodes.retire(number, at(1)),
+        |inodes, number| inodes.renew(number, bytes("1\n"), at(1)),
+        |inodes, number| inodes.touch(number),
+        |inodes, number| {
+            inodes.write_begins(number, at(1));
+            inodes.write_ends(number, bytes("1\n"), at(1));
+        },
+    ];
+    for (which, step) in steps.into_iter().enumerate() {
+        let mut inodes = inodes();
+        let number = inodes.enter(FILE, bytes("1\n"), THREAD, at(0)).number;
+        step(&mut inodes, number);
+        drop_resting(&mut inodes, 4 * rest);
+        assert_ne!(inodes.enter(FILE, bytes("1\n"), THREAD, at(5 * rest)).number, number, "{which}");
+    }
+}
+
+#[test]
+fn numbers_of_what_rests_are_not_given_to_others() {
+    let mut inodes = inodes();
+    let number = inodes.enter(FILE, bytes("1\n"), THREAD, at(0)).number;
+    drop_resting(&mut inodes, IN_USE.as_millis() as u64);
+    inodes.turn = 0;
+    assert_ne!(inodes.enter(FILE, bytes("2\n"), Sharing::Alone, at(60_000)).number, number);
+}
+
+/// A poll concerns the gauge's own files.
+#[test]
+fn nodeids_are_looked_at_by_their_gauge() {
+    let mut inodes = inodes();
+    let nodes = [0, 1, 2].map(|gauge| Node::Of(gauge, Item::Df(DfItem::Raw(0))));
+    let numbers = nodes.map(|node| inodes.enter(node, bytes("1\n"), Sharing::All, at(0)).number);
+    for (gauge, number) in (0..).zip(numbers) {
+        let found: Vec<u64> = inodes.up_to_date(&Node::of_gauge(gauge)).map(|(number, ..)| number).collect();
+        assert_eq!(found, [number]);
+    }
+}
+
+/// As long as the kernel may use the name without asking, from whenever it has got the answer on.
+#[test]
+fn the_kernel_is_notified_only_while_it_may_keep_a_name() {
+    let kept = Duration::from_millis(700);
+    let over = (kept + NAME_OVER).as_millis() as u64;
+    for (named, millis, expected) in [(kept, over - 1, true), (kept, over, false), (Duration::ZERO, 0, false)]
+    {
+        let table = std::sync::Mutex::new(inodes());
+        let number =
+            look_up(&table, FILE, || Some(bytes("1\n")), (Sharing::All, named), at(0)).expect("there");
+        let outdated = |value: Value| retire_outdated(&table, &[ALL], |_| value.clone(), || at(millis));
+        assert!(!outdated(bytes("1\n")), "the same value");
+        assert_eq!(outdated(bytes("2\n")), expected, "{named:?} {millis}");
+        let inodes = table.lock().expect("no panic");
+        assert!(inodes.current(FILE).is_none() && inodes.get(number.number).is_some());
+    }
+}
+
+#[test]
+fn what_may_be_written_is_leased_while_nobody_writes_to_its_gauge() {
+    let mut inodes = inodes();
+    let other_gauge = Node::Of(1, Item::Df(DfItem::Raw(0)));
+    let read = inodes.enter(FILE, bytes("1\n"), Sharing::Alone, at(0));
+    assert_eq!(read.valid, LEASE);
+    let writes = inodes.enter(OTHER, bytes("1\n"), Sharing::Alone, at(10));
+    // A write waits for the other's lease, and for none of another gauge.
+    assert_eq!(inodes.leases(writes.number, at(10)), LEASE_OVER - Duration::from_millis(10));
+    assert_eq!(inodes.leases(read.number, at(10)), LEASE_OVER);
+    assert_eq!(inodes.leases(writes.number, at(30)), Duration::ZERO);
+    inodes.enter(other_gauge, bytes("1\n"), Sharing::Alone, at(30));
+    assert_eq!(inodes.leases(writes.number, at(30)), Duration::ZERO);
+    inodes.write_begins(writes.number, at(30));
+    let valid =
+        |inodes: &mut Inodes<u32>, number, millis| inodes.show(number, at(millis)).expect("known").valid;
+    assert_eq!(valid(&mut inodes, read.number, 30), Duration::ZERO, "a write to the gauge is under way");
+    let new = inodes.enter(FILE, bytes("1\n"), Sharing::Alone, at(31));
+    assert_eq!(new.valid, Duration::ZERO);
+    assert_eq!(inodes.enter(other_gauge, bytes("1\n"), Sharing::Alone, at(31)).valid, LEASE);
+    inodes.retire(read.number, at(32));
+    inodes.write_ends(writes.number, bytes("2\n"), at(32));
+    assert_eq!(valid(&mut inodes, new.number, 33), LEASE);
+    assert_eq!(valid(&mut inodes, read.number, 33), Duration::ZERO, "it shows an old value");
+    assert_eq!(valid(&mut inodes, writes.number, 33), Duration::ZERO, "its time has to differ");
+    inodes.settle(writes.number, at(33 + SETTLING.as_millis() as u64));
+    assert_eq!(valid(&mut inodes, writes.number, 33 + SETTLING.as_millis() as u64), LEASE);
+    // What is forgotten is used by nobody.
+    inodes.forget(new.number, 1);
+    inodes.forget(read.number, 1);
+    assert_eq!(inodes.leases(writes.number, at(34)), Duration::ZERO);
+}
+
+#[test]
+fn an_unread_value_is_leased_when_it_has_arrived() {
+    let mut inodes = inodes();
+    let unread = inodes.enter(FILE, Value::Unread(4096), Sharing::Alone, at(0));
+    assert_eq!(unread.valid, Duration::ZERO);
+    inodes.wait(unread.number, 1);
+    let (shown, _) = inodes.arrived(unread.number, Some(&b"1\n"[..].into()), at(1)).expect("it is known");
+    assert_eq!(shown.valid, LEASE);
+}
+
 #[test]
 fn an_unread_file_has_a_nodeid_for_each_thread() {
     let mut inodes = inodes();
@@ -348,7 +483,8 @@ fn attributes_of_an_unread_value_are_not_valid_for_any_time() {
         assert_eq!(shown(&inodes, number, 1).valid, Duration::ZERO, "{sharing:?}");
         inodes.wait(number, 1);
         inodes.arrived(number, Some(&b"3000\n"[..].into()), at(1));
-        assert_eq!(shown(&inodes, number, 1).valid, READ_THROUGH / 2, "{sharing:?}");
+        let valid = if sharing == Sharing::Alone { Duration::ZERO } else { READ_THROUGH / 2 };
+        assert_eq!(shown(&inodes, number, 1).valid, valid, "{sharing:?}");
     }
 }
 
@@ -381,7 +517,7 @@ fn a_superseded_nodeid_is_renewed_only_after_the_delay() {
     assert!(renew(&mut inodes, number, bytes("22\n"), at(10 + delay())));
     assert_eq!(shown(&inodes, number, 10 + delay()).size, 3);
     assert_eq!(inodes.due(number, at(9 * delay())), None);
-    assert_eq!(inodes.up_to_date().count(), 1, "a change of the new value is noticed");
+    assert_eq!(inodes.up_to_date(&ALL).count(), 1, "a change of the new value is noticed");
 }
 
 #[test]
@@ -409,7 +545,7 @@ fn attributes_are_not_valid_for_longer_than_a_nodeid_that_was_read_is_in_use() {
             }
             let valid = shown(&inodes, number, 0).valid;
             assert!(
-                !inodes.live[&number].rests(Now { instant: at(0).instant + valid, ..at(0) }),
+                !inodes.live[&key(number)].rests(Now { instant: at(0).instant + valid, ..at(0) }),
                 "{sharing:?}"
             );
         }
@@ -595,7 +731,7 @@ impl Model {
                 }
                 if is_last && has_rested {
                     // It stays until it rests.
-                    inodes.live.remove(&number).expect("nobody knows how often it was looked up");
+                    inodes.live.remove(&key(number)).expect("nobody knows how often it was looked up");
                     inodes.drop_current(number);
                 }
             }
@@ -644,7 +780,7 @@ impl Model {
                 }
             }
             Step::Announce => {
-                let shown: Vec<_> = inodes.up_to_date().map(|(n, _, value)| (n, value.clone())).collect();
+                let shown: Vec<_> = inodes.up_to_date(&ALL).map(|(n, _, value)| (n, value.clone())).collect();
                 for (number, value) in shown {
                     let file = self.known[&number].file;
                     if value != self.value(file) {
@@ -716,6 +852,8 @@ impl Model {
         assert!(bytes.is_some() || known.thread == thread, "threads do not share an unread nodeid");
         assert!(known.writing == 0, "a lookup does not find what is being written");
         known.lookups += 1;
+        // The table has found it again.
+        known.has_rested |= inodes.get(number).is_some_and(|inode| inode.lookups >= UNKNOWN);
         known.last_lookup = self.now;
     }
 

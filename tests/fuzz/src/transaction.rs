@@ -82,9 +82,9 @@ fn written(fs: &Fs, node: Node, data: &[u8]) -> Result<()> {
 
 fn shown(fs: &Fs, node: Node) -> Vec<u8> {
     if let Content::Bytes(bytes) = fs.content(node) {
-        return bytes;
+        return bytes.to_vec();
     }
     let (sender, receiver) = mpsc::channel();
     fs.read(node, Box::new(move |outcome| drop(sender.send(outcome))));
-    receiver.recv().expect("every read is answered").unwrap_or_default()
+    receiver.recv().expect("every read is answered").map(|bytes| bytes.to_vec()).unwrap_or_default()
 }

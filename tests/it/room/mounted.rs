@@ -147,6 +147,27 @@ impl Mount {
     }
 }
 
+/// Messages that this process has read from the kernel: the mount's thread reads nothing else.
+pub(crate) fn messages() -> u64 {
+    let threads =
+        fs::read_dir("/proc/self/task").expect("threads").map(|entry| entry.expect("a thread").path());
+    let of_mounts = threads.filter(|thread| {
+        fs::read_to_string(thread.join("comm")).is_ok_and(|name| name.starts_with("fuser-"))
+    });
+    let calls = |thread: PathBuf| {
+        let text = fs::read_to_string(thread.join("io")).expect("the kernel counts calls");
+        text.lines().find_map(|line| line.strip_prefix("syscr: ")?.parse::<u64>().ok()).expect("a count")
+    };
+    of_mounts.map(calls).sum()
+}
+
+/// Whether the kernel can be told to look names up again, and so may keep those of files.
+pub(crate) fn keeps_names() -> bool {
+    let release = nix::sys::utsname::uname().expect("a kernel").release().to_string_lossy().into_owned();
+    let mut numbers = release.split(['.', '-', '+']).map(|number| number.parse::<u32>().unwrap_or(0));
+    (numbers.next(), numbers.next()) >= (Some(6), Some(16))
+}
+
 /// A simulated gauge whose time does not have to pass, mounted at `m` in a folder of its own.
 pub(crate) struct Swift {
     /// The gauge's folder.
