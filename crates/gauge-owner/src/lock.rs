@@ -288,8 +288,7 @@ pub fn key_of_state(state: &Path) -> String {
 
 /// The holder of a lock that is not taken here, if it is held.
 fn seen(path: &Path) -> Option<Holder> {
-    let status = fs::metadata(path).ok()?;
-    let pid = (0..LOOKS).find_map(|_| holding(&listed(), &status))?;
+    let pid = holding_now(&fs::metadata(path).ok()?)?;
     let file = regular::open(File::options().read(true), path);
     let mountpoint = file.ok().and_then(|mut file| mountpoint_of(&mut file, pid));
     Some(Holder { pid, mountpoint, bus: None })
@@ -297,8 +296,13 @@ fn seen(path: &Path) -> Option<Holder> {
 
 /// The holder of a lock that is held, if the kernel shows it.
 fn holder(file: &mut File) -> Option<Holder> {
-    let pid = holding(&listed(), &file.metadata().ok()?)?;
+    let pid = holding_now(&file.metadata().ok()?)?;
     Some(Holder { pid, mountpoint: mountpoint_of(file, pid), bus: None })
+}
+
+/// The kernel's list leaves out a lock now and then, while another one goes.
+fn holding_now(file: &Metadata) -> Option<i32> {
+    (0..LOOKS).find_map(|_| holding(&listed(), file))
 }
 
 /// The mount point of the process that holds a lock, if that process has written the lock's file.
