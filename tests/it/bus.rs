@@ -402,7 +402,7 @@ echo 3100 > df/80/53 || echo write failed
 # The second poll reads what no attribute needs.
 until [ "$(cat gauge/statistics/polls)" -ge 2 ] && [ -e gauge/registers/true_rc ]; do sleep 0.1; done
 # But what counts time and this mount's own transfers, and what is drawn.
-find . -type f ! -path './sim/*' ! -path './gauge/report' ! -path './gauge/last_error*' ! -name age_ms ! -name presence ! -path './gauge/values' \
+find . -type f ! -path './sim/*' ! -path './gauge/report' ! -path './gauge/last_error*' ! -name age_ms ! -name presence ! -path './gauge/*values' \
     ! -path '*/statistics/*' ! -name '*backup*' ! -name '*state_time*' |
     sort | timeout 300 xargs -d '\n' head -v -c 1000000 2>&1 | cat -v
 cd /

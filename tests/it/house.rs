@@ -933,7 +933,7 @@ fn registers_of_block_access_stand_behind_the_dialect() {
         "ti-gauge image/flashstream",
     ];
     /// Other numbers of that size: where they stand, and how often.
-    const OTHERS: [(&str, &str, usize); 26] = [
+    const OTHERS: [(&str, &str, usize); 27] = [
         // The address of all gauges.
         ("gauge-bus ", "0x55", 1),
         // Subclasses.
@@ -967,6 +967,8 @@ fn registers_of_block_access_stand_behind_the_dialect() {
         // The kernel's number of its I2C devices, and permissions of files.
         ("gauge-bus linux", "89", 1),
         ("gauge-owner key_file", "0o077", 1),
+        // Transfers.
+        ("gauge-owner owner/wire/costs", "94", 2),
         ("gauge-owner lock", "0o077", 1),
     ];
     let top = Path::new(env!("CARGO_MANIFEST_DIR"));
