@@ -105,20 +105,21 @@ impl Program {
         let stops = Arc::new(AtomicBool::new(false));
         let names: Vec<String> = plan.slots().map(String::from).collect();
         let title = format!("{}  {}", plan.name(), input::name(&self.image));
-        let clock: Arc<dyn Clock> =
-            if self.fast { Arc::new(SimClock::new()) } else { Arc::new(RealClock::new()) };
+        let clock = || -> Arc<dyn Clock> {
+            if self.fast { Arc::new(SimClock::new()) } else { Arc::new(RealClock::new()) }
+        };
         let packs = if self.once { Some(1) } else { self.count };
         let failed = Arc::new(AtomicBool::new(false));
         #[cfg(feature = "screen")]
         if self.screen {
-            return on_screen(plan, &clock, packs, stops, (title, &names));
+            return on_screen(plan, clock, packs, stops, (title, &names));
         }
         #[cfg(not(feature = "screen"))]
         drop((names, title));
         watch_signals(stops.clone(), |line| say(line))?;
         let terminal = Terminal { stops: stops.clone(), failed: failed.clone() };
         let scanner = Box::new(Input::new(terminal.clone()));
-        let passed = gauge_station::run(plan, &clock, Box::new(terminal), scanner, packs, stops)?;
+        let passed = gauge_station::run(plan, clock, Box::new(terminal), scanner, packs, stops)?;
         let passed = passed && !failed.load(Ordering::SeqCst);
         Ok(if passed { ExitCode::SUCCESS } else { ExitCode::FAILURE })
     }
@@ -157,7 +158,7 @@ fn watch_signals(stops: Arc<AtomicBool>, tell: impl Fn(&str) + Send + 'static) -
 #[cfg(feature = "screen")]
 fn on_screen(
     plan: Plan,
-    clock: &Arc<dyn Clock>,
+    clock: impl Fn() -> Arc<dyn Clock>,
     packs: Option<u64>,
     stops: Arc<AtomicBool>,
     (title, slots): (String, &[String]),

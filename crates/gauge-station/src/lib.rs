@@ -53,9 +53,9 @@
 //!
 //! let plan = Plan::read(&image, setup)?;
 //! // A simulated pack can have simulated time.
-//! let clock: Arc<dyn Clock> = Arc::new(SimClock::new());
+//! let clock = || -> Arc<dyn Clock> { Arc::new(SimClock::new()) };
 //! let stops = Arc::new(AtomicBool::new(false));
-//! let passed = gauge_station::run(plan, &clock, Box::new(Printed), Box::new(Nobody), None, stops)?;
+//! let passed = gauge_station::run(plan, clock, Box::new(Printed), Box::new(Nobody), None, stops)?;
 //! assert!(passed);
 //! let record = fs::read_to_string(folder.join("line1.jsonl")).expect("a record");
 //! assert!(record.lines().last().is_some_and(|line| line.contains("\"event\":\"pass\"")));

@@ -67,9 +67,11 @@ const MAYBE_ANOTHER: &str =
 
 /// Programs packs at all places of a station at the same time, until `packs` have been begun, there are no more, or
 /// `stops` is set. Returns whether all have passed; an unfinished pack of an earlier run has not.
+///
+/// Each place gets a clock of its own: with one simulated clock, the waits of one place would be silence of the others.
 pub fn run(
     plan: Plan,
-    clock: &Arc<dyn Clock>,
+    clock: impl Fn() -> Arc<dyn Clock>,
     screen: Box<dyn Screen>,
     scanner: Box<dyn Scanner>,
     packs: Option<u64>,

@@ -27,10 +27,11 @@ pub(super) struct Place {
 }
 
 impl Place {
-    pub(super) fn all(plan: &Plan, clock: &Arc<dyn Clock>) -> Result<Vec<Self>> {
+    pub(super) fn all(plan: &Plan, clock: impl Fn() -> Arc<dyn Clock>) -> Result<Vec<Self>> {
         let mut places = Vec::new();
         for (at, (name, gauge)) in plan.setup.gauges.iter().enumerate() {
-            places.push(Self::open(plan, at, Source::of(gauge)?, clock).map_err(|error| error.within(name))?);
+            let opened = Self::open(plan, at, Source::of(gauge)?, &clock());
+            places.push(opened.map_err(|error| error.within(name))?);
         }
         Ok(places)
     }

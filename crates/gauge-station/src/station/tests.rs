@@ -1584,7 +1584,14 @@ fn what_is_rehearsed_goes_wrong_as_it_is_called() {
     let clock: Arc<dyn Clock> = Arc::new(SimClock::new());
     let said = Said::default();
     let stops = Arc::new(AtomicBool::new(false));
-    let run = super::run(folder.plan(&lines), &clock, Box::new(said.clone()), Lines::of(&[]), None, stops);
+    let run = super::run(
+        folder.plan(&lines),
+        || clock.clone(),
+        Box::new(said.clone()),
+        Lines::of(&[]),
+        None,
+        stops,
+    );
     assert!(!run.expect("it runs"));
     let steps: Vec<_> = folder.lines().into_iter().filter(|line| line.event != Event::Begun).collect();
     let steps: Vec<_> = steps.iter().map(|line| line.step.as_deref().unwrap_or("pass")).collect();
