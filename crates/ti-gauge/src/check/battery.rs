@@ -308,7 +308,10 @@ impl Battery {
             let name = key.get_ref();
             let value = match value.get_ref() {
                 DeValue::String(value) => said.set(name, value),
-                _ => Err(format!("{}: write it in quotes, with its unit", text::printable(name))),
+                // An unknown name is told as that.
+                _ => said
+                    .set(name, "")
+                    .and_then(|()| Err(format!("{name}: write it in quotes, with its unit"))),
             };
             value.map_err(|why| format!("line {number}: {why}"))?;
         }
@@ -475,6 +478,10 @@ mod tests {
             (
                 "cells = \"3s\"\n",
                 "it lacks the chemistry, such as li-ion, and the capacity, such as 5200mAh or 5.2Ah",
+            ),
+            (
+                "series = 4\n",
+                "line 1: series: no value of a battery; use chemistry, cells, capacity, energy, charge-voltage, taper-current, terminate-voltage",
             ),
             (
                 "volts = \"3V\"\n",
