@@ -22,6 +22,17 @@ pub use plan::{Differs, Has, Plan, Step};
 pub use history::{History, Poll, Summary};
 pub use rules::RULES;
 
+/// The rows that both the rules and a plan look at, by their names in all tables.
+const ENERGY: &[&str] = &["Design Energy"];
+const ENERGY_SCALE: &[&str] = &["Design Energy Scale"];
+const TERMINATE: &[&str] = &["Terminate Voltage", "Cell Terminate Voltage"];
+const TAPER_VOLTAGE: &[&str] = &["Taper Voltage"];
+
+/// The first row with one of these names whose address is certain.
+fn find(chip: &'static Chip, names: &[&str]) -> Option<Row> {
+    chip.rows().find(|(_, row)| names.contains(&row.name) && !row.unproven)
+}
+
 /// How bad a finding is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Severity {
@@ -263,7 +274,7 @@ impl<'a> Facts<'a> {
 
     /// The first row with one of these names.
     fn named(&self, names: &[&str]) -> Result<Row, Lacking> {
-        self.chip.rows().find(|(_, row)| names.contains(&row.name) && !row.unproven).ok_or(Lacking::Never)
+        find(self.chip, names).ok_or(Lacking::Never)
     }
 
     /// The row at a place.

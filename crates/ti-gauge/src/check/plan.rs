@@ -6,27 +6,24 @@
 //! never among them: those are steps, with what to type or which tool has them.
 
 use super::battery::{Battery, Family, Typical};
+use super::{ENERGY, ENERGY_SCALE, TAPER_VOLTAGE, TERMINATE, find};
 use crate::chip::{Chip, Row, Scale};
 use crate::learning::Learns;
 use crate::notation;
 use crate::value::Value;
 
-/// The rows by their names in all tables.
+/// The rows that only a plan looks at.
 const CAPACITY: &[&str] = &["Design Capacity", "Design Capacity mAh", "Cell Design Capacity mAh"];
-const ENERGY: &[&str] = &["Design Energy"];
-const ENERGY_SCALE: &[&str] = &["Design Energy Scale"];
 const CELLS: &[&str] = &["Number of series cell", "Number of Series Cells", "Series Cell Count"];
 const WARM: &[&str] = &["Cell Charge Voltage T1-T2", "Charging Voltage"];
 const USUAL: &[&str] = &["Cell Charge Voltage T2-T3"];
 const HOT: &[&str] = &["Cell Charge Voltage T3-T4"];
 const NOMINAL: &[&str] = &["Design Voltage"];
 const CELL_NOMINAL: &[&str] = &["Cell Design Voltage"];
-const TERMINATE: &[&str] = &["Terminate Voltage", "Cell Terminate Voltage"];
 const EDV: &[&str] = &["Fixed EDV 0"];
 const NEXT_EDV: &[&str] = &["Fixed EDV 1"];
 const TAPER: &[&str] = &["Taper Current"];
 const TAPER_RATE: &[&str] = &["Taper Rate"];
-const TAPER_VOLTAGE: &[&str] = &["Taper Voltage"];
 const BITS: &[&str] = &["Pack Configuration"];
 const BITS_B: &[&str] = &["Pack Configuration B"];
 const ALL: [&[&str]; 17] = [
@@ -128,10 +125,6 @@ impl Plan {
     pub fn is_fine(&self) -> bool {
         self.differ.is_empty() && !self.steps.iter().any(|step| step.is_due)
     }
-}
-
-fn find(chip: &'static Chip, names: &[&str]) -> Option<Row> {
-    chip.rows().find(|(_, row)| names.contains(&row.name) && !row.unproven)
 }
 
 impl Battery {

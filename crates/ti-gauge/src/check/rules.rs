@@ -4,6 +4,7 @@
 
 use super::Severity::{Doubtful, Note, Wrong};
 use super::Subject::{Age, Flash, Impossible, Interference, Learning, NotConfigured};
+use super::{ENERGY, ENERGY_SCALE, TAPER_VOLTAGE, TERMINATE};
 use super::{Facts, Lacking, Rule, Severity, Subject, Verdict};
 use crate::chip::{Kind, Quirk, Register, Role, Row, Safe};
 use crate::codec::WINDOW;
@@ -19,10 +20,6 @@ use age::{
 };
 
 pub(super) const DESIGN: &[&str] = &["Design Capacity", "Design Capacity mAh"];
-const ENERGY: &[&str] = &["Design Energy"];
-const ENERGY_SCALE: &[&str] = &["Design Energy Scale"];
-const TERMINATE: &[&str] = &["Terminate Voltage", "Cell Terminate Voltage"];
-const TAPER_VOLTAGE: &[&str] = &["Taper Voltage"];
 const TAPER: &[&str] = &["Taper Current", "Taper Rate"];
 /// The voltages at which a charge ends, and how far a cell may be above: where it is that of the charger, and where it is a
 /// little below.
