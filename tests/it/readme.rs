@@ -150,7 +150,7 @@ fn no_page_is_longer_than_its_reader_needs() {
         names.filter(|name| name.ends_with(".md")).map(|name| (words(&page(&name)), name)).collect();
     let all = of_readme + pages.iter().map(|(words, _)| words).sum::<usize>();
     println!("README.md {of_readme}, all pages {all}: {pages:?}");
-    assert!(pages.len() > 20 && all <= 40_000, "all pages have {all} words: {pages:?}");
+    assert!(pages.len() > 20 && all <= 42_000, "all pages have {all} words: {pages:?}");
 }
 
 /// An example that mounts where only root may says so.
