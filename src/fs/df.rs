@@ -230,15 +230,20 @@ impl Operations for Field<'_> {
     }
 
     fn content(&self) -> Content {
-        match self.supply.handle.kept(self.at.into()) {
-            Some(bytes) => Content::Bytes(self.supply.parameter_text(self.at, self.row, &bytes).into()),
+        let (_, parameter) = self.supply.row(self.at, self.row);
+        match self.supply.handle.kept_parameter(self.at.into(), parameter) {
+            Some(value) => Content::Bytes(line(parameter, &value)),
             None => Content::Unread(UNREAD),
         }
     }
 
     fn read(&self, done: Done<Arc<[u8]>>) {
-        let (supply, at, row) = (Arc::clone(self.supply), self.at, self.row);
-        self.supply.read(at, done, move |bytes| supply.parameter_text(at, row, &bytes).into());
+        if let Err(error) = self.supply.check_readable(self.at) {
+            return done(Err(error));
+        }
+        let (_, parameter) = self.supply.row(self.at, self.row);
+        let done = Box::new(move |read: Result<Value>| done(read.map(|value| line(parameter, &value))));
+        self.supply.handle.ask(&op::READ_VALUE, (self.at.into(), parameter), done);
     }
 
     fn write(&self, _: Caller, data: &[u8], done: Done<()>) {
@@ -291,7 +296,11 @@ impl Operations for Raw<'_> {
     }
 
     fn read(&self, done: Done<Arc<[u8]>>) {
-        self.supply.read(self.at, done, |bytes| bytes);
+        if let Err(error) = self.supply.check_readable(self.at) {
+            return done(Err(error));
+        }
+        let done = Box::new(move |read: Result<Vec<_>>| done(read.map(|mut read| read.swap_remove(0))));
+        self.supply.handle.ask(&op::READ, vec![self.at.into()], done);
     }
 }
 
@@ -384,11 +393,6 @@ impl Supply {
         (subclass, &subclass.parameters[usize::from(row)])
     }
 
-    fn parameter_text(&self, at: u8, row: u8, bytes: &[u8]) -> Vec<u8> {
-        let (subclass, parameter) = self.row(at, row);
-        (value_text(self.chip(), subclass, parameter, bytes) + "\n").into_bytes()
-    }
-
     fn df_node(&self, item: DfItem) -> Node {
         self.node(Item::Df(item))
     }
@@ -402,19 +406,12 @@ impl Supply {
         self.df_node(if self.subclass(at).id == FLAT { DfItem::Flat } else { DfItem::Subclass(at) })
     }
 
-    /// Reads a subclass; a file shows the `text` of its bytes.
-    fn read<T>(&self, at: u8, done: Done<Arc<[u8]>>, text: T)
-    where
-        T: FnOnce(Arc<[u8]>) -> Arc<[u8]> + Send + 'static,
-    {
+    fn check_readable(&self, at: u8) -> Result<()> {
         let subclass = self.subclass(at);
-        if subclass.kind == Kind::Security {
-            return done(Err(Error::new(subclass.name, Cause::NotPermitted, "keys are never read")));
+        match subclass.kind {
+            Kind::Security => Err(Error::new(subclass.name, Cause::NotPermitted, "keys are never read")),
+            Kind::Plain | Kind::Reset => Ok(()),
         }
-        let done = Box::new(move |read: Result<Vec<Arc<[u8]>>>| {
-            done(read.map(|mut read| text(read.swap_remove(0))));
-        });
-        self.handle.ask(&op::READ, vec![at.into()], done);
     }
 
     fn refuse_parameter(&self, folder: &str, name: &str) -> Error {
@@ -494,6 +491,11 @@ impl Supply {
 /// A sealed gauge without a key shows everything but the values in data flash.
 fn unless_sealed(read: Result<()>) -> Result<()> {
     read.or_else(|error| if error.errno() == Errno::EPERM as i32 { Ok(()) } else { Err(error) })
+}
+
+/// The text of a parameter's file.
+fn line(parameter: &Parameter, value: &Value) -> Arc<[u8]> {
+    (notation::render(parameter.kind, value) + "\n").into_bytes().into()
 }
 
 /// A parameter's file name on parts with a flat address space.

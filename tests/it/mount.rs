@@ -428,6 +428,7 @@ fn files_of_data_flash_appear_when_it_is_read() {
     assert!(!mount.cat("uevent").contains("VOLTAGE_MAX_DESIGN"));
     assert_eq!(mount.transfers(), transfers, "nothing is read for them");
     mount.cat("df/48/19");
+    mount.cat("df/48/55");
     until("the technology", || mount.shows("technology", "Li-ion"));
     assert!(!mount.path(name).exists(), "the number of cells is not known");
     mount.cat("df/64/7");

@@ -42,6 +42,7 @@ mod keyrow;
 mod knowledge;
 mod measured;
 mod pack;
+mod part;
 mod planned;
 mod records;
 mod rules;
@@ -67,6 +68,7 @@ use keychange::Begun;
 use knowledge::{Found, Knowledge, check_unsealed, learning};
 pub(crate) use measured::{BEGINS, accept_measured, assure_same, expect_measured, undo_measured};
 pub use pack::distinguishes;
+pub use part::Part;
 use records::Records;
 use rules::Rules;
 pub use rules::{Limits, WRITES_PER_HOUR};
@@ -186,6 +188,16 @@ impl DataFlash {
         wanted: &[&'static Subclass],
         waited: Duration,
     ) -> Result<Vec<Vec<u8>>> {
+        self.read_parts(gauge, &whole(wanted), waited)
+    }
+
+    /// Reads parts of subclasses in one session.
+    pub fn read_parts(
+        &mut self,
+        gauge: &mut Gauge,
+        wanted: &[Part],
+        waited: Duration,
+    ) -> Result<Vec<Vec<u8>>> {
         let read = self.read_found(gauge, wanted, waited, |_| true);
         read.map(Option::unwrap_or_default)
     }
@@ -207,13 +219,13 @@ impl DataFlash {
         gauge: &mut Gauge,
         wanted: &[&'static Subclass],
     ) -> Result<Option<Vec<Vec<u8>>>> {
-        self.read_found(gauge, wanted, Duration::ZERO, |found| found != Seal::Sealed)
+        self.read_found(gauge, &whole(wanted), Duration::ZERO, |found| found != Seal::Sealed)
     }
 
     fn read_found(
         &mut self,
         gauge: &mut Gauge,
-        wanted: &[&'static Subclass],
+        wanted: &[Part],
         waited: Duration,
         allowed: impl Fn(Seal) -> bool,
     ) -> Result<Option<Vec<Vec<u8>>>> {
@@ -245,7 +257,7 @@ impl DataFlash {
     fn read_open(
         &mut self,
         gauge: &mut Gauge,
-        wanted: &[&'static Subclass],
+        wanted: &[Part],
         session: &mut Session,
     ) -> Result<Vec<Vec<u8>>> {
         session.open(gauge)?;
@@ -265,8 +277,8 @@ impl DataFlash {
         }
         self.knowledge.refer(gauge, session);
         let mut read = Vec::with_capacity(wanted.len());
-        for subclass in wanted {
-            read.push(self.knowledge.read_subclass(gauge, subclass, &unread)?.0);
+        for part in wanted {
+            read.push(self.knowledge.read_part(gauge, part, &unread)?.0);
         }
         self.knowledge.take_gate(gauge.chip, wanted);
         gauge.note_open();
@@ -523,17 +535,18 @@ impl DataFlash {
             return Err(self.knowledge.other_pack(gauge, row));
         }
         self.knowledge.refer(gauge, session);
-        let count = first.wanted.iter().map(|subclass| io::blocks_of(subclass)).sum();
+        let wanted = whole(first.wanted);
+        let count = wanted.iter().map(Part::blocks).sum();
         gauge.statistics.progress.begin(Phase::Saving, count, gauge.clock.now());
-        let mut read = Vec::with_capacity(first.wanted.len());
-        for subclass in first.wanted {
-            let (bytes, other) = self.knowledge.read_subclass(gauge, subclass, &unread)?;
+        let mut read = Vec::with_capacity(wanted.len());
+        for part in &wanted {
+            let (bytes, other) = self.knowledge.read_part(gauge, part, &unread)?;
             if let Some(row) = other {
                 return Err(self.knowledge.other_pack(gauge, row));
             }
             read.push(bytes);
         }
-        self.knowledge.take_gate(gauge.chip, first.wanted);
+        self.knowledge.take_gate(gauge.chip, &wanted);
         (first.take)(read)
     }
 
@@ -662,6 +675,10 @@ fn load_as_seen(gauge: &mut Gauge, place: Window, mut before: Option<[u8; WINDOW
         before = Some(now);
     }
     sequence(gauge).load(gauge, place, Care::Sure)
+}
+
+fn whole(wanted: &[&'static Subclass]) -> Vec<Part> {
+    wanted.iter().map(|subclass| Part::whole(subclass)).collect()
 }
 
 fn still_written(gauge: &mut Gauge, outcome: Outcome) -> Result<Outcome> {

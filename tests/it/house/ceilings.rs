@@ -14,7 +14,7 @@ use super::{crates, files, without_tests};
 /// The most lines of each crate.
 const LINES: [(&str, usize); 10] = [
     ("gauge-bus", 3_220),
-    ("gauge-owner", 7_590),
+    ("gauge-owner", 7_660),
     ("gauge-sim", 10_520),
     ("gauge-station", 3_800),
     ("gaugefs", 18_970),
@@ -22,7 +22,7 @@ const LINES: [(&str, usize); 10] = [
     ("gaugefs-host", 600),
     ("gaugefs-screen", 6_160),
     ("i2c-server", 1_280),
-    ("ti-gauge", 30_000),
+    ("ti-gauge", 30_060),
 ];
 
 /// The least lines of code to one of comment in each crate, in tenths. What others use has a line for each public item.

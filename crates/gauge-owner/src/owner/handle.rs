@@ -3,6 +3,7 @@
 //! A gauge as everything but its owner sees it: what the owner has published, and the queue of requests.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::ops::Range;
 use std::sync::atomic::{AtomicU16, Ordering};
 use std::sync::mpsc;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError, Weak};
@@ -154,7 +155,7 @@ pub(super) struct Shared {
     pub(super) clock: Arc<dyn Clock>,
     pub(super) statistics: Arc<Statistics>,
     published: Mutex<Arc<Published>>,
-    /// Subclasses that have been read, by their index in the table.
+    /// What has been read of subclasses, by their index in the table.
     kept: Mutex<Cache>,
     /// The scales in data flash that have been read, by their places; 0 for a scale that may have changed since.
     flash_scales: Mutex<BTreeMap<(u8, u16), u8>>,
@@ -167,19 +168,37 @@ pub(super) struct Shared {
 
 struct Cache {
     now: Epoch<Content>,
-    subclasses: Vec<Fact<Kept, Content>>,
+    /// The readings of each, the latest one last.
+    subclasses: Vec<Fact<Vec<Reading>, Content>>,
 }
 
 impl Cache {
-    fn get(&self, subclass: usize) -> Option<&Kept> {
-        self.subclasses.get(subclass)?.get(self.now)
+    /// The latest reading of these bytes; with a poll, one that was read since.
+    fn get(&self, subclass: usize, offsets: &Range<u16>, poll: Option<u64>) -> Option<&Reading> {
+        let readings = self.subclasses.get(subclass)?.get(self.now)?;
+        let is_it =
+            |reading: &&Reading| reading.covers(offsets) && poll.is_none_or(|poll| reading.poll == poll);
+        readings.iter().rev().find(is_it)
     }
 }
 
-struct Kept {
+/// A subclass, or a part of it, as it was read at once.
+struct Reading {
+    /// The offset of its first byte.
+    start: u16,
     bytes: Arc<[u8]>,
     /// The last poll before it was read. Learned values are valid until the next one.
     poll: u64,
+}
+
+impl Reading {
+    fn offsets(&self) -> Range<u16> {
+        self.start..self.start + self.bytes.len() as u16
+    }
+
+    fn covers(&self, Range { start, end }: &Range<u16>) -> bool {
+        self.start <= *start && *end <= self.offsets().end
+    }
 }
 
 pub(super) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
@@ -331,29 +350,39 @@ impl Shared {
     }
 
     pub(super) fn kept(&self, subclass: usize) -> Option<Arc<[u8]>> {
-        let poll = self.published().snapshot.as_ref().map(|snapshot| snapshot.number);
-        let kept = lock(&self.kept);
-        let kept = kept.get(subclass)?;
-        let learned = self.chip.subclasses[subclass].parameters.iter().any(|parameter| parameter.learned);
-        let valid = !learned || poll == Some(kept.poll);
-        valid.then(|| kept.bytes.clone())
+        let row = self.chip.subclasses.get(subclass)?;
+        self.reading(subclass, row.start()..row.start() + row.stored(), |reading| reading.bytes.clone())
+    }
+
+    /// A parameter's value, if its bytes are kept and still valid.
+    pub(super) fn kept_parameter(&self, subclass: usize, parameter: &Parameter) -> Option<Value> {
+        self.kept_at(subclass, parameter.offset, parameter.kind)
+    }
+
+    /// What was read at once of some bytes, if that is still valid: a poll puts only those out of date that the gauge rewrites.
+    fn reading<T>(&self, subclass: usize, offsets: Range<u16>, of: impl FnOnce(&Reading) -> T) -> Option<T> {
+        let overlaps = |parameter: &Parameter| {
+            parameter.offset < offsets.end && offsets.start < parameter.offset + parameter.kind.size() as u16
+        };
+        let mut parameters = self.chip.subclasses[subclass].parameters.iter();
+        let poll = match parameters.any(|parameter| parameter.learned && overlaps(parameter)) {
+            true => Some(self.published().snapshot.as_ref()?.number),
+            false => None,
+        };
+        lock(&self.kept).get(subclass, &offsets, poll).map(of)
+    }
+
+    fn kept_at(&self, subclass: usize, offset: u16, kind: Type) -> Option<Value> {
+        let size = kind.size();
+        self.reading(subclass, offset..offset + size as u16, |reading| {
+            let at = usize::from(offset - reading.start);
+            self.chip.layout.decode(kind, &reading.bytes[at..at + size])
+        })
     }
 
     /// A value of data flash, given by its subclass (or `FLAT`) and offset, if its bytes are kept and still valid.
     pub(super) fn kept_value(&self, (id, offset): (u8, u16), kind: Type) -> Option<Value> {
-        let index = self.index((id, offset))?;
-        let row = &self.chip.subclasses[index];
-        let end = offset + kind.size() as u16;
-        let overlaps = |parameter: &Parameter| {
-            parameter.offset < end && offset < parameter.offset + parameter.kind.size() as u16
-        };
-        let bytes = match row.parameters.iter().any(|parameter| parameter.learned && overlaps(parameter)) {
-            true => self.kept(index)?,
-            // A poll does not put values out of date that the gauge does not rewrite.
-            false => lock(&self.kept).get(index)?.bytes.clone(),
-        };
-        let at = usize::from(offset - row.start());
-        Some(self.chip.layout.decode(kind, bytes.get(at..at + kind.size())?))
+        self.kept_at(self.index((id, offset))?, offset, kind)
     }
 
     pub(super) fn kept_byte(&self, place: (u8, u16)) -> Option<u8> {
@@ -373,15 +402,22 @@ impl Shared {
     pub(super) fn unread_places(&self) -> Vec<usize> {
         let indices: BTreeSet<_> = self.chip.places().filter_map(|place| self.index(place)).collect();
         let kept = lock(&self.kept);
-        indices.into_iter().filter(|&index| kept.get(index).is_none()).collect()
+        let is_unread = |index: &usize| {
+            let row = &self.chip.subclasses[*index];
+            kept.get(*index, &(row.start()..row.start() + row.stored()), None).is_none()
+        };
+        indices.into_iter().filter(is_unread).collect()
     }
 
-    /// Keeps the bytes of a subclass, read after that poll.
-    pub(super) fn keep(&self, subclass: usize, bytes: Arc<[u8]>, poll: u64) {
-        self.note_scales(self.chip.subclasses[subclass].id, self.chip.subclasses[subclass].start(), &bytes);
+    /// Keeps bytes of a subclass from that offset on, read at once after that poll, in place of what was read of them before.
+    pub(super) fn keep(&self, subclass: usize, start: u16, bytes: Arc<[u8]>, poll: u64) {
+        self.note_scales(self.chip.subclasses[subclass].id, start, &bytes);
+        let reading = Reading { start, bytes, poll };
         let mut kept = lock(&self.kept);
         let now = kept.now;
-        kept.subclasses[subclass].learn(now, Kept { bytes, poll });
+        let readings = kept.subclasses[subclass].in_epoch(now);
+        readings.retain(|before| !reading.covers(&before.offsets()));
+        readings.push(reading);
         drop(kept);
         self.raise();
     }
@@ -509,6 +545,11 @@ impl Handle {
     /// The bytes of a subclass (by its index in the table), if they are kept and still valid.
     pub fn kept(&self, subclass: usize) -> Option<Arc<[u8]>> {
         self.shared.kept(subclass)
+    }
+
+    /// A parameter's value, given by its subclass's index, if its bytes are kept and still valid.
+    pub fn kept_parameter(&self, subclass: usize, parameter: &Parameter) -> Option<Value> {
+        self.shared.kept_parameter(subclass, parameter)
     }
 
     /// A byte of data flash, given by its subclass (or `FLAT`) and offset, if it is kept and still valid.

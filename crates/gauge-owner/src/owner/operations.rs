@@ -16,16 +16,25 @@ use super::{Attempt, Owner, Presence, Seal, Wish, words, written};
 use crate::error::{Cause, Error, Result};
 use ti_gauge::authentication::{self, Message};
 use ti_gauge::calibration::Job;
-use ti_gauge::chip::Subclass;
+use ti_gauge::chip::{Parameter, Subclass};
 use ti_gauge::dataflash::{Change, Decision, Outcome, Place};
 use ti_gauge::epoch::{Epoch, Fact};
 use ti_gauge::keys;
+use ti_gauge::value::Value;
 
 /// Reads subclasses, by their indices in the table. Those that are kept and still valid cost nothing.
 pub static READ: Operation<Vec<usize>, Vec<Arc<[u8]>>> =
     Operation::new("read", |owner, wanted: Vec<usize>, asked| owner.access.read(&wanted, asked.waited))
         .attempting(|wanted| Attempt::Read(wanted.clone()))
         .reporting();
+
+/// Reads a parameter, given by its subclass's index in the table. One that is kept and still valid costs nothing.
+pub static READ_VALUE: Operation<(usize, &'static Parameter), Value> =
+    Operation::new("read value", |owner, (index, parameter): (usize, &'static Parameter), asked| {
+        owner.access.read_value(index, parameter, asked.waited)
+    })
+    .attempting(|&(index, _)| Attempt::Read(vec![index]))
+    .reporting();
 
 /// Reads subclasses, and marks of the pack for later accesses. No program asked, so a failure is not shown.
 pub static KNOW: Operation<Vec<usize>> =

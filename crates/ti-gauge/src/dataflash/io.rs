@@ -5,9 +5,10 @@
 use std::time::Duration;
 
 use super::pack::Known;
+use super::part::Part;
 use super::schemes::{Care, sequence};
 use super::window::{Planned, Window, holds_keys, learned, locate};
-use crate::chip::{Chip, Subclass};
+use crate::chip::Chip;
 use crate::codec::WINDOW;
 use crate::error::{Cause, Error, Reason, Result, Step};
 use crate::gauge::{Gauge, Phase, Seal};
@@ -26,16 +27,16 @@ pub(super) fn read_byte(gauge: &mut Gauge, (subclass, offset): (u8, u16)) -> Res
     Ok(byte[0])
 }
 
-pub(super) fn read_subclass(
+pub(super) fn read(
     gauge: &mut Gauge,
-    subclass: &Subclass,
+    part: &Part,
     read: &Known,
     mut note: impl FnMut(Window, &[u8; WINDOW]),
 ) -> Result<Vec<u8>> {
-    let length = usize::from(subclass.stored());
+    let length = part.length();
     let mut bytes = Vec::with_capacity(length);
     while bytes.len() < length {
-        let (place, at) = locate(subclass.id, subclass.start() + bytes.len() as u16);
+        let (place, at) = locate(part.subclass.id, part.start() + bytes.len() as u16);
         let window = match read.get(place) {
             Some(window) => window,
             None => sequence(gauge).load(gauge, place, Care::Quick)?,
@@ -45,11 +46,6 @@ pub(super) fn read_subclass(
         bytes.extend_from_slice(&window[at..WINDOW.min(at + length - bytes.len())]);
     }
     Ok(bytes)
-}
-
-pub(super) fn blocks_of(subclass: &Subclass) -> usize {
-    let (_, at) = locate(subclass.id, subclass.start());
-    (at + usize::from(subclass.stored())).div_ceil(WINDOW)
 }
 
 /// Loads a block of known content again, as it is now: learned bytes may have moved, and the checksum covers them.

@@ -6,11 +6,12 @@ use super::identity::{identify, serial_number};
 use super::io;
 use super::keyrow::keeps_unseal_key;
 use super::pack::{self, Known, Match, NOTHING, compare};
+use super::part::Part;
 use super::schemes::{Care, sequence};
 use super::session::{Reference, Session};
 use super::window::{Planned, Window, learned};
 use super::{Change, Place, Row};
-use crate::chip::{Chip, FLAT, Kind, Subclass};
+use crate::chip::{Chip, FLAT, Kind};
 use crate::codec::{Bytes, WINDOW};
 use crate::epoch::{Epoch, Fact};
 use crate::error::{Cause, Error, Result, Step};
@@ -159,16 +160,16 @@ impl Knowledge {
         windows.filter(|place| self.known().get(*place).is_none()).collect()
     }
 
-    /// Reads a whole subclass. Blocks of it that this session has just `read` are taken as they were then. Also returns what
+    /// Reads a part of a subclass. Blocks of it that this session has just `read` are taken as they were then. Also returns what
     /// shows that it is another pack, which is in doubt then.
-    pub(super) fn read_subclass(
+    pub(super) fn read_part(
         &mut self,
         gauge: &mut Gauge,
-        subclass: &'static Subclass,
+        part: &Part,
         read: &[Window],
     ) -> Result<(Vec<u8>, Option<Row>)> {
         let (chip, read, mut other) = (gauge.chip, self.known().only(read), None);
-        let bytes = io::read_subclass(gauge, subclass, &read, |place, content| {
+        let bytes = io::read(gauge, part, &read, |place, content| {
             let row = self.contradicted_mark(chip, place, content).filter(|_| chip.volatile.is_none());
             if let Some(row) = row {
                 other = other.or(Some(row));

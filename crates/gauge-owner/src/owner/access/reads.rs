@@ -9,8 +9,9 @@ use super::super::Attempt;
 use super::super::handle::Shared;
 use super::Access;
 use crate::error::{Cause, Error, Result};
-use ti_gauge::chip::Subclass;
-use ti_gauge::dataflash::{Change, First, Outcome, Place};
+use ti_gauge::chip::{Parameter, Subclass};
+use ti_gauge::dataflash::{Change, First, Outcome, Part, Place};
+use ti_gauge::value::Value;
 
 impl Access {
     /// Returns the bytes of subclasses. Those that are not kept are read together, while the gauge is unsealed once.
@@ -20,6 +21,23 @@ impl Access {
         let unread: Vec<usize> = unread.map(|(&index, _)| index).collect();
         let mut read = self.read_anew(&unread, waited)?.into_iter();
         Ok(kept.into_iter().filter_map(|kept| kept.or_else(|| read.next())).collect())
+    }
+
+    /// Returns the value of a parameter of a subclass. Unless it is kept, the blocks that hold it are read.
+    pub(in super::super) fn read_value(
+        &mut self,
+        index: usize,
+        parameter: &'static Parameter,
+        waited: Duration,
+    ) -> Result<Value> {
+        if let Some(value) = self.shared.kept_parameter(index, parameter) {
+            return Ok(value);
+        }
+        let part = Part::of((&self.gauge.chip.subclasses[index], parameter));
+        let read = self.dataflash.read_parts(&mut self.gauge, std::slice::from_ref(&part), waited);
+        let read = self.keep(&[index], std::slice::from_ref(&part), read)?;
+        let at = usize::from(parameter.offset - part.start());
+        Ok(self.gauge.chip.layout.decode(parameter.kind, &read[0][at..at + parameter.kind.size()]))
     }
 
     /// Reads subclasses, or without any what distinguishes the pack, so that a later access sees whether it is the same one.
@@ -35,12 +53,12 @@ impl Access {
         wanted: &[usize],
         waited: Duration,
     ) -> Result<Vec<Arc<[u8]>>> {
-        let rows = self.rows(wanted);
-        if rows.is_empty() {
+        let parts = self.parts(wanted);
+        if parts.is_empty() {
             return Ok(Vec::new());
         }
-        let read = self.dataflash.read(&mut self.gauge, &rows, waited);
-        self.keep(wanted, read)
+        let read = self.dataflash.read_parts(&mut self.gauge, &parts, waited);
+        self.keep(wanted, &parts, read)
     }
 
     /// Reads what attributes and messages need of data flash, if the gauge is open: it is never unsealed for this.
@@ -53,7 +71,7 @@ impl Access {
         let read = self.dataflash.read_if_open(&mut self.gauge, &rows).transpose();
         // A failure is in the log, and no reason to do without the gauge.
         if let Some(read) = read {
-            let _ = self.keep(&wanted, read);
+            let _ = self.keep(&wanted, &self.parts(&wanted), read);
         }
     }
 
@@ -73,7 +91,7 @@ impl Access {
         let mut take = |read: Vec<Vec<u8>>| {
             let read: Vec<Arc<[u8]>> = read.into_iter().map(Arc::from).collect();
             for (&index, bytes) in unread.iter().zip(&read) {
-                shared.keep(index, bytes.clone(), poll);
+                shared.keep(index, shared.chip.subclasses[index].start(), bytes.clone(), poll);
             }
             report_quirks(&shared);
             let mut read = read.into_iter();
@@ -88,7 +106,17 @@ impl Access {
         wanted.iter().map(|&index| &self.gauge.chip.subclasses[index]).collect()
     }
 
-    fn keep(&mut self, wanted: &[usize], read: Result<Vec<Vec<u8>>>) -> Result<Vec<Arc<[u8]>>> {
+    fn parts(&self, wanted: &[usize]) -> Vec<Part> {
+        self.rows(wanted).into_iter().map(Part::whole).collect()
+    }
+
+    /// Keeps what was read: a part of each of those subclasses.
+    fn keep(
+        &mut self,
+        wanted: &[usize],
+        parts: &[Part],
+        read: Result<Vec<Vec<u8>>>,
+    ) -> Result<Vec<Arc<[u8]>>> {
         let read = self.noted(read);
         let first = &self.gauge.chip.subclasses[wanted[0]];
         let read = read.map_err(|error| error.within(&format!("df of {}", first.name)));
@@ -97,8 +125,8 @@ impl Access {
         if self.dataflash.doubts() {
             self.note_another("data flash");
         }
-        for (&index, bytes) in wanted.iter().zip(&read) {
-            self.shared.keep(index, bytes.clone(), self.schedule.number());
+        for ((&index, part), bytes) in wanted.iter().zip(parts).zip(&read) {
+            self.shared.keep(index, part.start(), bytes.clone(), self.schedule.number());
         }
         report_quirks(&self.shared);
         Ok(read)
@@ -116,3 +144,6 @@ fn report_quirks(shared: &Shared) {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -3,10 +3,11 @@
 //! What only an open gauge shows before a write: whether the table's addresses fit, and whether the gate stays open.
 
 use super::Knowledge;
-use crate::chip::{Chip, Role, Scheme, Subclass};
+use crate::chip::{Chip, Role, Scheme};
 use crate::dataflash::Change;
 use crate::dataflash::blocks::arrange;
 use crate::dataflash::checks::{Setting, both, calibration_enabled, place_of, remedy, short_word};
+use crate::dataflash::part::Part;
 use crate::dataflash::schemes::{Care, sequence};
 use crate::dataflash::state::read_word;
 use crate::dataflash::window::{Planned, locate};
@@ -55,15 +56,11 @@ impl Knowledge {
         Ok(())
     }
 
-    /// Takes limit and divider from subclasses that this session has read, if both are in them.
-    pub(in crate::dataflash) fn take_gate(&mut self, chip: &'static Chip, read: &[&'static Subclass]) {
+    /// Takes limit and divider from what this session has read, if both are in them.
+    pub(in crate::dataflash) fn take_gate(&mut self, chip: &'static Chip, read: &[Part]) {
         let Some(gate) = &chip.gate else { return };
         let word = |row: (u8, u16)| {
-            let is_in = |subclass: &&Subclass| {
-                subclass.id == row.0
-                    && (subclass.start()..subclass.start() + subclass.stored()).contains(&row.1)
-            };
-            read.iter().copied().find(|subclass| is_in(subclass))?;
+            read.iter().find(|part| part.holds(row))?;
             let (place, at) = place_of(row);
             let window = self.known().get(place)?;
             Some(chip.layout.word([window[at], window[at + 1]]))
