@@ -420,6 +420,17 @@ impl Fs {
         Some(handle.published().interval.saturating_sub(handle.age().unwrap_or(Duration::MAX)))
     }
 
+    /// How long what was told of a file, or of the mount point, may be shown if the daemon ends and can tell of no change:
+    /// until it is three intervals old.
+    pub fn outlasts_daemon(&self, node: Node) -> Duration {
+        let age = |handle: &Handle| handle.age().unwrap_or(Duration::MAX);
+        let lasts = |handle: &Handle| (handle.published().interval * 3).saturating_sub(age(handle));
+        match node {
+            Node::Of(gauge, _) => self.handle(gauge).map_or(Duration::ZERO, lasts),
+            _ => self.supplies.iter().map(|supply| lasts(&supply.handle)).min().unwrap_or_default(),
+        }
+    }
+
     /// Whether somebody may write a file.
     pub fn may_be_written(&self, node: Node) -> bool {
         self.shape(node) == Shape::File && self.mode(node) & 0o200 != 0
@@ -549,6 +560,26 @@ impl Fs {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use gauge_bus::clock::Clock as _;
+    use gauge_owner::rig::{INTERVAL, Rig};
+
+    #[test]
+    fn nothing_is_shown_for_longer_than_three_intervals_after_the_last_word_of_the_daemon() {
+        let mut rig = Rig::open();
+        let access = Access { uid: 0, gid: 0, group: false };
+        let tree = Fs::new(vec![Supply::new("BAT0".into(), rig.handle.clone())], access);
+        let file = tree.lookup(Node::Root, "BAT0").expect("its folder");
+        for (paused, left) in [(0, 24), (7, 17), (16, 1), (2, 0)] {
+            rig.clock.sleep(Duration::from_secs(paused));
+            let left = Duration::from_secs(left);
+            for node in [file, Node::Root] {
+                let lasts = tree.outlasts_daemon(node);
+                assert!(lasts <= left && left - lasts < Duration::from_millis(500), "{lasts:?} of {left:?}");
+            }
+        }
+        rig.poll_after(Duration::ZERO);
+        assert!(tree.outlasts_daemon(file) > INTERVAL * 2, "it was polled");
+    }
 
     #[test]
     fn a_group_gets_what_the_owner_has_but_for_keys() {

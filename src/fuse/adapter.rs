@@ -31,12 +31,11 @@ use super::{Options, Table, lock, present};
 use crate::error::{Error, Result};
 use crate::fs::{Caller, Fs, Node, Process, Shape};
 
-/// How long the kernel may keep a name without asking. This bounds how long a lost notification or a dead
-/// daemon goes unnoticed.
+/// How long the kernel may keep a name without asking.
 const TTL: Duration = Duration::from_secs(2);
 
-/// How long it may keep the folder of a gauge, which stays as long as the mount. A path to it begins at the mount point,
-/// whose attributes it asks for before that.
+/// How long it may keep the folder of a gauge, which stays as long as the mount, and at most what it is notified of: this
+/// bounds how long a dead daemon goes unnoticed.
 const FIXED_TTL: Duration = Duration::from_secs(60);
 
 /// How long a write waits until the kernel tells that the open file before it is closed.
@@ -160,17 +159,26 @@ impl Adapter {
             true if self.fs.is_fixed(node) => FIXED_TTL,
             true if fixed => TTL,
             true => {
-                let unchanged =
-                    self.fs.unchanged_for(node).map(|time| time.saturating_sub(inodes::NAME_OVER));
-                unchanged.unwrap_or(TTL).min(TTL)
+                let unchanged = self.fs.unchanged_for(node);
+                let unchanged = unchanged.map(|time| time.saturating_sub(inodes::NAME_OVER).min(TTL));
+                unchanged.unwrap_or_else(|| self.notified_ttl(node))
             }
         }
+    }
+
+    /// How long it may keep what it is notified of.
+    fn notified_ttl(&self, node: Node) -> Duration {
+        self.fs.outlasts_daemon(node).clamp(TTL, FIXED_TTL)
     }
 
     /// How long the kernel may keep the attributes.
     fn attr_ttl(&self, shown: &Shown) -> Duration {
         match self.fs.shape(shown.node) {
             Shape::File => shown.valid,
+            // They change with its listing, of which the kernel is notified.
+            Shape::Folder if shown.node == Node::Root && !self.fs.is_overlay() => {
+                self.notified_ttl(shown.node)
+            }
             Shape::Folder | Shape::Link => self.name_ttl(shown.node),
         }
     }

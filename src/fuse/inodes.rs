@@ -38,8 +38,8 @@ pub(super) const RENEWAL_DELAY: Duration = Duration::from_secs(2);
 /// itself. It cannot rely on the first reader, which makes the new size visible before it drops the bytes.
 const SETTLING: Duration = Duration::from_millis(50);
 
-/// How long a nodeid without requests is still in use. The kernel uses names and attributes for no longer than
-/// [`RENEWAL_DELAY`] without asking, so that it asks before it uses one that rests.
+/// How long a nodeid without requests is still in use, unless the kernel may use its name for longer. It uses attributes
+/// for no longer than the name or [`RENEWAL_DELAY`] without asking, so that it asks before it uses one that rests.
 const IN_USE: Duration = RENEWAL_DELAY.saturating_mul(2);
 
 /// How long such a nodeid is in use if the kernel has its whole value, has nothing to drop, and asks for the name each
@@ -156,7 +156,7 @@ pub(super) struct Inode<W> {
     /// The kernel was told to drop its bytes. It stays set after they are read again: another reader's answer with the
     /// same order may be on its way, and that reader then asks once more.
     was_dropped: bool,
-    /// Until when the kernel may use its name without asking.
+    /// Until when the kernel may use its name without asking, and the attributes that it got with it.
     named: Option<Instant>,
     /// Until when the kernel may use its attributes without asking, although it may be written.
     leased: Option<Instant>,
@@ -225,7 +225,16 @@ impl<W> Inode<W> {
     fn rests(&self, now: Now) -> bool {
         let is_done = self.is_read && !self.was_dropped && self.sharing != Sharing::All;
         let delay = if is_done { READ_THROUGH } else { IN_USE };
-        self.is_idle() && now.instant >= self.used + delay
+        self.is_idle() && !self.is_named(now) && now.instant >= self.used + delay
+    }
+
+    fn is_named(&self, now: Now) -> bool {
+        self.named.is_some_and(|until| now.instant < until)
+    }
+
+    /// Whether the kernel may use its attributes without asking for longer than it shows an old value.
+    fn is_trusted(&self, now: Now) -> bool {
+        self.named.is_some_and(|until| now.instant + RENEWAL_DELAY + NAME_OVER < until)
     }
 
     /// When it is renewed; `None` while it is up to date or in use.
@@ -706,8 +715,11 @@ pub(super) fn look_up<W>(
     now: Now,
 ) -> Option<Shown> {
     table.with(|inodes| {
-        let shown = inodes.enter(node, content()?, sharing, now);
+        let mut shown = inodes.enter(node, content()?, sharing, now);
         inodes.name(shown.number, kept, now);
+        if sharing == Sharing::All && shown.valid == RENEWAL_DELAY {
+            shown.valid = shown.valid.max(kept);
+        }
         Some(shown)
     })
 }
@@ -722,27 +734,38 @@ pub(super) fn end_write<W>(
     table.with(|inodes| inodes.write_ends(number, present(), now));
 }
 
-/// Retires every nodeid of these nodes whose file has another value now. Returns whether the kernel may keep one of their
-/// names: it asks again for others.
+/// What the kernel may keep of values that are no more.
+#[derive(Debug, Default, PartialEq, Eq)]
+pub(super) struct Outdated {
+    /// The name of one; it asks again for others.
+    pub(super) names: bool,
+    /// Nodeids whose attributes it would use for too long.
+    pub(super) attributes: Vec<u64>,
+}
+
+/// Retires every nodeid of these nodes whose file has another value now. Returns what the kernel may keep of them.
 pub(super) fn retire_outdated<W>(
     table: &impl Shared<Inodes<W>>,
     places: &[RangeInclusive<u32>],
     present: impl Fn(Node) -> Value,
     now: impl Fn() -> Now,
-) -> bool {
+) -> Outdated {
     let files: Vec<(u64, Node, Value)> = table.with(|inodes| {
         inodes.tidy(now());
         let files = places.iter().flat_map(|places| inodes.up_to_date(places));
         files.map(|(number, node, value)| (number, node, value.clone())).collect()
     });
-    let mut outdated = false;
+    let mut outdated = Outdated::default();
     for (number, node, value) in files {
         if present(node) == value {
             continue;
         }
         table.with(|inodes| {
             let now = now();
-            outdated |= inodes.get(number).is_some_and(|inode| inode.named > Some(now.instant));
+            if let Some(inode) = inodes.get(number) {
+                outdated.names |= inode.is_named(now);
+                outdated.attributes.extend(inode.is_trusted(now).then_some(number));
+            }
             inodes.retire(number, now);
         });
     }

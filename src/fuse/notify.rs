@@ -14,21 +14,24 @@
 //! | `inval_inode` of a file | its pages; a READ or WRITE locks one until it is answered | not sent; see `getattr` in `adapter` |
 //! | `inval_entry` | the lock of the folder, which a LOOKUP holds until it is answered | not sent |
 //! | `inval_inode` of a folder, without its pages | nothing | when its listing has changed |
+//! | `inval_inode` of a file, without its pages | nothing | when its value has changed, and the kernel would trust its time for longer than it shows the old one |
 //! | `FUSE_NOTIFY_INC_EPOCH` | nothing | when the kernel may still keep the name of an old value |
 //!
 //! The last one makes the kernel look up every name again, and read what they name, also of other gauges. So names of many
 //! gauges are given until the gauge's next poll only, and then nothing has to be sent. Linux has it since 6.16; an older one may not keep the
 //! names of files at all, so that it sends a LOOKUP each time a file is opened.
 
+use std::cell::Cell;
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, mpsc};
+use std::time::{Duration, Instant};
 
 use fuser::{INodeNo, Notifier};
 
 use super::entry::Device;
-use super::inodes::{self, Now};
+use super::inodes::{self, Now, Outdated};
 use super::{Shared, Table, host, lock, present};
 use crate::error::{Cause, Error, Result};
 use crate::fs::{Fs, Node};
@@ -36,6 +39,9 @@ use gauge_owner::Signal;
 
 /// The notification that makes the kernel look up every name again.
 const FUSE_NOTIFY_INC_EPOCH: u32 = 8;
+
+/// An answer to a LOOKUP that was given before a notification has arrived by then.
+const ON_THE_WAY: Duration = Duration::from_secs(1);
 
 /// The answer to a write, given when the kernel knows everything that the write changed.
 pub(super) type Answer = Box<dyn FnOnce() + Send>;
@@ -122,7 +128,8 @@ impl Announcer {
     pub(super) fn start(&self, fs: Arc<Fs>, table: Arc<Table>, notifier: Notifier) -> Result<()> {
         // The kernel knows no mode of a folder until its first GETATTR is answered, and drops an answer that a
         // notification overtakes, which refuses ordinary users. So none is sent before the folder was listed.
-        let mut announcing = Announcing { fs, table, notifier, announcer: self.clone() };
+        let (announcer, dropped) = (self.clone(), Vec::new());
+        let mut announcing = Announcing { fs, table, notifier, announcer, dropped };
         let builder = std::thread::Builder::new().name("notify".into()).stack_size(128 * 1024);
         let started = builder.spawn(move || announcing.run());
         started.map(drop).map_err(|error| host("a thread", &error))
@@ -175,6 +182,8 @@ struct Announcing {
     table: Arc<Table>,
     notifier: Notifier,
     announcer: Announcer,
+    /// Nodeids whose attributes are dropped once more, and when.
+    dropped: Vec<(Instant, Vec<u64>)>,
 }
 
 impl Drop for Announcing {
@@ -186,12 +195,14 @@ impl Drop for Announcing {
 impl Announcing {
     fn run(&mut self) {
         let (mut seen, queue, signal) = (0, self.announcer.queue.clone(), self.announcer.signal.clone());
-        let wait = || seen = signal.wait(seen, None);
+        let limit = Cell::new(None);
+        let wait = || seen = signal.wait(seen, limit.get());
         serve(&*queue, wait, || {
             // After a panic the kernel is told of these values with the next ones.
             if catch_unwind(AssertUnwindSafe(|| self.announce())).is_err() {
                 self.fs.report_defect(None);
             }
+            limit.set(self.drop_again());
         });
     }
 
@@ -202,15 +213,41 @@ impl Announcing {
         // The Mains supply follows from all gauges.
         let mains = (!gauges.is_empty()).then(Node::of_mains);
         let places: Vec<_> = gauges.iter().map(|&gauge| Node::of_gauge(gauge)).chain(mains).collect();
-        let outdated =
+        let Outdated { names, attributes } =
             inodes::retire_outdated(&*self.table, &places, |node| present(&self.fs, node), Now::read);
-        if outdated
+        if names
             && self.announcer.keeps_names()
             && let Err(error) = look_up_again(&self.announcer.device)
         {
-            log::warn!("cannot notify the kernel ({error}): values may lag by 2 s");
+            self.announcer.keeps_names.store(false, Ordering::Relaxed);
+            log::warn!("cannot notify the kernel ({error}): values may lag by a minute");
+        }
+        self.drop_attributes(&attributes);
+        if !attributes.is_empty() {
+            self.dropped.push((Instant::now() + ON_THE_WAY, attributes));
         }
         self.announce_folders(&gauges);
+    }
+
+    /// Makes readers of open files ask for their attributes before the next read.
+    fn drop_attributes(&self, numbers: &[u64]) {
+        for &number in numbers {
+            // It fails if the kernel does not know the nodeid.
+            let _ = self.notifier.inval_inode(INodeNo(number), -1, 0);
+        }
+    }
+
+    /// Drops attributes again that may have been on their way to the kernel. Returns for how long there is nothing to drop.
+    fn drop_again(&mut self) -> Option<Duration> {
+        let now = Instant::now();
+        while let Some((due, _)) = self.dropped.first() {
+            if *due > now {
+                return Some(*due - now);
+            }
+            let (_, numbers) = self.dropped.remove(0);
+            self.drop_attributes(&numbers);
+        }
+        None
     }
 
     /// The kernel also keeps listings; some change when a value appears or disappears. It drops a listing after a

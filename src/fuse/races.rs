@@ -118,7 +118,7 @@ impl World {
                 |_| self.present(),
                 || self.now(),
             );
-            if outdated {
+            if outdated.names {
                 self.epoch.fetch_add(1, Ordering::SeqCst);
             }
         });

@@ -342,6 +342,25 @@ fn regression_an_open_file_does_not_show_a_write_under_way() {
     assert_eq!(read(), "3000\n");
 }
 
+/// The kernel may keep a file's attributes for as long as it is notified, and an open file is to follow nevertheless.
+#[test]
+fn an_open_file_follows_although_nobody_asks_for_its_attributes() {
+    let Some(mount) = quiet("bq34z100-g1") else { return };
+    let mut open = fs::File::open(mount.path("voltage_now")).expect("it opens");
+    let opened = Instant::now();
+    let mut read = || {
+        let mut text = String::new();
+        open.rewind().and_then(|()| open.read_to_string(&mut text)).expect("it has a value");
+        text
+    };
+    let before = read();
+    mount.sim.set("voltage_mv", "3456").expect("a knob");
+    assert_eq!(mount.echo("1", "gauge/refresh"), Ok(()));
+    until("the new voltage", || read() == "3456000\n");
+    // For a minute the kernel would ask for nothing.
+    assert!(before != "3456000\n" && opened.elapsed() < Duration::from_secs(60));
+}
+
 /// What a refresh has changed is seen as soon as the write to `gauge/refresh` returns, whether the kernel can keep
 /// names or not. A folder that is open meanwhile stays where it is.
 #[test]

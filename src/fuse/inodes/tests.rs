@@ -339,11 +339,54 @@ fn the_kernel_is_notified_only_while_it_may_keep_a_name() {
         let table = std::sync::Mutex::new(inodes());
         let number =
             look_up(&table, FILE, || Some(bytes("1\n")), (Sharing::All, named), at(0)).expect("there");
-        let outdated = |value: Value| retire_outdated(&table, &[ALL], |_| value.clone(), || at(millis));
+        let outdated = |value: Value| retire_outdated(&table, &[ALL], |_| value.clone(), || at(millis)).names;
         assert!(!outdated(bytes("1\n")), "the same value");
         assert_eq!(outdated(bytes("2\n")), expected, "{named:?} {millis}");
         let inodes = table.lock().expect("no panic");
         assert!(inodes.current(FILE).is_none() && inodes.get(number.number).is_some());
+    }
+}
+
+/// The attributes that came with such a name would keep an open file from following.
+#[test]
+fn attributes_are_dropped_that_the_kernel_would_trust_for_too_long() {
+    let long = Duration::from_secs(10);
+    let over = (long - RENEWAL_DELAY).as_millis() as u64;
+    for (sharing, kept, millis, dropped) in [
+        (Sharing::All, long, 0, true),
+        (Sharing::All, long, over - 1, true),
+        (Sharing::All, long, over, false),
+        (Sharing::All, RENEWAL_DELAY, 0, false),
+        (Sharing::All, Duration::ZERO, 0, false),
+        (THREAD, Duration::ZERO, 0, false),
+    ] {
+        let table = std::sync::Mutex::new(inodes());
+        let shown = look_up(&table, FILE, || Some(bytes("1\n")), (sharing, kept), at(0)).expect("there");
+        let most = if sharing == Sharing::All { RENEWAL_DELAY } else { READ_THROUGH / 2 };
+        assert_eq!(shown.valid, most.max(kept), "{kept:?}");
+        let outdated = retire_outdated(&table, &[ALL], |_| bytes("2\n"), || at(millis));
+        assert_eq!(
+            outdated.attributes,
+            if dropped { vec![shown.number] } else { vec![] },
+            "{kept:?} {millis}"
+        );
+        // What shows an old value already is asked for when it is due.
+        let again = look_up(&table, FILE, || Some(bytes("2\n")), (sharing, kept), at(millis)).expect("there");
+        assert_ne!(again.number, shown.number);
+    }
+}
+
+#[test]
+fn a_nodeid_does_not_rest_while_the_kernel_may_keep_its_name() {
+    let table = std::sync::Mutex::new(inodes());
+    let long = Duration::from_secs(10);
+    let number =
+        look_up(&table, FILE, || Some(bytes("1\n")), (Sharing::All, long), at(0)).expect("there").number;
+    let over = (long + NAME_OVER).as_millis() as u64;
+    let mut inodes = table.into_inner().expect("no panic");
+    for (millis, is_known) in [(over - 1, true), (over, false)] {
+        drop_resting(&mut inodes, millis);
+        assert_eq!(inodes.get(number).is_some(), is_known, "{millis}");
     }
 }
 

@@ -17,7 +17,7 @@ const LINES: [(&str, usize); 10] = [
     ("gauge-owner", 7_660),
     ("gauge-sim", 10_520),
     ("gauge-station", 3_800),
-    ("gaugefs", 18_970),
+    ("gaugefs", 19_040),
     ("gaugefs-client", 2_830),
     ("gaugefs-host", 600),
     ("gaugefs-screen", 6_160),
