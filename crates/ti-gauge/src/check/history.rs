@@ -28,6 +28,9 @@ const NEEDS: [&str; 4] =
     ["a rest until [OCVTAKEN]", "10 to 40 °C", "a charge to its end ([FC])", "a discharge to 10 %"];
 /// The time in seconds in which resets belong together.
 const DAY_S: f64 = 86_400.0;
+/// After a write of the configuration a gauge predicts anew with the next rest, end of charge or step of a discharge. For so
+/// many seconds what it predicted before is no finding.
+const CONFIGURED_S: f64 = 3600.0;
 
 /// A poll.
 #[derive(Clone, Copy, Debug)]
@@ -73,6 +76,21 @@ struct Seen {
     design: Option<f64>,
     /// Design capacity, or the full charge capacity of a part that shows none.
     size: Option<f64>,
+    full: Option<f64>,
+    remaining: Option<f64>,
+}
+
+/// A change of the configuration, and what the gauge predicted before.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Configured {
+    since: f64,
+    /// How long ago it was at the last poll.
+    pub(super) seconds: f64,
+    /// What became of Design Capacity; `None` if it did not change.
+    pub(super) design: Option<(f64, f64)>,
+    /// The full and the remaining capacity before.
+    pub(super) full: Option<f64>,
+    pub(super) now: Option<f64>,
 }
 
 /// What a rule needs of it.
@@ -91,6 +109,8 @@ pub struct Summary {
     pub(super) jump: Option<(f64, f64)>,
     /// A change of Design Capacity that this program has not made.
     pub(super) redesigned: Option<(f64, f64)>,
+    /// A change of the configuration within an hour, of this program or another one.
+    pub(super) configured: Option<Configured>,
     /// Whether the gauge was SEALED and was opened by somebody else.
     pub(super) opened: bool,
     /// What disturbs a learning cycle, and for how many seconds.
@@ -144,6 +164,8 @@ impl History {
             percent: read(Role::Capacity).filter(|_| poll.is_measured),
             design: read(Role::ChargeFullDesign).filter(|&design| design > 0.0),
             size: read(Role::ChargeFullDesign).or_else(|| read(Role::ChargeFull)).filter(|&size| size > 0.0),
+            full: read(Role::ChargeFull).filter(|_| poll.is_measured),
+            remaining: read(Role::ChargeNow).filter(|_| poll.is_measured),
         };
         let summary = &mut self.summary;
         summary.unmeasured = if poll.is_measured { 0 } else { summary.unmeasured.saturating_add(1) };
@@ -155,7 +177,34 @@ impl History {
         self.watch_learning(chip, poll, &now, read(Role::Temp));
     }
 
+    /// A change of the configuration, whose traces are no finding for a while.
+    fn watch_configuration(&mut self, last: &Seen, now: &Seen) {
+        let design = last.design.zip(now.design).filter(|(before, after)| before != after);
+        let configured = &mut self.summary.configured;
+        let is_changed = design.is_some() || last.own != now.own;
+        if is_changed {
+            // A reset after a write belongs to it, and predictions may be missing between the two.
+            let before = configured.filter(|_| design.is_none());
+            *configured = Some(Configured {
+                since: now.time,
+                seconds: 0.0,
+                design: design.or(before.and_then(|before| before.design)),
+                full: last.full.or(configured.and_then(|before| before.full)),
+                now: last.remaining.or(configured.and_then(|before| before.now)),
+            });
+        }
+        *configured = configured
+            .map(|before| Configured { seconds: now.time - before.since, ..before })
+            .filter(|before| before.seconds < CONFIGURED_S);
+        if is_changed {
+            // They were measured with another design capacity, or another gain.
+            self.losses.clear();
+            self.summary.loss = None;
+        }
+    }
+
     fn compare(&mut self, last: &Seen, now: &Seen) {
+        self.watch_configuration(last, now);
         let summary = &mut self.summary;
         if last.is_measured && !now.is_measured && last.own == now.own {
             self.resets.push(now.time);
@@ -195,7 +244,7 @@ impl History {
         }
         if let Some((before, after)) = last.percent.zip(now.percent)
             && now.time - last.time <= JUMP_S
-            && last.own == now.own
+            && summary.configured.is_none()
             && (after - before).abs() >= JUMP + 400.0 * passed / design
         {
             summary.jump = Some((before, after));

@@ -13,11 +13,13 @@ use crate::notation;
 use crate::value::Value;
 
 mod age;
+mod capacity;
 
 use age::{
     learning_disturbed, learning_lost, lifetime_voltage, many_cycles, never_learned, not_enabled,
     not_learned, resistance, was_too_warm, worn,
 };
+use capacity::{full_capacity, full_capacity_stale, remaining_above_full};
 
 pub(super) const DESIGN: &[&str] = &["Design Capacity", "Design Capacity mAh"];
 const TAPER: &[&str] = &["Taper Current", "Taper Rate"];
@@ -26,11 +28,6 @@ const TAPER: &[&str] = &["Taper Current", "Taper Rate"];
 const CHARGED: [(&[&str], f64); 2] =
     [(&["Cell Charge Voltage T2-T3", "Charging Voltage"], 100.0), (TAPER_VOLTAGE, 200.0)];
 
-/// The full charge capacity that a battery can have, as a share of the design capacity: a worn-out one, and a new one of
-/// another make. Max % Default Qmax is 120 %, and below a third no pack is still used.
-const FULL: (f64, f64) = (1.0 / 3.0, 1.5);
-/// The remaining capacity may be that much above the full one, until the gauge has predicted anew.
-const REMAINING: f64 = 1.1;
 /// What a cell can have in mV: lithium-ion, and any.
 const LITHIUM_MV: (f64, f64) = (1500.0, 4600.0);
 const CELL_MV: (f64, f64) = (700.0, 4600.0);
@@ -89,7 +86,7 @@ pub static RULES: &[Rule] = &[
     ]),
     rule((Impossible, Wrong), "full-capacity", full_capacity, [
         "no battery has less than a third or more than one and a half times its design capacity, so every percentage is wrong",
-        "correct Design Capacity; on a part with RAM write Qmax as well, and let it learn anew (docs/CALIBRATION.md)",
+        "correct Design Capacity, or the capacity that the gauge believes (Qmax, Learned or Full Charge Capacity), and let it learn anew (docs/CALIBRATION.md)",
         "SLUSBZ5D 7.3.1.3; github.com/usetrmnl/trmnl-firmware pull request 542",
     ]),
     rule((Impossible, Wrong), "remaining-above-full", remaining_above_full, [
@@ -103,7 +100,7 @@ pub static RULES: &[Rule] = &[
         "SLUSBZ5D 7.3.1.3, SLUUAC9A Table 4-1",
     ]),
     rule((Impossible, Doubtful), "percent-jumped", percent_jumped, [
-        "20 % or more within 5 minutes, beyond four times what the current explains; the gauge has corrected itself, was reset, or does not know its battery",
+        "20 % or more within 5 minutes, beyond four times what the current explains, and not within an hour of a write: the gauge has corrected itself, was reset, or does not know its battery",
         "see whether it has learned (`gaugefs learn`); if it comes back, check the chemistry, and CC Gain against the sense resistor",
         "SLUA450",
     ]),
@@ -192,6 +189,11 @@ pub static RULES: &[Rule] = &[
         "a learning cycle: docs/CALIBRATION.md, `gaugefs learn`",
         "SLUA450, SLUUAC9A 6.4.2.3.2",
     ]),
+    rule((Learning, Doubtful), "full-capacity-stale", full_capacity_stale, [
+        "the full charge capacity does not follow Design Capacity: percentages are of the old one until the gauge predicts anew or learns",
+        "write the capacity that the gauge believes as well (Qmax in mAh, Learned or Full Charge Capacity), or let it learn: docs/CALIBRATION.md, `gaugefs learn`",
+        "SLUSBZ5D 7.3.1.3 and Table 7-9",
+    ]),
     rule((Learning, Doubtful), "never-learned", never_learned, [
         "in all these cycles the conditions for learning were never met",
         "watch with `gaugefs learn` which one is missing",
@@ -233,7 +235,7 @@ pub static RULES: &[Rule] = &[
         "SLUSBZ5D 7.3.6.17",
     ]),
     rule((Age, Doubtful), "lifetime-voltage", lifetime_voltage, [
-        "the pack has been charged or discharged beyond its maker's limit",
+        "the pack has been charged or discharged beyond its maker's limit, or cells and divider were other ones when this was recorded",
         "find out what charges or empties it; a cell that was once so low is worn or dangerous",
         "SLUSBZ5D 7.3.6.17",
     ]),
@@ -330,22 +332,6 @@ fn rows_at_default(facts: &Facts<'_>) -> Verdict {
         }
     }
     found_if(!left.is_empty(), || left.join(", "))
-}
-
-fn full_capacity(facts: &Facts<'_>) -> Verdict {
-    let (full, design) = (facts.predicted(Role::ChargeFull)?, facts.design()?);
-    let is_cold = facts.polled(Role::Temp).is_ok_and(|tenths| tenths < FREEZING);
-    let is_low = full == 0.0 || full < design * FULL.0 && !is_cold;
-    found_if(design > 0.0 && (is_low || full > design * FULL.1), || {
-        format!("FullChargeCapacity() is {full} mAh, Design Capacity {design} mAh")
-    })
-}
-
-fn remaining_above_full(facts: &Facts<'_>) -> Verdict {
-    let (now, full) = (facts.predicted(Role::ChargeNow)?, facts.predicted(Role::ChargeFull)?);
-    found_if(full > 0.0 && now > full * REMAINING, || {
-        format!("RemainingCapacity() is {now} mAh, FullChargeCapacity() {full} mAh")
-    })
 }
 
 fn percent_above_100(facts: &Facts<'_>) -> Verdict {

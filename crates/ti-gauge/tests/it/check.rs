@@ -298,10 +298,23 @@ const CASES: &[(&str, &str, Make, Make, &str)] = &[
         |b| { b.show(Role::ChargeFull, 0); b.set("first_ms", 5000); b.lose_power(); b.poll() }, "0 mAh"),
     ("full-capacity", "bq27441-g1", |b| { b.show(Role::ChargeFull, 400); b.poll() },
         |b| { b.show(Role::ChargeFull, 400); b.lose_power(); b.poll_after(3) }, "400 mAh"),
+    ("full-capacity", "bq27426", |b| { resize(b, 6000.0); b.poll_after(3601) }, |b| { resize(b, 6000.0); b.poll_after(3590) }, "6000 mAh"),
+    ("full-capacity", "bq34z100-g1", |b| { b.store_all(&[("Qmax Cell 0", 1500.0), ("Design Capacity", 5200.0)]); b.poll() }, |b| { b.store("Design Capacity", 5200.0); b.poll() }, "1500 mAh"),
+    ("full-capacity", "bq34z100-g1", |b| { b.store_all(&[("Update Status", 6.0), ("Design Capacity", 5200.0)]); b.poll() }, |b| { b.store("Design Capacity", 5200.0); b.with_flash = false; b.poll() }, "5200 mAh"),
+    ("full-capacity", "bq34z100-g1", |b| { b.store("Design Capacity", 200.0); b.show(Role::ChargeFull, 2891); b.poll() }, |b| { b.store("Design Capacity", 200.0); b.poll() }, "2891 mAh"),
+    ("full-capacity-stale", "bq34z100-g1", |b| { b.store("Design Capacity", 5200.0); b.poll() },
+        |b| { b.store_all(&[("Qmax Cell 0", 5200.0), ("Design Capacity", 5200.0)]); b.poll() }, "Qmax Cell 0 is 1000 mAh as shipped"),
+    ("full-capacity-stale", "bq34z100-g1", |b| { b.store("Design Capacity", 3001.0); b.poll() }, |b| { b.store("Design Capacity", 2999.0); b.poll() }, "3001 mAh"),
+    ("full-capacity-stale", "bq27426", |b| resize(b, 6000.0), |b| { b.poll(); b.size(6000.0); b.own += 1; b.poll_after(3) }, "since data flash was written 0 min ago"),
+    ("full-capacity-stale", "bq27441-g1", |b| { resize(b, 6000.0); b.poll_after(120) }, |b| { b.poll(); b.size(6000.0); b.own += 1; b.poll_after(3) }, "since it went from 1340 to 6000 mAh 2 min ago"),
+    ("remaining-above-full", "bq34z100-g1", |b| { b.poll(); b.show(Role::ChargeNow, 1101); b.own += 1; b.poll() },
+        |b| { b.poll(); b.show(Role::ChargeFull, 500); b.own += 1; b.poll_after(2) }, "1101 mAh"),
     ("remaining-above-full", "bq34z100-g1", |b| { b.show(Role::ChargeNow, 1101); b.poll() }, |b| { b.show(Role::ChargeNow, 1099); b.poll() }, "1101 mAh"),
     ("percent-above-100", "bq27441-g1", |b| { b.show(Role::Capacity, 101); b.poll() }, |b| { b.show(Role::Capacity, 100); b.poll() }, "101 %"),
     ("percent-jumped", "bq34z100-g1", |b| { b.poll(); b.set("soc", 35); b.poll_after(30) }, |b| { b.poll(); b.set("soc", 42); b.poll_after(30) }, "from 60 to 35"),
     ("percent-jumped", "bq34z100-g1", |b| { b.poll(); b.set("soc", 35); b.poll_after(299) }, |b| { b.poll(); b.set("soc", 35); b.poll_after(301) }, "from 60 to 35"),
+    ("percent-jumped", "bq34z100-g1", |b| { b.poll(); b.own += 1; b.poll(); b.poll_after(3600); b.set("soc", 35); b.poll_after(30) },
+        |b| { b.poll(); b.own += 1; b.poll(); b.poll_after(60); b.set("soc", 35); b.poll_after(30) }, "from 60 to 35"),
     ("measures-nothing", "bq27441-g1", |b| { b.set("voltage_mv", 0); (0..5).for_each(|_| b.poll_after(3)) }, |b| { b.set("voltage_mv", 0); (0..4).for_each(|_| b.poll_after(3)) }, "5 polls"),
     ("cell-voltage", "bq34z100-g1", |b| { b.store("Number of series cell", 4.0); b.set("voltage_mv", 5990); b.poll_after(2) },
         |b| { b.store("Number of series cell", 4.0); b.set("voltage_mv", 6010); b.poll_after(2) }, "of 4 cells"),
@@ -335,6 +348,7 @@ const CASES: &[(&str, &str, Make, Make, &str)] = &[
     ("not-enabled", "bq34z100-g1", |b| b.poll(), |b| b.enable(), "[QEN]"),
     ("learning-disturbed", "bq34z100-g1", |b| { b.set("temperature", 500); b.enable(); b.set("load_ma", 500); b.poll_after(600) }, |b| { b.enable(); b.poll_after(600) }, "for"),
     ("worn", "bq34z100-g1", |b| { b.show(Role::StateOfHealth, 80); b.poll() }, |b| { b.show(Role::StateOfHealth, 81); b.poll() }, "80 %"),
+    ("worn", "bq34z100-g1", |b| { b.store_all(&[("Qmax Cell 0", 1500.0), ("Design Capacity", 2000.0)]); b.poll() }, |b| { b.store("Design Capacity", 1500.0); b.poll() }, "75 %"),
     ("worn-out", "bq34z100-g1", |b| { b.show(Role::StateOfHealth, 50); b.poll() }, |b| { b.show(Role::StateOfHealth, 51); b.poll() }, "50 %"),
     ("cycles", "bq34z100-g1", |b| { b.show(Role::CycleCount, 500); b.poll() }, |b| { b.show(Role::CycleCount, 499); b.poll() }, "is 500"),
     ("was-too-warm", "bq34z100-g1", |b| { b.store("Lifetime Max Temp", 601.0); b.poll() }, |b| { b.store("Lifetime Max Temp", 600.0); b.poll() }, "60.1 °C"),
@@ -342,6 +356,7 @@ const CASES: &[(&str, &str, Make, Make, &str)] = &[
     ("lifetime-voltage", "bq34z100-g1", |b| { b.store("Lifetime Min Pack Voltage", 119.0); b.poll() }, |b| { b.store("Lifetime Min Pack Voltage", 120.0); b.poll() }, "once 2380 mV"),
     ("lifetime-voltage", "bq34z100-g1", |b| { b.store("Lifetime Max Pack Voltage", 321.0); b.poll() }, |b| { b.store("Lifetime Max Pack Voltage", 320.0); b.poll() }, "once 6420 mV"),
     ("resistance", "bq34z100-g1", |b| b.step(560), |b| b.step(480), "a cell loses 5"),
+    ("resistance", "bq34z100-g1", |b| b.step(560), |b| { b.step(560); b.own += 1; b.poll() }, "a cell loses 5"),
     ("resistance", "bq34z100-g1", |b| b.step(560), |b| { b.set("temperature", 50); b.step(560) }, "a cell loses 5"),
     ("opened", "bq34z100-g1", |b| { b.poll(); b.set("seal", "unsealed"); b.poll() }, |b| { b.poll(); b.set("seal", "unsealed"); b.keys += 1; b.poll() }, "SEALED at first"),
     ("opened", "bq27441-g1", |b| { b.set("seal", "sealed"); b.poll(); b.set("seal", "unsealed"); b.poll() },
@@ -384,6 +399,16 @@ const SICK: &[(&str, Make, &[&str], &[&str])] = &[
     ("bq34z100-g1", |b| { b.set("thermistor", "out"); b.poll_after(2) }, &["temperature"], &[]),
     ("bq34z100-g1", |b| { b.set("thermistor", "short"); b.poll_after(2) }, &["temperature"], &[]),
     ("bq27441-g1", |b| { b.set("thermistor", "out"); b.poll_after(2) }, &[], &[]),
+    ("bq27220", |b| { b.set("thermistor", "out"); b.poll_after(2) }, &[], &[]),
+    ("bq27220", |b| { b.set("thermistor", "out"); b.store("Operation Config A", f64::from(0x8484)); b.poll_after(2) }, &["temperature"], &[]),
+    ("bq34110", |b| { b.set("thermistor", "out"); b.poll_after(2) }, &["temperature"], &[]),
+    ("bq35100", |b| { b.set("thermistor", "short"); b.poll_after(2) }, &["temperature"], &[]),
+    ("bq27220", |b| { b.set("keeps_full", "on"); resize_believed(b, 12_000.0); b.poll_after(3) }, &["full-capacity"], &[]),
+    ("bq27220", |b| { resize_believed(b, 12_000.0); b.poll_after(3) }, &[], &[]),
+    ("bq34110", |b| { b.set("keeps_full", "on"); resize_believed(b, 7000.0); b.poll_after(3) }, &["full-capacity"], &[]),
+    ("bq34110", |b| { resize_believed(b, 7000.0); b.poll_after(3) }, &[], &[]),
+    ("bq34110", |b| { b.set("keeps_full", "on"); resize_believed(b, 7000.0); b.lose_power(); b.poll_after(3) }, &[], &[]),
+    ("bq27220", |b| b.step(900), &[], &["resistance"]),
     ("bq34z100-g1", |b| b.step(900), &[], &["resistance"]),
     ("bq34z100-g1", |b| { b.set("cells", 4); b.poll_after(2) }, &["cell-voltage"], &[]),
     ("bq27427", |b| { b.set("cc_gain_inverted", "on"); b.alternate(6) }, &["current-sign", "defect"], &[]),
@@ -410,6 +435,30 @@ fn each_sick_gauge_has_its_own_findings_and_no_others() {
         }
     }
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+/// Writes a design capacity that the full one does not follow, and polls before and after.
+fn resize(bench: &mut Bench, mah: f64) {
+    bench.set("keeps_full", "on");
+    bench.poll();
+    bench.size(mah);
+    bench.own += 1;
+    bench.poll_after(3);
+}
+
+/// Writes a design capacity, and the full charge capacity that a gauge believes, without taking its power.
+fn resize_believed(bench: &mut Bench, mah: f64) {
+    let names =
+        ["Design Capacity", "Design Capacity mAh", "Full Charge Capacity", "Learned Full Charge Capacity"];
+    if bench.chip.volatile.is_some() {
+        bench.store_all(&names.map(|name| (name, mah)));
+        return;
+    }
+    let rows: Vec<_> = bench.chip.rows().filter(|(_, row)| names.contains(&row.name)).collect();
+    for row in rows {
+        let bytes = bench.chip.layout.encode(row.1.kind, &Value::Int(mah as i64)).expect("it fits");
+        bench.store_at(row, &bytes);
+    }
 }
 
 /// Resets the gauge so often, by its power, or as this program does it.
@@ -629,6 +678,27 @@ fn live(bench: &mut Bench, random: &mut Random, told: &mut Vec<String>) {
     }
 }
 
+/// Writes another design capacity, and what else a person knows, into a gauge that goes on. Its full charge capacity may follow
+/// or not.
+fn configure_anew(bench: &mut Bench, random: &mut Random, told: &mut Vec<String>) -> Vec<Finding> {
+    let mah = (200 + random.below(7000)) as f64;
+    if bench.sim.set("keeps_full", if random.below(2) == 0 { "on" } else { "off" }).is_err() {
+        return Vec::new();
+    }
+    bench.poll_after(1);
+    if bench.store_all(&[("Design Capacity", mah), ("Design Capacity mAh", mah)]) == 0 {
+        return Vec::new();
+    }
+    bench.own += 1;
+    told.push(format!("{mah} mAh anew"));
+    let mut found = Vec::new();
+    for seconds in [0, 1, 30, 600, 1800] {
+        bench.poll_after(seconds);
+        found.extend(bench.check().findings);
+    }
+    found
+}
+
 #[test]
 fn nothing_is_wrong_with_drawn_gauges_that_are_well() {
     let chips: Vec<&Chip> = Chip::all().filter(|chip| Sim::knows(chip.name)).collect();
@@ -658,6 +728,10 @@ fn nothing_is_wrong_with_drawn_gauges_that_are_well() {
         vary(&mut bench, random, &mut told);
         bench.with_flash = random.below(2) == 0;
         found.extend(bench.check().findings);
+        bench.bytes.lock().expect("no panic").retain(|at, _| *at == 0x20);
+        if random.below(3) == 0 {
+            found.extend(configure_anew(&mut bench, random, &mut told));
+        }
         let wrong: Vec<_> = found.iter().filter(|found| found.rule.severity == Severity::Wrong).collect();
         told.extend(
             found.iter().map(|found| format!("{} {}", found.rule.severity.as_str(), found.rule.name)),

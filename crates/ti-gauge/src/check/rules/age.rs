@@ -2,6 +2,7 @@
 
 //! What the gauge has learned of its pack, and the pack's age.
 
+use super::capacity::is_stale;
 use super::{Facts, Lacking, Row, Verdict, found_if};
 use crate::check::history::learned;
 use crate::chip::{Role, Source};
@@ -52,8 +53,8 @@ pub(super) fn worn(facts: &Facts<'_>, from: f64, below: f64) -> Verdict {
         facts.chip.register(Role::StateOfHealth).filter(|_| facts.chip.condition.primary.is_none());
     let register = register.ok_or(Lacking::Never)?;
     let health = facts.predicted(Role::StateOfHealth)?;
-    // It is a share of the design capacity, of which that rule says more.
-    if super::full_capacity(facts).is_ok_and(|found| found.is_some()) {
+    // It is a share of the design capacity, of which those rules say more.
+    if super::full_capacity(facts).is_ok_and(|found| found.is_some()) || is_stale(facts) {
         return Ok(None);
     }
     let is_ready = register.validity.is_none_or(|source| facts.word(source).is_ok_and(|word| word != 0));
