@@ -24,6 +24,17 @@ impl KnobChoice for Thermistor {
         &[("in", Thermistor::In), ("out", Thermistor::Out), ("short", Thermistor::Short)];
 }
 
+impl Thermistor {
+    /// What it shows of a temperature in 0.1 K.
+    pub(super) fn shows(self, sensed: f64) -> f64 {
+        match self {
+            Self::In => sensed,
+            Self::Out => ENDS[0],
+            Self::Short => ENDS[1],
+        }
+    }
+}
+
 /// The ends of the conversion in 0.1 K, -40 and 120 degrees Celsius: the manuals print none, and owners see about these.
 const ENDS: [f64; 2] = [2331.0, 3931.0];
 
@@ -58,15 +69,6 @@ impl Analog {
             noise_ma: 0.0,
             noise: [0.0; 2],
             random: Random::new(1),
-        }
-    }
-
-    /// What a thermistor shows of a temperature in 0.1 K.
-    pub(super) fn external(&self, sensed: f64) -> f64 {
-        match self.thermistor {
-            Thermistor::In => sensed,
-            Thermistor::Out => ENDS[0],
-            Thermistor::Short => ENDS[1],
         }
     }
 

@@ -52,6 +52,8 @@ pub(super) struct Battery {
     pub(super) capacity_mah: f64,
     /// The capacity does not follow data flash.
     pub(super) is_own: bool,
+    /// Until the next reset it does not follow either.
+    pub(super) is_kept: bool,
     pub(super) charge_mah: f64,
     /// Negative for a charger.
     pub(super) load_ma: f64,
@@ -76,6 +78,7 @@ impl Battery {
             series: None,
             capacity_mah,
             is_own: false,
+            is_kept: false,
             charge_mah,
             load_ma: 0.0,
             ambient: 25.0,
@@ -95,7 +98,7 @@ impl Battery {
 
     /// Takes the size of data flash and keeps the state of charge.
     pub(super) fn resize(&mut self, cells: f64, capacity_mah: f64) {
-        if !self.is_own {
+        if !self.is_own && !self.is_kept {
             self.set_capacity(capacity_mah);
         }
         self.cells = self.series.unwrap_or(cells);

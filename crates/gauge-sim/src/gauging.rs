@@ -613,7 +613,7 @@ impl Gauging {
         if !self.settings.thermistor {
             return self.die();
         }
-        self.analog.external(self.sensed()) + self.settings.external_offset
+        self.analog.thermistor.shows(self.sensed()) + self.settings.external_offset
     }
 
     /// ChargeVoltage() and ChargeCurrent() for the present temperature.

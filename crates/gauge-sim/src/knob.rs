@@ -78,14 +78,14 @@ pub(super) static KNOBS: &[Knob] = &[
         "the Voltage Divider that fits the board in mV, with the internal divider off; `auto` if data flash fits it",
     ),
     Of::Block.set("shunt_error", "by how much the shunt is larger than data flash says, in thousandths"),
-    Of::Block.set("cell_mohm", "resistance of a cell at 25 degrees Celsius in milliohms"),
-    Of::Block.set(
+    Of::Gauge.set("cell_mohm", "resistance of a cell at 25 degrees Celsius in milliohms"),
+    Of::Gauge.set(
         "thermistor",
         "`in` or `out`: without it a gauge that uses it shows the lowest temperature; `short` the highest",
     ),
-    Of::Block.set(
+    Of::Gauge.set(
         "keeps_full",
-        "`on`: FullChargeCapacity() does not follow a change of Design Capacity, until a RESET or a loss of power; `off`",
+        "`on`: FullChargeCapacity() does not follow what is written to data memory, until a RESET or a loss of power; `off`",
     ),
     Of::Block.set(
         "board_offset_ma",

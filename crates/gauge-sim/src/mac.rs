@@ -10,12 +10,13 @@
 
 use std::time::Duration;
 
+use super::analog::Thermistor;
 use super::device::{Device, Gauge, Wire};
 use super::envelope::{Early, First, Lost};
 use super::flash::{BLOCK, Flash};
 use super::flat::{DATA_FLASH, PRIVATE, i16_at, u8_at, u16_at};
-use super::knob;
-use super::model::{Kept, MacModel, Model, Registers, Reply};
+use super::knob::{self, KnobValue};
+use super::model::{Kept, MacModel, Model, Registers, Reply, whole};
 use super::options::Options;
 use super::part::{MacMemory, MacPart, Part, Scale};
 use super::rom::ROM_ADDRESS;
@@ -23,7 +24,7 @@ use super::seal::{Level, Seal};
 use super::update::{Exit, Mode};
 use super::window::checksum;
 use gauge_bus::GAUGE_ADDRESS;
-use gauge_bus::error::Result;
+use gauge_bus::error::{Error, ErrorKind, Result};
 
 /// Owners' parts had some addresses one lower than printed, but not the first ones (E2E 668766 and 834655). No source
 /// has the address where that begins.
@@ -39,6 +40,8 @@ const EXIT_UPDATE_ANEW: u16 = 0x0091;
 const EXIT_UPDATE: u16 = 0x0092;
 /// Control() of a bq34110 reads this once after DEVICE_TYPE or FW_VERSION.
 const ANSWERED_ELSEWHERE: u16 = 0xFFA5;
+const TEMPERATURE: u8 = 0x06;
+const FULL_CHARGE_CAPACITY: u8 = 0x12;
 
 /// MACData(), MACDataSum() and MACDataLen() as the host reads them.
 #[derive(Clone, Copy)]
@@ -111,6 +114,9 @@ pub(super) struct Mac {
     board: Option<Scale>,
     /// How many bytes lower than in the manual this specimen has its data flash.
     shift: u16,
+    thermistor: Thermistor,
+    /// The full charge capacity does not follow data memory.
+    keeps_full: bool,
     before: Registers,
 }
 
@@ -150,12 +156,24 @@ impl Mac {
         let model = (scheme.model)(&device.flash);
         let board = scheme.scale(&device.flash);
         let ram = Ram { seal: Seal::new(scheme.level(&device.flash)), ..Ram::default() };
-        let mac = Self { part: scheme, model, ram, board, shift: 0, before: [0; 0x80] };
+        let (shift, thermistor, keeps_full, before) = (0, Thermistor::In, false, [0; 0x80]);
+        let mac = Self { part: scheme, model, ram, board, shift, thermistor, keeps_full, before };
         Ok(Gauge::new(device, mac, options.envelope))
     }
 
     fn sealed(&self) -> bool {
         self.ram.seal.level == Level::Sealed
+    }
+
+    /// Puts what the thermistor shows into Temperature(), if the gauge uses it.
+    fn sense(&self, flash: &Flash, registers: &mut Registers) {
+        let chosen = |(address, bit)| flash.u8(DATA_FLASH, usize::from(address - self.part.base)) & bit != 0;
+        if self.part.thermistor.is_none_or(chosen) {
+            let at = usize::from(TEMPERATURE);
+            let sensed = u16::from_le_bytes([registers[at], registers[at + 1]]);
+            let shown = whole(self.thermistor.shows(sensed.into()));
+            registers[at..at + 2].copy_from_slice(&shown.to_le_bytes());
+        }
     }
 
     /// Seals, and empties the buffer.
@@ -333,6 +351,7 @@ impl Mac {
         let unmeasured = device.unmeasured();
         let voltage_mv = if unmeasured { 0 } else { self.voltage_mv(&device.flash) };
         let mut registers = self.model.registers(self.shown_level(device), voltage_mv);
+        self.sense(&device.flash, &mut registers);
         let never = device.envelope.no_initcomp && self.part.initialized != (0, 0);
         for &first in self.part.predicted.iter().filter(|_| unmeasured || never) {
             for at in [first, first + 1] {
@@ -456,6 +475,7 @@ impl Wire for Mac {
 
     fn reset(&mut self, device: &mut Device) {
         self.before = self.model.registers(self.ram.seal.level, self.voltage_mv(&device.flash));
+        self.model.battery_mut().is_kept = false;
         if self.part.data_memory.is_some() {
             device.flash.reload(device.part.image, PRIVATE);
             device.save();
@@ -464,6 +484,7 @@ impl Wire for Mac {
     }
 
     fn run(&mut self, device: &mut Device, settle: bool) {
+        self.model.battery_mut().is_kept = self.keeps_full;
         if device.is_on()
             && let Some((exit, at)) = self.ram.update.run(device.now)
         {
@@ -517,11 +538,33 @@ impl Wire for Mac {
     }
 
     fn knob(&self, _: &Device, name: &str) -> Option<String> {
-        (name == "df_shift").then(|| self.shift.to_string())
+        Some(match name {
+            "df_shift" => self.shift.to_string(),
+            "cell_mohm" => (self.model.battery().ohms * 1000.0).to_string(),
+            "thermistor" => self.thermistor.show(),
+            "keeps_full" => self.keeps_full.show(),
+            _ => return None,
+        })
     }
 
     fn set_knob(&mut self, _: &mut Device, name: &str, text: &str) -> Result<()> {
-        self.shift = knob::number(name, text, 0.0, 1.0)? as u16;
+        match name {
+            "cell_mohm" => {
+                self.model.battery_mut().ohms = knob::number(name, text, 1.0, 10_000.0)? / 1000.0;
+            }
+            "thermistor" => self.thermistor.turn(name, text)?,
+            "keeps_full" => {
+                let mut keeps = self.keeps_full;
+                keeps.turn(name, text)?;
+                if keeps && !self.part.predicted.contains(&FULL_CHARGE_CAPACITY) {
+                    let why = "the part has no FullChargeCapacity()";
+                    return Err(Error::new(name, ErrorKind::NotPermitted, why));
+                }
+                self.keeps_full = keeps;
+                self.model.battery_mut().is_kept = keeps;
+            }
+            _ => self.shift = knob::number(name, text, 0.0, 1.0)? as u16,
+        }
         Ok(())
     }
 }

@@ -246,6 +246,8 @@ pub(super) struct MacPart {
     pub(super) gate: Option<u16>,
     /// Address of Voltage Divider, and the bit of a byte that switches off the internal divider.
     pub(super) divider: Option<(u16, (u16, u8))>,
+    /// The bit of a byte that chooses the thermistor; without one the part always measures with it.
+    pub(super) thermistor: Option<(u16, u8)>,
     /// Area and offset of the keys: four words in their order on the wire.
     pub(super) keys: Place,
     pub(super) seal: u16,

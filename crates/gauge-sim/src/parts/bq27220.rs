@@ -31,6 +31,8 @@ pub(super) static PART: Part = Part {
         data_memory: Some(MacMemory { default_seal: (0x9208, 0x08), shows: (0x3A, 0x0400) }),
         gate: None,
         divider: None,
+        // Operation Config A [TEMPS].
+        thermistor: Some((0x9206, 0x80)),
         keys: (PRIVATE, 0),
         seal: 0x0030,
         answers_elsewhere: true,

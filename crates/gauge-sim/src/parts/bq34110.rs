@@ -27,6 +27,8 @@ pub(super) static PART: Part = Part {
         gate: Some(0x4157),
         // [VEN_EN]. No source says by how much Voltage() changes: as in the bq34z100-G1.
         divider: Some((0x4010, (0x413D, 0x10))),
+        // No source has its bit.
+        thermistor: None,
         keys: (PRIVATE, 0),
         seal: 0x0030,
         answers_elsewhere: true,

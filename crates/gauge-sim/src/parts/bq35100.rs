@@ -26,6 +26,8 @@ pub(super) static PART: Part = Part {
         data_memory: None,
         gate: Some(0x41B6),
         divider: None,
+        // Operation Config A [TEMPS].
+        thermistor: Some((0x41B1, 0x80)),
         keys: (DATA_FLASH, offset(0x41CC)),
         seal: 0x0020,
         answers_elsewhere: false,
