@@ -17,6 +17,7 @@ pub(crate) fn of(handle: &Handle, snapshot: &Snapshot, host_scale: f64) -> Check
     Checked::of(&Facts {
         chip: handle.chip(),
         dm_code: published.answers.dm_code,
+        chem_id: published.answers.chem_id,
         registers: Some(snapshot.registers()),
         control_status: Some(snapshot.control_status).filter(|_| is_asked),
         unwritten: if snapshot.is_configured { "" } else { published.unwritten() },

@@ -190,7 +190,7 @@ impl Check {
         }
         let image = source.image(self.unmounted.chip, false)?;
         let stored = |row: Row| image.entry(row).map(|entry| entry.value.clone());
-        let has = Has { chip: image.chip, stored: &stored, current: None, energy: None };
+        let has = Has { chip: image.chip, chem_id: None, stored: &stored, current: None, energy: None };
         let battery = wanted.map(|wanted| battery::compared(&name, wanted, &has)).transpose()?;
         let text = check::text(&Checked::of(&Facts::of_flash(image.chip, &stored)));
         Ok(Looked { gauge: name, text, battery })
@@ -260,7 +260,7 @@ impl Check {
             Scale::None | Scale::Flash(..) => None,
         };
         let (current, energy) = (scale(chip.scaling.current), scale(chip.scaling.energy));
-        let has = Has { chip, stored: &stored, current, energy };
+        let has = Has { chip, chem_id: published.answers.chem_id, stored: &stored, current, energy };
         let battery = wanted.map(|wanted| battery::compared(&name, wanted, &has)).transpose()?;
         let text = check::text(&check::of(handle, snapshot, 1.0));
         Ok(Looked { gauge: name.clone(), text, battery })

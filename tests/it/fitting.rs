@@ -33,7 +33,7 @@ const PARTS: [(&str, &str, &str); 11] = [
     ("bq34z100-r2", "lfp 1s 1.2Ah", "configuration-data/design-energy=384"),
     ("bq27520-g3", "li-ion 1s 1.2Ah terminate-voltage=3.1V", "it-cfg/terminate-voltage=3100"),
     ("bq27441-g1", "li-ion 1s 1.2Ah taper-current=60mA", "state/taper-rate=200"),
-    ("bq27421-g1", "li-ion 1s 1.2Ah charge-voltage=4.3V", "state/taper-voltage=4200"),
+    ("bq27421-g1", "li-ion 1s 1.2Ah charge-voltage=4.25V", "state/taper-voltage=4150"),
     ("bq27426", "li-ion 1s 1.2Ah energy=4.4Wh", "state/design-energy=4400"),
     ("bq27427", "li-ion 1s 1.2Ah", "state/design-energy=4440"),
     ("bq27621-g1", "li-ion 1s 1.2Ah", "state/design-capacity=1200"),

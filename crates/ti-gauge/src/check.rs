@@ -10,6 +10,7 @@ use crate::registers::Registers;
 use crate::value::Value;
 
 mod battery;
+mod chemistry;
 mod devicetree;
 mod history;
 mod plan;
@@ -27,6 +28,9 @@ const ENERGY: &[&str] = &["Design Energy"];
 const ENERGY_SCALE: &[&str] = &["Design Energy Scale"];
 const TERMINATE: &[&str] = &["Terminate Voltage", "Cell Terminate Voltage"];
 const TAPER_VOLTAGE: &[&str] = &["Taper Voltage"];
+const CHARGE: &[&str] = &["Cell Charge Voltage T2-T3", "Charging Voltage"];
+/// What a cell of any chemistry can have in mV.
+const CELL_MV: (f64, f64) = (700.0, 4600.0);
 
 /// The first row with one of these names whose address is certain.
 fn find(chip: &'static Chip, names: &[&str]) -> Option<Row> {
@@ -113,6 +117,8 @@ pub struct Facts<'a> {
     pub chip: &'static Chip,
     /// Its answer to DM_CODE.
     pub dm_code: Option<u16>,
+    /// Its answer to CHEM_ID.
+    pub chem_id: Option<u16>,
     /// What was polled; `None` for a file that has only data flash.
     pub registers: Option<&'a Registers>,
     /// CONTROL_STATUS when it was last read; `None` of a gauge that is never asked.
@@ -193,6 +199,7 @@ impl<'a> Facts<'a> {
         Self {
             chip,
             dm_code: None,
+            chem_id: None,
             registers: None,
             control_status: None,
             unwritten: "",

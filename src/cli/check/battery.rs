@@ -92,9 +92,10 @@ pub(super) fn mounted(gauge: &Gauge, battery: &Battery, write: bool) -> Result<F
     let chip = gauge.chip()?;
     let scale = |file| gauge.text(file).ok()?.trim().parse().ok();
     let (current, energy) = (scale("gauge/current_scale"), scale("gauge/energy_scale"));
+    let chem_id = gauge.text("gauge/chem_id").ok().and_then(|text| hexadecimal(text.trim()));
     let plan = |image: &Image| {
         let stored = |row: Row| image.entry(row).map(|entry| entry.value.clone());
-        planned(battery, &Has { chip, stored: &stored, current, energy }, gauge.folder())
+        planned(battery, &Has { chip, chem_id, stored: &stored, current, energy }, gauge.folder())
     };
     let presence = gauge.presence()?;
     let rows = Battery::rows(chip);
@@ -113,6 +114,10 @@ pub(super) fn mounted(gauge: &Gauge, battery: &Battery, write: bool) -> Result<F
         }
     }
     Ok(fitting)
+}
+
+fn hexadecimal(text: &str) -> Option<u16> {
+    u16::from_str_radix(text.strip_prefix("0x")?, 16).ok()
 }
 
 /// Compares what is known of a gauge, or of an image, with a battery.

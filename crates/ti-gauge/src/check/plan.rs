@@ -6,7 +6,7 @@
 //! never among them: those are steps, with what to type or which tool has them.
 
 use super::battery::{Battery, Family, Typical};
-use super::{ENERGY, ENERGY_SCALE, TAPER_VOLTAGE, TERMINATE, find};
+use super::{ENERGY, ENERGY_SCALE, TAPER_VOLTAGE, TERMINATE, chemistry, find};
 use crate::chip::{Chip, Row, Scale};
 use crate::learning::Learns;
 use crate::notation;
@@ -73,6 +73,8 @@ const BELOW_CHARGE_MV: f64 = 100.0;
 pub struct Has<'a> {
     /// Its table.
     pub chip: &'static Chip,
+    /// Its answer to CHEM_ID, if it is known.
+    pub chem_id: Option<u16>,
     /// Its rows, as far as they could be read.
     pub stored: &'a dyn Fn(Row) -> Option<Value>,
     /// By what the host multiplies currents and charges; `None` if nobody knows.
@@ -430,7 +432,6 @@ impl Planner<'_> {
 
     fn steps(&mut self) {
         let (chip, battery) = (self.has.chip, self.battery);
-        let model = chip.model;
         if self.scale > 1.0 && chip.scaling.scaled.is_some() {
             let (scale, is_due) = (self.scale, self.has.current == Some(1.0));
             let text = format!(
@@ -441,24 +442,8 @@ impl Planner<'_> {
         }
         let learns = Learns::of(chip);
         if battery.chemistry.family != Family::Primary {
-            let usual = battery.chemistry.charge.map(|charge| f64::from(charge.usual));
-            let volts = match battery.charge_mv.or(usual) {
-                Some(mv) => format!(" charged to {mv} mV"),
-                None => String::new(),
-            };
-            let text = match learns {
-                Some(Learns::FullCharge) => {
-                    "the CEDV profile (EMF, C0, R0 and what follows) is programmed with TI's tool, from a \
-                                             log of the cell"
-                        .to_string()
-                }
-                _ => format!(
-                    "the chemistry of a {model} must be of {} cells{volts}: compare `gauge/chem_id` with TI's list; another one \
-                     is programmed with TI's tool",
-                    battery.chemistry.name
-                ),
-            };
-            self.step("chemistry", false, text);
+            let (is_due, text) = chemistry::step(chip, battery, self.has.chem_id);
+            self.step("chemistry", is_due, text);
         }
         if chip.access.scheme.is_ram() {
             let text = "data memory is lost with the power: `gaugefs export GAUGE -o FILE`, and mount with --profile FILE \

@@ -4,7 +4,8 @@
 
 use super::Severity::{Doubtful, Note, Wrong};
 use super::Subject::{Age, Flash, Impossible, Interference, Learning, NotConfigured};
-use super::{ENERGY, ENERGY_SCALE, TAPER_VOLTAGE, TERMINATE};
+use super::chemistry::finds as chem_id;
+use super::{CELL_MV, CHARGE, ENERGY, ENERGY_SCALE, TAPER_VOLTAGE, TERMINATE};
 use super::{Facts, Lacking, Rule, Severity, Subject, Verdict};
 use crate::chip::{Kind, Quirk, Register, Role, Row, Safe};
 use crate::codec::WINDOW;
@@ -25,12 +26,10 @@ pub(super) const DESIGN: &[&str] = &["Design Capacity", "Design Capacity mAh"];
 const TAPER: &[&str] = &["Taper Current", "Taper Rate"];
 /// The voltages at which a charge ends, and how far a cell may be above: where it is that of the charger, and where it is a
 /// little below.
-const CHARGED: [(&[&str], f64); 2] =
-    [(&["Cell Charge Voltage T2-T3", "Charging Voltage"], 100.0), (TAPER_VOLTAGE, 200.0)];
+const CHARGED: [(&[&str], f64); 2] = [(CHARGE, 100.0), (TAPER_VOLTAGE, 200.0)];
 
-/// What a cell can have in mV: lithium-ion, and any.
+/// What a lithium-ion cell can have in mV.
 const LITHIUM_MV: (f64, f64) = (1500.0, 4600.0);
-const CELL_MV: (f64, f64) = (700.0, 4600.0);
 /// Temperatures in 0.1 K at which the parts work, -40 to 85 °C, with a margin.
 const TEMPERATURE: (f64, f64) = (2331.0, 3631.0);
 /// Below 0 °C a battery gives less than its capacity.
@@ -128,6 +127,11 @@ pub static RULES: &[Rule] = &[
         "the pack is charged higher than its configuration says: another chemistry, or another number of cells",
         "compare the chemistry and these voltages with the data sheet of the cell (docs/CALIBRATION.md)",
         "SLUSBZ5D Table 7-11, SLUUAC9A Table 6-3",
+    ]),
+    rule((NotConfigured, Doubtful), "chem-id", chem_id, [
+        "the chemistry profile is of other cells than the configuration, so state of charge and learning follow another curve",
+        "choose or program the profile of the cell with TI's tool, then compare the voltages with its data sheet (docs/CALIBRATION.md)",
+        "SLUUAC9A 4.1.6, SLUUBB0, SLUUAD4C; Zephyr, dt-bindings/sensor/bq274xx.h",
     ]),
     rule((Impossible, Wrong), "temperature", temperature, [
         "the end of the sensor's range, as without a thermistor or with a short circuit",

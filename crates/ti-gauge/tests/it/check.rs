@@ -52,6 +52,7 @@ struct Bench {
     unwritten: &'static str,
     owed: &'static str,
     with_flash: bool,
+    chem_id: Option<u16>,
 }
 
 impl Bench {
@@ -80,6 +81,7 @@ impl Bench {
             unwritten,
             owed,
             with_flash,
+            chem_id: None,
         }
     }
 
@@ -218,6 +220,7 @@ impl Bench {
         Checked::of(&Facts {
             chip: self.chip,
             dm_code: None,
+            chem_id: self.chem_id,
             registers: Some(&self.registers),
             control_status: Some(self.status),
             unwritten: self.unwritten,
@@ -282,6 +285,13 @@ const CASES: &[(&str, &str, Make, Make, &str)] = &[
     ("divider", "bq34z100-g1", |b| { b.store_all(&external(16_700.0)); b.poll() }, |b| { b.store_all(&external(16_900.0)); b.poll() }, "[VOLTSEL] is set"),
     ("divider", "bq34z100-g1", |b| { b.store("Voltage Divider", 5600.0); b.poll() }, |b| { b.store("Voltage Divider", 5400.0); b.poll() }, "external one"),
     ("sense-resistor", "bq34z100-g1", |b| { b.store("CC Gain", 0.4768 * 1.03); b.poll() }, |b| { b.store("CC Gain", 0.4768 * 1.01); b.poll() }, "of 9.71 mΩ, CC Delta of 10.0"),
+    ("chem-id", "bq34z100-g1", |b| { b.chem_id = Some(0x0107); b.store("Cell Charge Voltage T2-T3", 3600.0); b.poll() },
+        |b| { b.chem_id = Some(0x0107); b.store("Cell Charge Voltage T2-T3", 4100.0); b.poll() }, "CHEM_ID 0x0107 is of lithium-ion cells charged to 4200 mV; Cell Charge Voltage T2-T3 3600 mV"),
+    ("chem-id", "bq34z100-g1", |b| { b.chem_id = Some(0x0107); call(b, "LIFE"); b.poll() }, |b| { b.chem_id = Some(0x0107); call(b, "LION"); b.poll() }, "Device Chemistry LIFE"),
+    ("chem-id", "bq34z100-g1", |b| { b.chem_id = Some(0x0107); call(b, "NIMH"); b.poll() }, |b| { b.chem_id = Some(0x0500); call(b, "NIMH"); b.poll() }, "NIMH"),
+    ("chem-id", "bq27426", |b| { b.chem_id = Some(0x1202); b.store("Taper Voltage", 4250.0); b.poll() }, |b| { b.chem_id = Some(0x3230); b.store("Taper Voltage", 4250.0); b.poll() }, "4200 mV; Taper Voltage 4250 mV"),
+    ("chem-id", "bq27426", |b| { b.chem_id = Some(0x3142); b.store("Taper Voltage", 4000.0); b.poll() }, |b| { b.chem_id = Some(0x3142); b.poll() }, "Taper Voltage 4000 mV"),
+    ("chem-id", "bq27427", |b| { b.chem_id = Some(0x1202); b.store("Taper Voltage", 4240.0); b.poll() }, |b| { b.chem_id = Some(0x1202); b.poll() }, "Taper Voltage 4240 mV"),
     ("chemistry", "bq34z100-g1", |b| { b.set("voltage_mv", 4301); b.poll_after(2) }, |b| { b.set("voltage_mv", 4299); b.poll_after(2) }, "4200 mV"),
     ("chemistry", "bq27441-g1", |b| { b.set("voltage_mv", 4301); b.poll_after(2) }, |b| { b.set("voltage_mv", 4299); b.poll_after(2) }, "Taper Voltage 4100"),
     ("chemistry", "bq34z100-g1", |b| { b.set("voltage_mv", 4600); b.poll_after(2) }, |b| { b.set("voltage_mv", 4601); b.poll_after(2) }, "4600 mV"),
@@ -599,12 +609,17 @@ fn configure(bench: &mut Bench, random: &mut Random, told: &mut Vec<String>) -> 
     rows
 }
 
+/// Gives Device Chemistry another name.
+fn call(bench: &mut Bench, name: &str) {
+    let row = bench.chip.stored(Role::Technology).expect("a row");
+    bench.store_at(row, &[&[name.len() as u8], name.as_bytes()].concat());
+}
+
 /// Gives the pack other cells. Their voltage is within what they have, whatever the load.
 fn cook(bench: &mut Bench, cells: u64, random: &mut Random) -> &'static str {
     let (name, low, high) =
         [("NIMH", 900, 1500), ("PBA ", 1800, 2450), ("LIFE", 2500, 3650)][random.below(3) as usize];
-    let row = bench.chip.stored(Role::Technology).expect("a row");
-    bench.store_at(row, &[&[name.len() as u8], name.as_bytes()].concat());
+    call(bench, name);
     bench.set("voltage_mv", cells * (low + random.below(high - low)));
     name
 }

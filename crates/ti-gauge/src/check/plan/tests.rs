@@ -12,7 +12,7 @@ fn plan(part: &str, battery: &str, set: &[(&str, i64)], scale: f64) -> Result<Pl
         let set = set.iter().find(|(name, _)| *name == row.1.name).map(|(_, value)| *value);
         Some(Value::Int(set.or(row.1.int_default(None)).unwrap_or(0)))
     };
-    let has = Has { chip, stored: &stored, current: Some(scale), energy: Some(1.0) };
+    let has = Has { chip, chem_id: None, stored: &stored, current: Some(scale), energy: Some(1.0) };
     battery.parse::<Battery>().expect(battery).plan(&has)
 }
 
@@ -197,9 +197,68 @@ fn a_battery_that_the_part_cannot_gauge_is_refused() {
 #[test]
 fn what_cannot_be_read_is_said() {
     let chip = Chip::by_name("bq34z100-g1").expect("a part");
-    let has = Has { chip, stored: &|_| None, current: None, energy: None };
+    let has = Has { chip, chem_id: None, stored: &|_| None, current: None, energy: None };
     let plan = "li-ion 3s 5200mAh".parse::<Battery>().expect("a battery").plan(&has).expect("a plan");
     assert!(plan.differ.is_empty() && plan.fit.is_empty());
     let unread: Vec<_> = plan.unread.iter().map(|(_, row)| row.name).collect();
     assert!(["Design Capacity", "Pack Configuration"].iter().all(|name| unread.contains(name)), "{unread:?}");
+}
+
+#[test]
+fn a_chemistry_profile_of_other_cells_is_due() {
+    for (part, chem_id, battery, is_due, says) in [
+        (
+            "bq34z100-g1",
+            Some(0x0107),
+            "li-ion 1s 2Ah",
+            false,
+            "CHEM_ID 0x0107 is of lithium-ion cells charged to 4200 mV",
+        ),
+        ("bq34z100-g1", Some(0x0107), "li-ion 1s 2Ah charge-voltage=4.1V", false, "CHEM_ID 0x0107"),
+        (
+            "bq34z100-g1",
+            Some(0x0107),
+            "li-ion 1s 2Ah charge-voltage=4.35V",
+            true,
+            "another one is programmed with TI's tool",
+        ),
+        (
+            "bq34z100-g1",
+            Some(0x0107),
+            "lfp 1s 2Ah",
+            true,
+            "must be of lifepo4 cells charged to 3600 mV, but CHEM_ID 0x0107",
+        ),
+        ("bq34z100-g1", Some(0x0107), "nimh 1s 2Ah", true, "must be of nimh cells, but"),
+        ("bq34z100-g1", Some(0x0404), "lfp 1s 2Ah", false, "compare `gauge/chem_id`"),
+        ("bq34z100-g1", None, "lfp 1s 2Ah", false, "compare `gauge/chem_id`"),
+        (
+            "bq27427",
+            Some(0x3230),
+            "li-ion 1s 2Ah charge-voltage=4.2V",
+            true,
+            "charged to 4350 mV: 0x1202 (CHEM_B) is for it",
+        ),
+        (
+            "bq27441-g1",
+            Some(0x0312),
+            "li-ion 1s 2Ah charge-voltage=4.35V",
+            false,
+            "charged to 4300 to 4350 mV",
+        ),
+        (
+            "bq27621-g1",
+            Some(0x1202),
+            "li-ion 1s 2Ah charge-voltage=4.35V",
+            true,
+            "0x1210 (ALT_CHEM1) is for it",
+        ),
+    ] {
+        let chip = Chip::by_name(part).expect("a part");
+        let stored = |row: Row| Some(Value::Int(row.1.int_default(None).unwrap_or(0)));
+        let has = Has { chip, chem_id, stored: &stored, current: Some(1.0), energy: Some(1.0) };
+        let plan = battery.parse::<Battery>().expect(battery).plan(&has).expect(part);
+        let step = plan.steps.iter().find(|step| step.name == "chemistry").expect("a step");
+        assert!(step.is_due == is_due && step.text.contains(says), "{part} {battery}: {step:?}");
+    }
 }
