@@ -5,6 +5,7 @@
 #![allow(clippy::disallowed_methods, reason = "tests read what they have made")]
 
 mod bus;
+mod captures;
 mod check;
 mod cli;
 mod client;
