@@ -75,15 +75,18 @@ fn chip(modalias: &str) -> Option<&'static Chip> {
 }
 
 /// Names that bind the kernel's driver to parts unknown to it.
-const BORROWED: &[(&str, &str)] = &[("bq27427", "bq27426")];
+const BORROWED: &[(&str, &str)] =
+    &[("bq27427", "bq27426"), ("bq27500", "bq27500-1"), ("bq27500-v130", "bq27500-1")];
 
 /// The kernel's names have no dash, and most lack the first generation's suffix. Its bq34z100 also means the
-/// bq34z100-R2, which TI made compatible.
+/// bq34z100-R2, which TI made compatible. A name that means any part of a family there does so here.
 fn compatible(chip: &Chip) -> Vec<String> {
     let name = chip.name.replace('-', "");
     let short = ["g1", "r2"].iter().find_map(|suffix| name.strip_suffix(suffix)).map(str::to_string);
     let borrowed = BORROWED.iter().find(|(part, _)| *part == chip.name).map(|(_, name)| (*name).to_string());
-    [Some(name), short, borrowed].into_iter().flatten().collect()
+    let mut names: Vec<_> = [Some(name), short, borrowed].into_iter().flatten().collect();
+    names.retain(|name| kernel::by_driver_name(name).is_none_or(Chip::has_table));
+    names
 }
 
 #[cfg(test)]
@@ -120,7 +123,8 @@ mod tests {
             let mut names = compatible(gauge);
             names.retain(|name| rules.contains(&format!("\"of:*Cti,{name}|of:*Cti,{name}C*\"")));
             assert!(!names.is_empty(), "{} is not in the rule", gauge.name);
-            for name in names.iter().filter(|name| !["bq34z100", "bq27426"].contains(&&***name)) {
+            for name in names.iter().filter(|name| !["bq34z100", "bq27426", "bq27500-1"].contains(&&***name))
+            {
                 assert_eq!(
                     chip(&format!("of:NgT(null)Cti,{name}\n")).map(|chip| chip.name),
                     Some(gauge.name)
@@ -134,7 +138,8 @@ mod tests {
             );
         }
         assert_eq!(chip("of:NgT(null)Cti,bq27500").map(|chip| chip.name), Some("bq2750x"));
-        assert_eq!(chip("of:NgT(null)Cti,bq27500-1").map(|chip| chip.name), Some("bq27500"));
+        assert!(chip("of:NgT(null)Cti,bq27500-1").is_none(), "its firmware tells");
+        assert_eq!(chip("of:NgT(null)Cti,bq27500v130").map(|chip| chip.name), Some("bq27500-v130"));
         assert_eq!(chip("of:NgT(null)Cti,bq27220").map(|chip| chip.name), Some("bq27220"));
         assert!(chip("of:NgT(null)Cti,bq99").is_none());
         assert!(chip("i2c:bq34z100").is_none());

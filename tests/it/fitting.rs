@@ -28,10 +28,11 @@ fn due(battery: &Json) -> Vec<&str> {
 }
 
 /// Each part with a battery that is not the one it has by itself.
-const PARTS: [(&str, &str, &str); 11] = [
+const PARTS: [(&str, &str, &str); 12] = [
     ("bq34z100-g1", "li-ion 1s 1.2Ah", "configuration-data/design-capacity=1200"),
     ("bq34z100-r2", "lfp 1s 1.2Ah", "configuration-data/design-energy=384"),
     ("bq27520-g3", "li-ion 1s 1.2Ah terminate-voltage=3.1V", "it-cfg/terminate-voltage=3100"),
+    ("bq27500", "li-ion 1s 1.2Ah terminate-voltage=3.1V", "it-cfg/terminate-voltage=3100"),
     ("bq27441-g1", "li-ion 1s 1.2Ah taper-current=60mA", "state/taper-rate=200"),
     ("bq27421-g1", "li-ion 1s 1.2Ah charge-voltage=4.25V", "state/taper-voltage=4150"),
     ("bq27426", "li-ion 1s 1.2Ah energy=4.4Wh", "state/design-energy=4400"),

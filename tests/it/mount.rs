@@ -602,6 +602,8 @@ fn a_parameter_held_open_gets_the_new_value() {
 fn every_chip_can_be_mounted_read_and_written() {
     for (chip, parameter, value) in [
         ("bq27520-g3", "df/48/10", "1200"),
+        ("bq27500", "df/48/10", "1200"),
+        ("bq27500-v130", "df/48/10", "1200"),
         ("bq27441-g1", "df/82/10", "1200"),
         ("bq27421-g1", "df/82/10", "1200"),
         ("bq27426", "df/82/6", "1200"),

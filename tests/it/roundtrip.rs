@@ -97,7 +97,7 @@ fn an_export_that_is_imported_into_another_gauge_is_exported_the_same() {
     if !can_mount() {
         return;
     }
-    assert_eq!(CHIPS.len(), 11);
+    assert_eq!(CHIPS.len(), 13);
     let check = |chip: &'static Chip, format, end| {
         let folder = Folder::new();
         let mounts = ["m", "n"].map(|name| folder.file(name));

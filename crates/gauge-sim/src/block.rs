@@ -21,7 +21,7 @@ use super::knob::{self, KnobValue};
 use super::model::{Host, Place};
 use super::model::{Kept, Model, Registers, bits};
 use super::options::Options;
-use super::part::{Action, BlockPart, Flag, Part, Scale, Status};
+use super::part::{Action, BlockPart, Detection, Flag, Part, Scale, Status};
 use super::rom::ROM_ADDRESS;
 use super::rom::{Boot, Effect};
 use super::seal::{self, Level, Seal};
@@ -132,7 +132,11 @@ impl BlockPart {
 
     /// Whether a pin detects the battery; BAT_INSERT then has no effect.
     fn has_pin(&self, flash: &Flash) -> bool {
-        self.battery_insert.is_some_and(|(id, offset, bit)| flash.u8(id, offset) & bit != 0)
+        match self.detection {
+            Detection::None => false,
+            Detection::Pin => true,
+            Detection::PinIf(id, offset, bit) => flash.u8(id, offset) & bit != 0,
+        }
     }
 
     fn host_register(&self, register: u8) -> Option<Host> {
@@ -215,7 +219,7 @@ impl Block {
 
     /// The bits of Flags() that do not concern gauging.
     fn own_flags(&self, flash: &Flash) -> u16 {
-        let (ram, detects) = (self.part.data_memory.is_some(), self.part.battery_insert.is_some());
+        let (ram, detects) = (self.part.data_memory.is_some(), self.part.detection != Detection::None);
         bits(&[
             (ITPOR, ram && flash.itpor),
             (CFGUPMODE, ram && self.ram.update.shows()),
@@ -225,7 +229,9 @@ impl Block {
 
     /// Whether a pin, or the host, has told the gauge of a battery.
     fn present(&self, flash: &Flash) -> bool {
-        self.ram.inserted || self.part.battery_insert.is_none() || self.part.has_pin(flash) && !self.is_away
+        self.ram.inserted
+            || self.part.detection == Detection::None
+            || self.part.has_pin(flash) && !self.is_away
     }
 
     fn voltage(&self, flash: &Flash) -> u16 {

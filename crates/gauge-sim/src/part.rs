@@ -101,11 +101,21 @@ pub(super) struct BlockPart {
     pub(super) sealed_blocks: &'static [(u8, u16)],
     /// The class that a sealed gauge lets the host write.
     pub(super) sealed_writes: Option<u16>,
-    /// Class, offset and bit that make a pin detect the battery; BAT_INSERT then has no effect.
-    pub(super) battery_insert: Option<(u16, usize, u8)>,
+    pub(super) detection: Detection,
     pub(super) own: Own,
     /// Places of the classes in the boot loader's data flash, if the boot loader is simulated.
     pub(super) rom: Option<Layout>,
+}
+
+/// How the gauge learns that a battery is there.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Detection {
+    /// Not at all.
+    None,
+    /// A pin.
+    Pin,
+    /// A pin, with this bit of a class and offset; BAT_INSERT then has no effect. Without the bit BAT_INSERT.
+    PinIf(u16, usize, u8),
 }
 
 /// Data memory in RAM, filled from ROM when power comes.

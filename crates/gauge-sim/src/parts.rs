@@ -10,6 +10,7 @@ mod bq27220;
 mod bq27426;
 mod bq27427;
 mod bq27441_g1;
+mod bq27500;
 mod bq27520_g3;
 mod bq27621_g1;
 mod bq34110;
@@ -22,6 +23,8 @@ static PARTS: &[&Part] = &[
     &bq34z100_g1::PART,
     &bq34z100_r2::PART,
     &bq27520_g3::PART,
+    &bq27500::PART,
+    &bq27500::V130,
     &bq27441_g1::PART,
     &bq27441_g1::BQ27421,
     &bq27426::PART,

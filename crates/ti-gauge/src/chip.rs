@@ -16,6 +16,7 @@ pub mod bq27421_g1;
 pub mod bq27426;
 pub mod bq27427;
 pub mod bq27441_g1;
+pub mod bq27500;
 pub mod bq27520_g3;
 pub mod bq27621_g1;
 pub mod bq34110;
@@ -49,6 +50,8 @@ pub static CHIPS: &[&Chip] = &[
     &bq34z100_g1::CHIP,
     &bq34z100_r2::CHIP,
     &bq27520_g3::CHIP,
+    &bq27500::CHIP,
+    &bq27500::V130,
     &bq27441_g1::CHIP,
     &bq27421_g1::CHIP,
     &bq27426::CHIP,

@@ -313,6 +313,9 @@ reasons! {
         "the value is outside {}", quantity::pair(least, " to ", greatest, unit);
     /// A value would do harm.
     Unsafe { number: i64, least: i64; why: &'static str } "unsafe", OutOfRange, "{number} is below {least}: {why}";
+    /// The same of a value that is too great.
+    UnsafeAbove { number: i64, greatest: i64; why: &'static str } "unsafe-above", OutOfRange,
+        "{number} is above {greatest}: {why}";
     /// The gauge's supply is outside of the part's range, in mV.
     Supply { value: u16, least: u16, greatest: u16 } "supply-voltage", NotNow,
         "{value} mV, and the part works from {least} to {greatest} mV: charge the cell, or check its connection";

@@ -314,7 +314,7 @@ fn without_a_battery_nothing_is_measured() {
 
 #[test]
 fn before_the_first_measurement_no_value_is_shown() {
-    for chip in ["bq34z100-g1", "bq34z100-r2", "bq27441-g1", "bq27520-g3", "bq27220", "bq34110"] {
+    for chip in ["bq34z100-g1", "bq34z100-r2", "bq27441-g1", "bq27520-g3", "bq27500", "bq27220", "bq34110"] {
         let mut rig = open(chip);
         turn(&rig, "first_ms", "3000");
         turn(&rig, "first_values", "nonsense");
@@ -448,7 +448,9 @@ fn regression_the_power_of_a_discharge_is_none_of_a_charge() {
 /// Both in one simulated pack: AveragePower() of the bq28z610 is in 10 mW (SLUUA65E), that of the bq27500 in mW.
 #[test]
 fn regression_power_is_voltage_times_current() {
-    for chip in ["bq28z610", "bq27500", "bq27541", "bq27530", "bq27545", "bq27441-g1", "bq34z100-r2"] {
+    for chip in
+        ["bq28z610", "bq27500", "bq27510-g1", "bq27541", "bq27530", "bq27545", "bq27441-g1", "bq34z100-r2"]
+    {
         let mut rig = open(chip);
         turn(&rig, "load_ma", "500");
         for _ in 0..40 {
@@ -487,7 +489,7 @@ const OF_THE_DRIVER: &[(&[&str], &str)] = &[
     (&["bq27000"], "capacity charge_full charge_full_design charge_now current_now cycle_count energy_now power_avg temp time_to_empty_avg time_to_empty_now time_to_full_now voltage_now"),
     (&["bq27010"], "capacity charge_full charge_full_design charge_now current_now cycle_count temp time_to_empty_avg time_to_empty_now time_to_full_now voltage_now"),
     (&["bq2750x", "bq2751x", "bq2752x", "bq27510-g3"], "capacity charge_full charge_full_design charge_now current_now cycle_count temp time_to_empty_now voltage_now"),
-    (&["bq27500", "bq27510-g1", "bq27520-g2"], "capacity charge_full charge_full_design charge_now current_now cycle_count energy_now power_avg temp time_to_empty_avg time_to_empty_now time_to_full_now voltage_now"),
+    (&["bq27510-g1", "bq27520-g2"], "capacity charge_full charge_full_design charge_now current_now cycle_count energy_now power_avg temp time_to_empty_avg time_to_empty_now time_to_full_now voltage_now"),
     // TI gives the unit of its energy in two ways.
     (&["bq27510-g2"], "capacity charge_full charge_full_design charge_now current_now cycle_count power_avg temp time_to_empty_avg time_to_empty_now time_to_full_now voltage_now"),
     (&["bq27520-g1"], "capacity charge_full charge_full_design charge_now current_now energy_now power_avg temp time_to_empty_avg time_to_empty_now time_to_full_now voltage_now"),

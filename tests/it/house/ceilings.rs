@@ -15,14 +15,14 @@ use super::{crates, files, without_tests};
 const LINES: [(&str, usize); 10] = [
     ("gauge-bus", 3_220),
     ("gauge-owner", 7_660),
-    ("gauge-sim", 10_580),
+    ("gauge-sim", 10_870),
     ("gauge-station", 3_800),
     ("gaugefs", 19_090),
     ("gaugefs-client", 2_830),
     ("gaugefs-host", 600),
     ("gaugefs-screen", 6_160),
     ("i2c-server", 1_280),
-    ("ti-gauge", 30_300),
+    ("ti-gauge", 30_960),
 ];
 
 /// The least lines of code to one of comment in each crate, in tenths. What others use has a line for each public item.

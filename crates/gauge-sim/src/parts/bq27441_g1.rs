@@ -14,7 +14,7 @@ use super::gauging::{CHG, DSG, FC, Learns, Map, OCVTAKEN, OT, SOC1, SOCF, Settin
 use super::learning::QMAX;
 use super::model::Host;
 use super::part::Action::*;
-use super::part::{Action, BlockPart, DataMemory, Own, Part, Scheme, Status};
+use super::part::{Action, BlockPart, DataMemory, Detection, Own, Part, Scheme, Status};
 use super::seal::Level::{self, Sealed as Anyone, Unsealed};
 use super::timing::Timing;
 use super::update::Exit;
@@ -68,7 +68,7 @@ pub(super) const SCHEME: BlockPart = BlockPart {
     sealed_blocks: &[],
     sealed_writes: None,
     // OpConfig [BIE], table 6-7.
-    battery_insert: Some((64, 0, 0x20)),
+    detection: Detection::PinIf(64, 0, 0x20),
     own: OWN,
     rom: None,
 };

@@ -11,7 +11,7 @@ use super::gauging::Quantity as Q;
 use super::gauging::{CHG, CHG_INH, DSG, FC, Map, OCVTAKEN, OTC, OTD, SOC1, SOCF, Settings, XCHG};
 use super::model::Host;
 use super::part::Action::*;
-use super::part::{Action, BlockPart, Gate, Own, Part, Scheme, Status};
+use super::part::{Action, BlockPart, Detection, Gate, Own, Part, Scheme, Status};
 use super::rom::Layout;
 use super::seal::Level::{self, FullAccess, Sealed as Anyone, Unsealed};
 use super::timing::Timing;
@@ -54,7 +54,7 @@ static SCHEME: BlockPart = BlockPart {
     sealed_blocks: &[(1, 57)],
     sealed_writes: None,
     // Operation Configuration B [BIE].
-    battery_insert: Some((64, 11, 0x40)),
+    detection: Detection::PinIf(64, 11, 0x40),
     own: Own {
         update_status: None,
         cc_offset: Some((104, 8)),

@@ -13,7 +13,7 @@ use super::gauging::{
     BATHI, BATLOW, CF, CHG, CHG_INH, DSG, FC, Learns, Map, OCVTAKEN, OTC, OTD, SOC1, SOCF, Settings, XCHG,
 };
 use super::part::Action::*;
-use super::part::{Action, BlockPart, Gate, Own, Part, Scheme, Status};
+use super::part::{Action, BlockPart, Detection, Gate, Own, Part, Scheme, Status};
 use super::rom::Layout;
 use super::seal::Level::{self, FullAccess, Sealed as Anyone, Unsealed};
 use super::timing::Timing;
@@ -66,7 +66,7 @@ pub(super) const SCHEME: BlockPart = BlockPart {
     // Manufacturer block A, and lifetime data, which can be written (7.3.6.17).
     sealed_blocks: &[(1, 58), (4, 59)],
     sealed_writes: Some(59),
-    battery_insert: None,
+    detection: Detection::None,
     own: Own {
         update_status: Some((82, 4)),
         cc_offset: Some((104, 8)),

@@ -37,7 +37,6 @@ pub(super) static PARTS: &[&Part] = &[
     &const { named("bq2750x", const { &of(BQ2750X, OTDC, 0x0500, 0x0108) }) },
     &const { named("bq2751x", const { &of(BQ2751X, OTDC, 0x0510, 0x0400) }) },
     &const { named("bq2752x", const { &of(BQ2751X, OTDC, 0x0520, 0x0400) }) },
-    &const { named("bq27500", const { &of(BQ27500, OTDC, 0x0500, 0x0130) }) },
     &const { named("bq27510-g1", const { &of(BQ27500, OTDC, 0x0510, 0x0100) }) },
     &const { named("bq27510-g2", const { &of(BQ27500, OTDC, 0x0510, 0x0200) }) },
     &const { named("bq27510-g3", const { &of(BQ2751X, OTDC, 0x0510, 0x0400) }) },

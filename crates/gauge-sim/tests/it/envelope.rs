@@ -18,7 +18,8 @@ const MAC: &str = "bq35100";
 const UNSEAL: &str = "W 00 14 04 ; W 00 72 36";
 const UNSEAL_RAM: &str = "W 00 00 80 ; W 00 00 80";
 /// Every other part that is simulated.
-const OTHERS: [&str; 6] = ["bq27520-g3", "bq27421-g1", "bq27426", "bq27427", "bq27621-g1", "bq34110"];
+const OTHERS: [&str; 7] =
+    ["bq27520-g3", "bq27500", "bq27421-g1", "bq27426", "bq27427", "bq27621-g1", "bq34110"];
 
 fn with(chip: &str, options: &Options) -> Bench {
     let clock = Arc::new(SimClock::new());

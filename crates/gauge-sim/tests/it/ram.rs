@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! The simulated bq27441-G1, bq27421-G1, bq27426, bq27427, bq27621-G1 and bq27520-G3, compared byte by byte with the manuals.
+//! The simulated bq27441-G1, bq27421-G1, bq27426, bq27427, bq27621-G1, bq27520-G3 and bq27500, compared byte by byte with the manuals.
 
 use std::time::Duration;
 
@@ -605,5 +605,63 @@ mod bq27520 {
         assert_eq!((bench.word(0x2C), bench.word(0x10), bench.word(0x12)), (59, 590, 1000));
         assert_eq!(bench.word(0x16), 118);
         assert_eq!(bench.word(0x0A) & (BAT_DET | DSG), BAT_DET | DSG);
+    }
+}
+
+mod bq27500 {
+    use super::*;
+
+    const KEYS: &str = "W 00 14 04 ; W 00 72 36";
+
+    fn open(chip: &str) -> Bench {
+        let bench = Bench::part(chip);
+        bench.replay(KEYS);
+        bench
+    }
+
+    #[test]
+    fn identity() {
+        for (chip, firmware) in [("bq27500", "20 01"), ("bq27500-v130", "30 01")] {
+            let bench = Bench::part(chip);
+            bench.replay("W 00 01 00 ; R 00 2 -> 00 05");
+            bench.replay(&format!("W 00 02 00 ; R 00 2 -> {firmware}"));
+            bench.replay("R 3C 2 -> E8 03 ; R 6B 1 -> 00 ; R 6C 1 -> NACK");
+        }
+    }
+
+    /// A pin detects the battery.
+    #[test]
+    fn a_battery_is_there() {
+        for chip in ["bq27500", "bq27500-v130"] {
+            assert_eq!(Bench::part(chip).word(0x0A) & 0x0008, 0x0008);
+        }
+    }
+
+    /// SLUS914A 4.2.1: Terminate Voltage is in the second block of class 80, at 0x50.
+    #[test]
+    fn the_worked_example_of_slus914a() {
+        for chip in ["bq27500", "bq27500-v130"] {
+            open(chip).replay("W 61 00 ; W 3E 50 ; W 3F 01 ; X 50 ; R 50 2 -> 0B B8");
+        }
+    }
+
+    /// TI's image for firmware 1.20: -10 mA, -500 mA, 900 mAh, 1000 mAh and the name.
+    #[test]
+    fn the_image_of_firmware_1_20() {
+        let bench = open("bq27500");
+        let (data, sum) = bench.block_text(0x30, 0);
+        assert!(data.starts_with("00 64 01 B0 F6 FE 0C 03 84 5A 03 E8 07 62 71 32 37 35 30 30"), "{data}");
+        assert_eq!(sum, 0x46);
+        assert!(bench.block_text(0x24, 0).0.starts_with("00 00 00 64 00 19 00 64 28 63 5F 64 62"));
+        assert!(open("bq27500-v130").block_text(0x24, 0).0.starts_with("00 64 00 19 00 64 28 00 00 64 62"));
+    }
+
+    /// Taper Current is at another offset in each.
+    #[test]
+    fn each_firmware_ends_a_charge_at_its_own_taper_current() {
+        for (chip, row) in [("bq27500", "42"), ("bq27500-v130", "40")] {
+            let bench = open(chip);
+            bench.replay(&format!("W 61 00 ; W 3E 24 ; W 3F 00 ; X 50 ; R {row} 2 -> 00 64"));
+        }
     }
 }

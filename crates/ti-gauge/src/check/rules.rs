@@ -536,11 +536,16 @@ fn is_erased(facts: &Facts<'_>) -> Verdict {
 }
 
 fn unsafe_value(facts: &Facts<'_>) -> Verdict {
-    all(facts, |row, value| match (&row.1.safe, value) {
-        (Some(Safe::AtLeast(least, why)), Value::Int(number)) if *number < i64::from(*least) => {
-            Some(format!("{}, at least {least}: {why}", shown(row, value)))
+    all(facts, |row, value| {
+        let (Some((least, greatest, why)), Value::Int(number)) = (row.1.safe.as_ref()?.limits(), value)
+        else {
+            return None;
+        };
+        match *number {
+            number if number < least => Some(format!("{}, at least {least}: {why}", shown(row, value))),
+            number if number > greatest => Some(format!("{}, at most {greatest}: {why}", shown(row, value))),
+            _ => None,
         }
-        _ => None,
     })
 }
 

@@ -330,8 +330,8 @@ const GATE: Safe = Safe::BelowVoltage("above it the gauge would store no further
 /// StateOfHealth() and the depth of discharge are fractions of it.
 const CAPACITY: Safe = Safe::AtLeast(1, "the gauge divides by it");
 
-/// The manual's range goes down to -32768; the kernel's row for the ancestor stops here.
-const TERMINATE: Safe = Safe::AtLeast(1000, "no lithium cell survives being run down so far");
+/// The signature's limits: beyond them no further write would be let through.
+const TERMINATE: Safe = Safe::Within(2000, 4200, "the layout of data flash is recognised by it");
 
 /// An encoded resistance profile: two bytes of flags, then steps from one grid point to the next.
 #[rustfmt::skip]

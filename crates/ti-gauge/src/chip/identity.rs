@@ -125,8 +125,6 @@ pub static SIBLINGS: &[Sibling] = &[
     // Firmware 1.09 like its sisters; codes from SLUSBN7D. Its configuration is in one-time programmable memory.
     Sibling::new("bq27411-G1", 0x0421, &[0x0109], &[0x80, 0x90, 0xA0], Some(&bq27441_g1::CHIP)),
     // Types that parts were seen to answer with, or that several drivers compare. Firmware versions are not known.
-    Sibling::new("bq27500", 0x0500, &[], &[], Some(&kernel::BQ27500)),
-    Sibling::new("bq2750x", 0x0500, &[], &[], Some(&kernel::BQ2750X)),
     Sibling::new("bq27510-G1", 0x0510, &[], &[], Some(&kernel::BQ27510_G1)),
     Sibling::new("bq27510-G2", 0x0510, &[], &[], Some(&kernel::BQ27510_G2)),
     Sibling::new("bq27510-G3", 0x0510, &[], &[], Some(&kernel::BQ27510_G3)),

@@ -36,7 +36,7 @@ use gauge_bus::GAUGE_ADDRESS;
 /// The gauges, in the order of the driver.
 #[rustfmt::skip]
 pub static GAUGES: &[&Chip] = &[
-    &BQ27000, &BQ27010, &BQ2750X, &BQ2751X, &BQ2752X, &BQ27500, &BQ27510_G1, &BQ27510_G2, &BQ27510_G3,
+    &BQ27000, &BQ27010, &BQ2750X, &BQ2751X, &BQ2752X, &BQ27510_G1, &BQ27510_G2, &BQ27510_G3,
     &BQ27520_G1, &BQ27520_G2, &BQ27520_G4, &BQ27521, &BQ27530, &BQ27531, &BQ27541, &BQ27542, &BQ27546,
     &BQ27742, &BQ27545, &BQ27411, &BQ27425, &BQ27Z561, &BQ28Z610, &BQ28Z620, &BQ78Z100,
 ];
@@ -228,10 +228,9 @@ const fn gauge(
 static BQ27000: Chip = gauge("bq27000", "bq27000", REGISTERS_27000, Zero);
 static BQ27010: Chip = gauge("bq27010", "bq27010", REGISTERS_27010, Zero);
 // Names for old device trees, which mean any part of a family.
-pub(super) static BQ2750X: Chip = gauge("bq2750x", "bq2750x", REGISTERS_2750X, Otdc);
+static BQ2750X: Chip = gauge("bq2750x", "bq2750x", REGISTERS_2750X, Otdc);
 static BQ2751X: Chip = gauge("bq2751x", "bq2751x", REGISTERS_2751X, Otdc);
 static BQ2752X: Chip = gauge("bq2752x", "bq2752x", REGISTERS_2751X, Otdc);
-pub(super) static BQ27500: Chip = gauge("bq27500", "bq27500", REGISTERS_27500, Otdc);
 pub(super) static BQ27510_G1: Chip = gauge("bq27510-g1", "bq27510-G1", REGISTERS_27500, Otdc);
 pub(super) static BQ27510_G2: Chip = gauge("bq27510-g2", "bq27510-G2", REGISTERS_27510_G2, Otdc);
 pub(super) static BQ27510_G3: Chip = gauge("bq27510-g3", "bq27510-G3", REGISTERS_2751X, Otdc);
@@ -556,7 +555,7 @@ mod tests {
             bursts(chip.registers, |tier| tier == Tier::Poll)
         };
         assert_eq!(reads("bq27000"), [(0x06, 8), (0x12, 8), (0x22, 10)]);
-        assert_eq!(reads("bq27500"), [(0x06, 20), (0x22, 12)]);
+        assert_eq!(reads("bq27510-g1"), [(0x06, 20), (0x22, 12)]);
         assert_eq!(reads("bq27510-g3"), [(0x06, 28)]);
         assert_eq!(reads("bq27541"), [(0x06, 18), (0x24, 2), (0x2a, 6)]);
         assert_eq!(reads("bq27521"), [(0x08, 8)]);

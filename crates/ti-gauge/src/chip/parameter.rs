@@ -307,8 +307,21 @@ pub enum Range {
 pub enum Safe {
     /// A minimum.
     AtLeast(i32, &'static str),
+    /// A minimum and a maximum.
+    Within(i32, i32, &'static str),
     /// Not above the voltage that the gauge will measure with the transaction's values, as its flash gate compares it.
     BelowVoltage(&'static str),
     /// The bits of this mask must keep their values.
     Keep(u32, &'static str),
+}
+
+impl Safe {
+    /// The smallest and the largest number that it allows by itself, and the reason.
+    pub fn limits(&self) -> Option<(i64, i64, &'static str)> {
+        match *self {
+            Self::AtLeast(least, why) => Some((least.into(), i64::MAX, why)),
+            Self::Within(least, most, why) => Some((least.into(), most.into(), why)),
+            Self::BelowVoltage(_) | Self::Keep(..) => None,
+        }
+    }
 }

@@ -153,6 +153,9 @@ mod tests {
         assert_eq!(seen(0x0100, 0x0202, 0x00a8, None), "bq35100");
         assert_eq!(seen(0x0110, 0x0100, 0x0000, None), "bq34110");
         assert_eq!(seen(0x0520, 0x0324, 0x0000, None), "bq27520-g3");
+        assert_eq!(seen(0x0500, 0x0106, 0x0000, None), "bq27500");
+        assert_eq!(seen(0x0500, 0x0120, 0x0000, None), "bq27500");
+        assert_eq!(seen(0x0500, 0x0130, 0x0000, None), "bq27500-v130");
         assert_eq!(seen(0x0520, 0x0311, 0x0000, None), "bq27520-G2 like bq27520-g3");
         assert_eq!(seen(0x0520, 0x0329, 0x0000, None), "bq27520-G4 like bq27520-g4");
         assert_eq!(seen(0xffff, 0xffff, 0xffff, None), "unknown");
@@ -163,7 +166,6 @@ mod tests {
     fn a_type_of_several_maps_is_for_the_user_to_decide() {
         assert_eq!(seen(0x0541, 0x0200, 0, None), "bq27541 like bq27541");
         assert_eq!(seen(0x0510, 0x0400, 0, None), "bq27510-g1 or bq27510-g2 or bq27510-g3");
-        assert_eq!(seen(0x0500, 0x0130, 0, None), "bq27500 or bq2750x");
         // Types that only the name of a part suggests.
         for device_type in [0x0521, 0x0530, 0x0531, 0x0545, 0x0546, 0x0425, 0x2610] {
             assert_eq!(seen(device_type, 0x0100, 0, None), "unknown");
@@ -173,6 +175,7 @@ mod tests {
     #[test]
     fn another_version_of_a_known_type_is_unproven() {
         assert_eq!(seen(0x0520, 0x0325, 0x0000, None), "unproven bq27520-g3");
+        assert_eq!(seen(0x0500, 0x0108, 0x0000, None), "unproven bq27500 or bq27500-v130");
         assert_eq!(seen(0x0100, 0x0017, 0x0008, None), "unproven bq34z100-g1");
         assert_eq!(seen(0x0100, 0x0016, 0x0009, None), "unproven bq34z100-g1 or bq34z100-r2 or bq35100");
         assert_eq!(seen(0x0421, 0x0200, 0, None), "unproven bq27441-g1 or bq27421-g1");

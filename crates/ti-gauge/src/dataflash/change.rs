@@ -58,7 +58,7 @@ impl Change {
         })?;
         let place = Place::of(row);
         let change = Self { place, bytes, row: Some(row), saved: false, layout: chip.layout };
-        change.check_least()?;
+        change.check_limits()?;
         Ok(change)
     }
 
@@ -109,17 +109,19 @@ impl Change {
         }
     }
 
-    /// Checks the safe minimum, the only safety limit that needs no gauge.
-    pub(super) fn check_least(&self) -> Result<()> {
+    /// Checks the safe limits that need no gauge.
+    pub(super) fn check_limits(&self) -> Result<()> {
         let Some((_, parameter)) = self.row else { return Ok(()) };
+        let Some((least, greatest, why)) = parameter.safe.as_ref().and_then(Safe::limits) else {
+            return Ok(());
+        };
         let number = integer(self.layout, parameter, &self.bytes);
-        match &parameter.safe {
-            Some(Safe::AtLeast(least, why)) if number < i64::from(*least) => {
-                let unsafe_value = Reason::Unsafe { number, least: (*least).into(), why };
-                Err(Error::of(self.subject(), unsafe_value).at(Step::Check))
-            }
-            _ => Ok(()),
-        }
+        let reason = match number {
+            _ if number < least => Reason::Unsafe { number, least, why },
+            _ if number > greatest => Reason::UnsafeAbove { number, greatest, why },
+            _ => return Ok(()),
+        };
+        Err(Error::of(self.subject(), reason).at(Step::Check))
     }
 
     /// Checks that the bits which must keep their values do. `stored` are the parameter's bytes on the gauge.

@@ -18,7 +18,7 @@ use crate::value::Value;
 pub(super) fn check_safe(change: &Change, planned: &[Planned]) -> Result<()> {
     let Some((_, parameter)) = change.row else { return Ok(()) };
     match &parameter.safe {
-        Some(Safe::AtLeast(..)) => change.check_least(),
+        Some(Safe::AtLeast(..) | Safe::Within(..)) => change.check_limits(),
         // `check_gate_after` judges it together with the other values.
         Some(Safe::BelowVoltage(_)) | None => Ok(()),
         Some(Safe::Keep(..)) if change.saved => Ok(()),

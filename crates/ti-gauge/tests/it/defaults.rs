@@ -33,6 +33,8 @@ fn defaults_of_the_simulator_match_the_tables() {
         "bq34z100-g1",
         "bq34z100-r2",
         "bq27520-g3",
+        "bq27500",
+        "bq27500-v130",
         "bq27441-g1",
         "bq27421-g1",
         "bq27426",

@@ -31,6 +31,8 @@ const CASES: &[Case] = &[
     Case { chip: "bq34z100-g1", at: (58, 3), text: "0x5a", found: Seal::Sealed },
     Case { chip: "bq34z100-r2", at: (48, 33), text: "Pack 7", found: Seal::Sealed },
     Case { chip: "bq27520-g3", at: (48, 10), text: "1200", found: Seal::Sealed },
+    Case { chip: "bq27500", at: (34, 2), text: "4100", found: Seal::Sealed },
+    Case { chip: "bq27500-v130", at: (80, 48), text: "3100", found: Seal::Unsealed },
     Case { chip: "bq27441-g1", at: (82, 10), text: "1200", found: Seal::Sealed },
     Case { chip: "bq27441-g1", at: (82, 10), text: "1200", found: Seal::Unsealed },
     Case { chip: "bq27426", at: (82, 6), text: "1200", found: Seal::Sealed },

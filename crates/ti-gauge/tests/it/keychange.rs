@@ -41,6 +41,7 @@ fn cases() -> Vec<Case> {
         ("bq34z100-g1", vec![unseal, full_access, AUTHENTICATION]),
         ("bq34z100-r2", vec![unseal, full_access, AUTHENTICATION]),
         ("bq27520-g3", vec![unseal, full_access]),
+        ("bq27500", vec![unseal, full_access]),
         ("bq35100", vec![unseal, full_access]),
     ] {
         for text in texts {
@@ -135,6 +136,7 @@ fn the_bytes_on_the_wire_match_the_manuals() {
     };
     assert_eq!(bytes("bq34z100-g1"), [0x56, 0x78, 0x12, 0x34]);
     assert_eq!(bytes("bq27520-g3"), [0x56, 0x78, 0x12, 0x34]);
+    assert_eq!(bytes("bq27500"), [0x56, 0x78, 0x12, 0x34]);
     assert_eq!(bytes("bq35100"), [0x12, 0x34, 0x56, 0x78]);
 }
 
@@ -207,7 +209,7 @@ fn an_undocumented_key_change_is_refused() {
             refused(&mut Rig::new(chip), text, "not-permitted", why);
         }
     }
-    for chip in ["bq27520-g3", "bq35100"] {
+    for chip in ["bq27520-g3", "bq27500", "bq35100"] {
         refused(&mut Rig::new(chip), AUTHENTICATION, "not-permitted", "has no authentication");
     }
 }
@@ -441,7 +443,7 @@ fn texts(chip: &str) -> Vec<&'static str> {
         .collect()
 }
 
-const WITH_KEYS: [&str; 4] = ["bq34z100-g1", "bq34z100-r2", "bq27520-g3", "bq35100"];
+const WITH_KEYS: [&str; 5] = ["bq34z100-g1", "bq34z100-r2", "bq27520-g3", "bq27500", "bq35100"];
 
 /// The process that has begun the change still knows all keys, whatever the gauge has lost.
 #[test]

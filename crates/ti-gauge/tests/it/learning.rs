@@ -375,6 +375,7 @@ fn polls_that_are_far_apart() {
 fn parts_that_learn_otherwise() {
     let learns = |chip| ti_gauge::chip::Chip::by_name(chip).and_then(Learns::of);
     assert_eq!(learns("bq27520-g3"), Some(Learns::ImpedanceTrack));
+    assert_eq!(learns("bq27500"), Some(Learns::ImpedanceTrack));
     for chip in ["bq27441-g1", "bq27421-g1", "bq27426", "bq27427"] {
         assert_eq!(learns(chip), Some(Learns::InRam), "{chip}");
     }

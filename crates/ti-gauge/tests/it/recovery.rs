@@ -453,9 +453,10 @@ fn an_erased_serial_number_is_restored_where_the_calibration_shows_the_pack() {
 }
 
 /// Each part, with Design Capacity and a value for it.
-const PARTS: [(&str, (u8, u16)); 9] = [
+const PARTS: [(&str, (u8, u16)); 10] = [
     ("bq34z100-g1", (48, 11)),
     ("bq27520-g3", (48, 10)),
+    ("bq27500", (48, 10)),
     ("bq27441-g1", (82, 10)),
     ("bq27421-g1", (82, 10)),
     ("bq27426", (82, 6)),

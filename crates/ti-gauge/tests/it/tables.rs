@@ -176,6 +176,7 @@ fn a_poll_reads_the_expected_bursts() {
             "bq34z100-g1" => (&[(0x02, 0x12), (0x18, 4), (0x24, 12)], 43),
             "bq34z100-r2" => (&[(0x02, 0x12), (0x18, 4), (0x20, 16)], 47),
             "bq27520-g3" => (&[(0x06, 0x12), (0x22, 0x10)], 40),
+            "bq27500" | "bq27500-v130" => (&[(0x06, 0x14), (0x22, 0x0C)], 38),
             "bq27441-g1" | "bq27421-g1" | "bq27426" | "bq27427" => (&[(0x02, 0x10), (0x18, 10)], 32),
             "bq27621-g1" => (&[(0x02, 0x10), (0x18, 6)], 28),
             // Two bytes between 0x06 and 0x1B are read without need. The gap of 14 bytes is not read, because
@@ -388,6 +389,20 @@ fn fits(signature: &Signature, bytes: &[u8]) -> bool {
 }
 
 /// Owners of parts with a flat address space have found parameters one address lower than documented.
+/// A value that the signature does not take would be the last one that is written.
+#[test]
+fn a_signature_takes_every_value_that_may_be_written() {
+    for chip in CHIPS {
+        for signature in chip.signature {
+            let row = chip.parameter(signature.subclass, signature.offset).expect("a parameter");
+            let Range::Int { min, max, .. } = row.range else { continue };
+            let (least, greatest, _) = row.safe.as_ref().and_then(Safe::limits).unwrap_or((min, max, ""));
+            let takes = signature.holds(least.max(min)) && signature.holds(greatest.min(max));
+            assert!(takes || row.unproven, "{} {}", chip.name, row.name);
+        }
+    }
+}
+
 #[test]
 fn a_signature_detects_a_flat_map_that_is_off_by_one() {
     let flat = CHIPS.iter().copied().filter(|chip| chip.access.scheme.is_flat());
@@ -437,6 +452,12 @@ fn ranges_fit_types_and_defaults_and_safe_limits_fit_ranges() {
                 let least = i64::from(*least);
                 assert!(min < least && least <= max, "{at}: at least {least} narrows nothing");
                 assert!(default.is_none_or(|default| default >= least), "{at}: unsafe default");
+                why
+            }
+            Safe::Within(least, greatest, why) => {
+                let (least, greatest) = (i64::from(*least), i64::from(*greatest));
+                assert!(min < least && least < greatest && greatest < max, "{at}: it narrows nothing");
+                assert!(default.is_none_or(|default| (least..=greatest).contains(&default)), "{at}");
                 why
             }
             Safe::BelowVoltage(why) => why,
@@ -596,6 +617,8 @@ fn each_chip_has_the_number_of_rows_of_its_manual() {
         ("bq27427", [14, 89, 24, 6, 26, 19]),
         ("bq27621-g1", [22, 72, 20, 5, 24, 21]),
         ("bq27520-g3", [20, 216, 78, 5, 36, 27]),
+        ("bq27500", [15, 166, 10, 4, 29, 18]),
+        ("bq27500-v130", [15, 170, 10, 4, 29, 18]),
         ("bq27220", [17, 120, 3, 6, 32, 29]),
         ("bq34110", [20, 87, 8, 6, 33, 56]),
         ("bq35100", [20, 186, 81, 5, 21, 21]),
@@ -636,6 +659,7 @@ fn limits(chip: &'static Chip) -> Vec<String> {
         .filter_map(|(class, parameter, _)| {
             let limit = match parameter.safe.as_ref()? {
                 Safe::AtLeast(least, _) => format!("at least {least}"),
+                Safe::Within(least, greatest, _) => format!("{least} to {greatest}"),
                 Safe::BelowVoltage(_) => "below the voltage".to_string(),
                 Safe::Keep(mask, _) => format!("keep 0x{mask:x}"),
             };
@@ -1138,7 +1162,7 @@ Security | Codes | 112 6 H2 | Full-Access Key 1 | ? ? ? | hex
             "64/12 keep 0x8",
             "64/13 keep 0x1",
             "68/0 below the voltage",
-            "80/45 at least 1000"
+            "80/45 2000 to 4200"
         ]
     );
     assert_eq!(
@@ -1149,6 +1173,61 @@ Security | Codes | 112 6 H2 | Full-Access Key 1 | ? ? ? | hex
         listed(chip.control_status),
         "15:DLOGEN 14:FAS 13:SS 12:CSV 11:CCA 10:BCA 9:OCVCMDCOMP 8:OCVFAIL 7:INITCOMP 6:HIBERNATE 5:SNOOZE \
          4:SLEEP 3:LDMD 2:RUP_DIS 1:VOK 0:QEN"
+    );
+}
+
+/// What is equal in the manual of firmware 1.30 and in TI's images of 1.06 and 1.20.
+#[test]
+fn bq27500_is_writable_where_the_layouts_of_its_firmware_agree() {
+    let proven = |name: &str| -> Vec<String> {
+        parameters(Chip::by_name(name).unwrap())
+            .filter(|(class, one, _)| !one.unproven && class.id != 112)
+            .map(|(class, one, _)| format!("{}/{} {} {}", class.id, one.offset, one.kind, one.name))
+            .collect()
+    };
+    let rows = proven("bq27500");
+    assert_eq!(rows, proven("bq27500-v130"));
+    assert_eq!(rows.len(), 33);
+    let places: Vec<&str> = rows.iter().map(|row| row.split(' ').next().unwrap()).collect();
+    assert_eq!(
+        places.join(" "),
+        "2/0 2/2 2/3 2/5 2/7 2/8 32/2 32/4 34/2 34/4 34/6 34/8 48/4 48/5 48/7 48/10 48/12 49/0 49/1 49/2 49/3 68/0 68/7 \
+         68/16 68/18 80/0 80/48 81/0 81/2 81/4 81/6 81/8 81/9"
+    );
+}
+
+#[test]
+fn bq27500_has_the_places_of_its_firmware() {
+    let [old, new] = ["bq27500", "bq27500-v130"].map(|name| Chip::by_name(name).unwrap());
+    assert_lists(
+        old,
+        "\
+Configuration | Charge Termination | 36 2 I2 | Taper Current | 0 1000 100 | mA | unproven
+Configuration | Charge Termination | 36 12 I1 | FC Clear % | -1 100 98 | % | unproven
+Configuration | Charge | 34 2 I2 | Charging Voltage | 0 20000 4200 | mV
+",
+    );
+    assert_lists(
+        new,
+        "\
+Configuration | Charge Termination | 36 0 I2 | Taper Current | 0 1000 100 | mA | unproven
+Configuration | Charge Termination | 36 10 I1 | FC Clear % | -1 100 98 | % | unproven
+Configuration | Registers | 64 8 U2 | Batt Insert Delay | 0 65535 0 | ms | unproven
+Configuration | Power | 68 20 U2 | BAT_LOW Enable Voltage | 2800 4000 3400 | mV | unproven
+Fuel Gauging | Current Thresholds | 81 12 U2 | Max IR Correct | 0 1000 400 | mV | unproven
+",
+    );
+    let limits_of_both =
+        ["34/2 3000 to 4600", "48/10 at least 1", "68/0 below the voltage", "80/48 2000 to 4200"];
+    assert_eq!(limits(old), limits_of_both);
+    assert_eq!(limits(new), limits_of_both);
+    assert_eq!(
+        flags(new, "Flags"),
+        "15:OTC 14:OTD 11:CHG_INH 10:XCHG 9:FC 8:CHG 5:OCV_GD 4:WAIT_ID 3:BAT_DET 2:SOC1 1:SOCF 0:DSG"
+    );
+    assert_eq!(
+        listed(new.control_status),
+        "14:FAS 13:SS 12:CSV 11:CCA 10:BCA 6:HIBERNATE 5:SNOOZE 4:SLEEP 3:LDMD 2:RUP_DIS 1:VOK 0:QEN"
     );
 }
 

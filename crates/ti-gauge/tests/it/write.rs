@@ -184,6 +184,30 @@ fn refusals_change_nothing() {
     }
 }
 
+/// What proves the layout of data flash can only be written so that it still does.
+#[test]
+fn no_write_locks_its_owner_out() {
+    for (chip, at, [low, high], [least, greatest]) in [
+        ("bq27500", (34, 2), ["2999", "4601"], ["3000", "4600"]),
+        ("bq27500-v130", (80, 48), ["1999", "4201"], ["2000", "4200"]),
+        ("bq27520-g3", (80, 45), ["1999", "4201"], ["2000", "4200"]),
+    ] {
+        let mut rig = Rig::new(chip);
+        let before = rig.sim.flash();
+        for (text, says) in [(low, format!("is below {least}")), (high, format!("is above {greatest}"))] {
+            let error = rig.write(at.0, at.1, text).expect_err(text);
+            assert_eq!(cause(&error), "out-of-range", "{chip}: {error}");
+            assert!(error.to_string().contains(&says), "{chip}: {error}");
+            assert!(rig.sim.flash() == before, "{chip} {text}: data flash changed");
+        }
+        for text in [greatest, least] {
+            rig.write(at.0, at.1, text).unwrap_or_else(|error| panic!("{chip} {text}: {error}"));
+        }
+        let mut again = Rig::on(rig.gauge.chip, rig.sim.clone(), rig.clock.clone());
+        again.write(48, 10, "1234").unwrap_or_else(|error| panic!("{chip}: {error}"));
+    }
+}
+
 #[test]
 fn without_a_key_a_sealed_gauge_stays_sealed() {
     let none = Keys::none();
@@ -225,6 +249,8 @@ fn design_capacity_can_be_written_on_every_part() {
     for (chip, at, text) in [
         ("bq34z100-r2", (48, 11), "1200"),
         ("bq27520-g3", (48, 10), "1200"),
+        ("bq27500", (48, 10), "1200"),
+        ("bq27500-v130", (48, 10), "1200"),
         ("bq27441-g1", (82, 10), "1200"),
         ("bq27421-g1", (82, 10), "1200"),
         ("bq27426", (82, 6), "1200"),

@@ -33,6 +33,7 @@ fn each_part_gets_the_rows_that_it_has() {
         ("bq34z100-g1", "li-ion 1s 5200mAh", "Design Capacity 5200, Design Energy 19240"),
         ("bq34z100-r2", "li-ion 1s 5200mAh", "Design Capacity 5200, Design Energy 1924"),
         ("bq27520-g3", "li-ion 1s 2Ah", "Design Capacity 2000"),
+        ("bq27500", "li-ion 1s 2Ah terminate-voltage=3.1V", "Design Capacity 2000, Terminate Voltage 3100"),
         ("bq27441-g1", "li-ion 1s 2Ah", "Design Capacity 2000, Design Energy 7400"),
         (
             "bq27421-g1",
