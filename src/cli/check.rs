@@ -6,9 +6,11 @@ use std::fmt::Write as _;
 use std::fs::File;
 use std::io::{self, Write as _};
 use std::os::fd::AsRawFd;
+use std::panic::resume_unwind;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
+use std::thread;
 use std::time::Duration;
 
 use clap::{ArgGroup, Args};
@@ -22,14 +24,13 @@ use crate::config::standard_input;
 use crate::error::{Cause, Error, Result, shown};
 use crate::output::{print, print_json, say_error};
 use crate::{check, report};
-use gauge_bus::clock::{Clock, RealClock};
+use gauge_bus::clock::{Clock, HurriedClock, RealClock};
 use gauge_owner::{GaugeOptions, Opening, operations as op};
 use gaugefs_client::check::Finding;
 use gaugefs_client::{Gauge, mounts};
 use gaugefs_host::input::Source;
 use ti_gauge::check::{Battery, Checked, Facts, Has, RULES, Rule};
 use ti_gauge::chip::{Chip, Row, Scale};
-use ti_gauge::dataflash::Place;
 use ti_gauge::text::printable;
 
 mod battery;
@@ -38,6 +39,9 @@ use battery::Fitting;
 
 /// How often a gauge that is not mounted is polled at most: one that has measured nothing by then will not.
 const POLLS: u32 = 5;
+
+/// How many gauges are looked at together: each waits for its own data flash.
+const AT_ONCE: usize = 64;
 
 const STANDARD_INPUT: &str = "-";
 
@@ -143,15 +147,20 @@ impl Check {
             let why = "only a mounted gauge is written; mount it, and name its folder";
             return trouble(Err(Error::new(shown(file), Cause::Invalid, why)));
         }
+        let told = self.unmounted.chip.is_some();
+        if let Some(gauge) = self.gauges.iter().filter(|_| told).find(|path| is_mounted(path)) {
+            let why = "--chip is for files and gauges that are not mounted";
+            return trouble(Err(Error::new(shown(gauge), Cause::Invalid, why)));
+        }
         let files: Vec<Option<&Path>> = match self.gauges.is_empty() {
             true => vec![None],
             false => self.gauges.iter().map(|path| Some(path.as_path())).collect(),
         };
         let mut worst = 0;
-        for path in files {
+        let looks = files.chunks(AT_ONCE).flat_map(|files| self.looks(files, wanted.as_ref()));
+        for (path, looked) in looks {
             let mut answer = Answer::default();
-            let wanted = wanted.as_ref();
-            match path.map_or_else(|| self.unmounted(wanted), |path| self.named(path, wanted)) {
+            match looked {
                 Ok(looked) => answer.take(looked),
                 Err(error) => {
                     answer.gauge = path.map_or_else(String::new, |path| path.display().to_string());
@@ -166,17 +175,38 @@ impl Check {
             };
             match (self.json, &answer.error) {
                 (true, _) => print_json(&answer)?,
-                (false, None) => print(&answer.text(self.fix))?,
+                (false, None) => print(&answer.text(self.fix, self.read))?,
                 (false, Some(_)) => {}
             }
         }
         Ok(worst.into())
     }
 
+    /// Looks at some gauges, at the same time if what they wait for is their data flash.
+    fn looks<'a>(
+        &self,
+        files: &[Option<&'a Path>],
+        wanted: Option<&Battery>,
+    ) -> Vec<(Option<&'a Path>, Result<Looked>)> {
+        let look = |path: Option<&Path>| {
+            path.map_or_else(|| self.unmounted(wanted), |path| self.named(path, wanted))
+        };
+        if !self.read || files.len() == 1 {
+            return files.iter().map(|path| (*path, look(*path))).collect();
+        }
+        thread::scope(|scope| {
+            let looks: Vec<_> = files.iter().map(|path| (*path, scope.spawn(|| look(*path)))).collect();
+            let end = |look: thread::ScopedJoinHandle<'_, _>| {
+                look.join().unwrap_or_else(|panic| resume_unwind(panic))
+            };
+            looks.into_iter().map(|(path, look)| (path, end(look))).collect()
+        })
+    }
+
     /// Checks a mounted gauge, or a file.
     fn named(&self, path: &Path, wanted: Option<&Battery>) -> Result<Looked> {
         if is_mounted(path) {
-            return self.mounted(&Gauge::open(path)?, wanted);
+            return self.mounted(&Gauge::open(path).map_err(|error| missing(path, error))?, wanted);
         }
         let is_input = path == Path::new(STANDARD_INPUT);
         let source = Source::read(path)?;
@@ -202,12 +232,9 @@ impl Check {
             mounted::poll(gauge)?;
         }
         let battery = wanted.map(|wanted| battery::mounted(gauge, wanted, self.write)).transpose()?;
-        if self.read {
-            let chip = gauge.chip()?;
-            for row in readable(chip).map(|index| &chip.subclasses[index]) {
-                let file = format!("df/{}", Place::of((row, &row.parameters[0])));
-                gauge.text(&file).map_err(|error| error.doing("data flash cannot be read"))?;
-            }
+        // Of a part without a table, nothing is looked at there.
+        if self.read && gauge.folder().join("df/index").exists() {
+            gauge.text("df/index").map_err(|error| error.doing("data flash cannot be read"))?;
         }
         let absent = |error: gaugefs_client::Error| match error.errno() == Some(Errno::ENOENT as i32) {
             true => {
@@ -227,7 +254,11 @@ impl Check {
 
     /// Checks a gauge that is opened for it, and polled until it has measured.
     fn opened(&self, name: String, options: &GaugeOptions, wanted: Option<&Battery>) -> Result<Looked> {
-        let clock = Arc::new(RealClock::new());
+        // A recording needs no waits.
+        let clock: Arc<dyn Clock> = match options.replay {
+            Some(_) => Arc::new(HurriedClock::default()),
+            None => Arc::new(RealClock::new()),
+        };
         let place = Path::new("/proc").join(std::process::id().to_string());
         let opening = Opening { read_only: true, no_backup: true, ..Opening::new(place, clock.clone()) };
         let ready = opening.one("check".into(), options)?;
@@ -241,7 +272,12 @@ impl Check {
             clock.sleep(Duration::from_secs(1));
         }
         let chip = handle.chip();
-        if (self.read || wanted.is_some()) && options.replay.is_none() {
+        if self.read && options.replay.is_some() {
+            // As much as was recorded.
+            for index in readable(chip) {
+                let _ = handle.wait_for(&op::READ, vec![index]);
+            }
+        } else if (self.read || wanted.is_some()) && options.replay.is_none() && chip.has_table() {
             let rows = if wanted.is_some() { Battery::rows(chip) } else { Vec::new() };
             let is_wanted = |index: &usize| {
                 self.read
@@ -271,6 +307,15 @@ impl Check {
 fn is_mounted(path: &Path) -> bool {
     let is_found = || Gauge::named(path).is_ok_and(|folder| mounts::of(&folder).is_some());
     path != Path::new(STANDARD_INPUT) && (path.is_dir() || is_found() || !path.exists())
+}
+
+/// The error for what is neither a gauge nor a file.
+fn missing(path: &Path, error: gaugefs_client::Error) -> Error {
+    if path.exists() || mounts::of(path).is_some() {
+        return error.into();
+    }
+    let why = "no such gauge or file; `gaugefs list` shows the gauges that are mounted";
+    Error::host(shown(path), Errno::ENOENT, why)
 }
 
 /// A file without a name, with these bytes.
@@ -323,7 +368,7 @@ impl Answer {
         self.gauge = gauge;
     }
 
-    fn text(&self, fix: bool) -> String {
+    fn text(&self, fix: bool, read: bool) -> String {
         let count = |severity: &str| self.findings.iter().filter(|line| line.severity == severity).count();
         let counts = ["wrong", "doubtful", "note"].map(|word| (word, count(word)));
         let counts: Vec<_> = counts
@@ -341,11 +386,9 @@ impl Answer {
             let _ = writeln!(text, "missing   {rule}: {values} has no value now");
         }
         if !self.not_looked_at.is_empty() {
-            let _ = writeln!(
-                text,
-                "not looked at without data flash (--read): {}",
-                self.not_looked_at.join(", ")
-            );
+            let why = if read { ", which could not be read" } else { " (--read)" };
+            let _ =
+                writeln!(text, "not looked at without data flash{why}: {}", self.not_looked_at.join(", "));
         }
         text + &self.battery.as_ref().map_or_else(String::new, |battery| battery.text(fix))
     }

@@ -101,6 +101,43 @@ fn a_report_or_an_image_is_read_from_a_pipe() {
 }
 
 #[test]
+fn what_is_neither_a_gauge_nor_a_file_is_told_as_that() {
+    let folder = Folder::new();
+    for name in ["BAT7", "report.txt"] {
+        let path = folder.file(name);
+        let ran = gaugefs(&["check", &path]);
+        assert_eq!((ran.code, &*ran.out), (Some(1), ""));
+        assert!(
+            ran.err.starts_with(&format!("gaugefs: {path}: no such gauge or file; `gaugefs list`")),
+            "{}",
+            ran.err
+        );
+    }
+    let ran = gaugefs(&["check", "--chip", CHIP, &folder.file("BAT7")]);
+    assert_eq!(ran.code, Some(2), "{}", ran.err);
+    assert!(ran.err.contains("--chip is for files"), "{}", ran.err);
+}
+
+#[test]
+fn data_flash_of_a_recording_is_looked_at_as_far_as_it_was_recorded() {
+    let folder = Folder::new();
+    let report = folder.file("report.txt");
+    gaugefs(&["report", "--sim", CHIP, "-o", &report]).done();
+    let told = |words: &[&str]| {
+        let ran = gaugefs(&[&["check"], words, &[&report]].concat());
+        assert_eq!(ran.code, Some(0), "{}{}", ran.out, ran.err);
+        ran.out
+    };
+    let (without, with) = (told(&[]), told(&["--read"]));
+    assert!(without.contains("not looked at without data flash (--read): design-energy, "), "{without}");
+    assert!(with.contains("not looked at without data flash, which could not be read: "), "{with}");
+    assert!(with.len() < without.len() + 30, "{with}");
+    // A part of which no data flash is known is checked all the same.
+    let ran = gaugefs(&["check", "--read", "--json", "--sim", "bq27000"]);
+    assert_eq!(ran.code, Some(0), "{}{}", ran.out, ran.err);
+}
+
+#[test]
 fn the_rules_are_printed_with_their_limits() {
     let out = gaugefs(&["check", "--rules"]).done();
     for says in [
@@ -162,6 +199,88 @@ fn what_is_wrong_is_shown_by_the_file_the_command_list_doctor_and_metrics() {
     let ran = gaugefs(&["check", "--json", &gauge]);
     assert!([Some(1), Some(3)].contains(&ran.code), "{}", ran.out);
     within("it is certain", || read(&gauge, "gauge/check").starts_with("wrong\tmeasures-nothing"));
+    gaugefs(&["umount", &at]).done();
+}
+
+/// Sick gauges, all in one mount.
+fn many(folder: &Folder, count: usize) -> (String, Vec<String>) {
+    let (config, at) = (folder.file(&format!("{count}.toml")), folder.file(&format!("m{count}")));
+    let gauge = |number| {
+        let knob = "[gauge.sim-set]\nthermistor = \"out\"\n";
+        format!("[[gauge]]\nsim = \"{CHIP}\"\nname = \"G{number:03}\"\n{knob}")
+    };
+    fs::write(&config, (0..count).map(gauge).collect::<String>()).expect("a file");
+    gaugefs(&["mount", "--config", &config, &at]).done();
+    let gauges: Vec<String> = (0..count).map(|number| format!("{at}/G{number:03}")).collect();
+    for gauge in &gauges {
+        within(gauge, || {
+            let found = read(gauge, "gauge/check");
+            !found.is_empty() && !found.contains("missing\t")
+        });
+    }
+    (at, gauges)
+}
+
+/// Processor time in hundredths of a second of the commands that have ended.
+fn spent() -> u64 {
+    let stat = fs::read_to_string("/proc/self/stat").expect("it is there");
+    let fields: Vec<&str> = stat.rsplit(')').next().expect("its fields").split_whitespace().collect();
+    fields[13..=14].iter().map(|ticks| ticks.parse::<u64>().expect("a number")).sum()
+}
+
+/// Each is told, in order, with 32 MB of data for the command, and eight times as many take at most three times that.
+#[test]
+fn very_many_mounted_gauges_are_checked() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let checked = |count: usize| {
+        let (at, gauges) = many(&folder, count);
+        let before = spent();
+        let limited = "ulimit -d 32768; exec \"$@\"";
+        let words = ["-c", limited, "sh", env!("CARGO_BIN_EXE_gaugefs"), "check", "--json"];
+        let ran = Ran::of(Command::new("sh").args(words).args(&gauges).output().expect("sh"));
+        let spent = spent() - before;
+        assert_eq!(ran.code, Some(1), "{}{}", ran.out, ran.err);
+        let told = answers(&ran.out);
+        let names: Vec<_> = told.iter().map(|answer| answer["gauge"].as_str().expect("a path")).collect();
+        assert_eq!(names, gauges);
+        for answer in &told {
+            assert_eq!(rules(answer, "wrong"), ["temperature"], "{answer}");
+        }
+        (at, gauges, spent)
+    };
+    let (few, few_gauges, of_few) = checked(64);
+    let (at, gauges, of_many) = checked(512);
+    eprintln!("64 gauges in {of_few}0 ms of a processor, 512 in {of_many}0 ms");
+    assert!(of_many <= 3 * 8 * (of_few + 2), "{of_few} and {of_many} hundredths of a second");
+    // Data flash of all is read at the same time.
+    let words = ["check", "--json", "--read"].into_iter().chain(few_gauges.iter().map(String::as_str));
+    let ran = gaugefs(&words.collect::<Vec<_>>());
+    assert_eq!(ran.code, Some(1), "{}", ran.err);
+    let told = answers(&ran.out);
+    assert_eq!(told.len(), few_gauges.len());
+    for (answer, gauge) in told.iter().zip(&few_gauges) {
+        assert_eq!(answer["gauge"], gauge.as_str());
+        // What the gauge itself updates is kept until the next poll.
+        let updated = ["was-too-warm", "lifetime-voltage"];
+        let unread = answer["not_looked_at"].as_array().expect("a list");
+        assert!(unread.iter().all(|rule| updated.iter().any(|name| rule == name)), "{answer}");
+    }
+    let list = gaugefs(&["list"]);
+    let doctor = gaugefs(&["doctor"]);
+    for gauge in &gauges {
+        assert!(list.err.contains(&format!("{gauge}: wrong: temperature;")), "{}", list.err);
+        assert!(
+            doctor.out.lines().any(|line| line.contains(gauge) && line.contains("wrong: temperature")),
+            "{}",
+            doctor.out
+        );
+    }
+    let metrics = gaugefs(&["metrics", &at]).out;
+    assert_eq!(metrics.matches("rule=\"temperature\"").count(), 512);
+    gaugefs(&["umount", &few]).done();
     gaugefs(&["umount", &at]).done();
 }
 
