@@ -232,9 +232,15 @@ impl<W> Inode<W> {
         self.named.is_some_and(|until| now.instant < until)
     }
 
+    /// For how long the kernel was told to use its name.
+    fn named_for(&self, now: Now) -> Duration {
+        let until = self.named.map(|until| until - NAME_OVER);
+        until.map_or(Duration::ZERO, |until| until.saturating_duration_since(now.instant))
+    }
+
     /// Whether the kernel may use its attributes without asking for longer than it shows an old value.
     fn is_trusted(&self, now: Now) -> bool {
-        self.named.is_some_and(|until| now.instant + RENEWAL_DELAY + NAME_OVER < until)
+        self.named_for(now) > RENEWAL_DELAY
     }
 
     /// When it is renewed; `None` while it is up to date or in use.
@@ -249,7 +255,7 @@ impl<W> Inode<W> {
         // A nodeid that is not shared may rest sooner, and readers past the kernel's copy (O_DIRECT) have to ask
         // before.
         let most = match self.sharing {
-            Sharing::All => RENEWAL_DELAY,
+            Sharing::All => RENEWAL_DELAY.max(self.named_for(now)),
             Sharing::By(_) => READ_THROUGH / 2,
             // But for a lease.
             Sharing::Alone => Duration::ZERO,
@@ -715,12 +721,9 @@ pub(super) fn look_up<W>(
     now: Now,
 ) -> Option<Shown> {
     table.with(|inodes| {
-        let mut shown = inodes.enter(node, content()?, sharing, now);
-        inodes.name(shown.number, kept, now);
-        if sharing == Sharing::All && shown.valid == RENEWAL_DELAY {
-            shown.valid = shown.valid.max(kept);
-        }
-        Some(shown)
+        let number = inodes.enter(node, content()?, sharing, now).number;
+        inodes.name(number, kept, now);
+        inodes.show(number, now)
     })
 }
 

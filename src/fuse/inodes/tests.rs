@@ -364,6 +364,9 @@ fn attributes_are_dropped_that_the_kernel_would_trust_for_too_long() {
         let shown = look_up(&table, FILE, || Some(bytes("1\n")), (sharing, kept), at(0)).expect("there");
         let most = if sharing == Sharing::All { RENEWAL_DELAY } else { READ_THROUGH / 2 };
         assert_eq!(shown.valid, most.max(kept), "{kept:?}");
+        let later = kept.saturating_sub(Duration::from_secs(3)).max(most);
+        let asked = table.lock().expect("no panic").show(shown.number, at(3000)).expect("it is known");
+        assert_eq!(asked.valid, later, "{kept:?}: GETATTR");
         let outdated = retire_outdated(&table, &[ALL], |_| bytes("2\n"), || at(millis));
         assert_eq!(
             outdated.attributes,
