@@ -404,9 +404,10 @@ impl Fs {
         self.at(node).may_be_cached()
     }
 
-    /// Whether a folder is there for the life of the mount: that of a gauge.
+    /// Whether a folder is there for the life of the mount: that of a gauge, and `gauge` in it.
     pub fn is_fixed(&self, node: Node) -> bool {
-        matches!(node, Node::Of(_, Item::Supply(SupplyItem::Folder))) && !self.is_overlay()
+        let is_it = |item| [Item::Supply(SupplyItem::Folder), Item::Gauge(GaugeItem::Folder)].contains(&item);
+        matches!(node, Node::Of(_, item) if is_it(item)) && !self.is_overlay()
     }
 
     /// How long a file keeps its value unless somebody asks for another poll; `None` with few gauges, whose polls are seldom

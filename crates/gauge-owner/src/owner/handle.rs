@@ -168,17 +168,21 @@ pub(super) struct Shared {
 
 struct Cache {
     now: Epoch<Content>,
-    /// The readings of each, the latest one last.
-    subclasses: Vec<Fact<Vec<Reading>, Content>>,
+    /// The readings of each that has any, the latest one last.
+    readings: Fact<BTreeMap<usize, Vec<Reading>>, Content>,
 }
 
 impl Cache {
     /// The latest reading of these bytes; with a poll, one that was read since.
     fn get(&self, subclass: usize, offsets: &Range<u16>, poll: Option<u64>) -> Option<&Reading> {
-        let readings = self.subclasses.get(subclass)?.get(self.now)?;
+        let readings = self.readings.get(self.now)?.get(&subclass)?;
         let is_it =
             |reading: &&Reading| reading.covers(offsets) && poll.is_none_or(|poll| reading.poll == poll);
         readings.iter().rev().find(is_it)
+    }
+
+    fn is_empty(&self) -> bool {
+        self.readings.get(self.now).is_none_or(BTreeMap::is_empty)
     }
 }
 
@@ -243,10 +247,7 @@ impl Shared {
             clock: gauge.clock.clone(),
             statistics: gauge.statistics.clone(),
             published: Mutex::new(Arc::new(published)),
-            kept: Mutex::new(Cache {
-                now: Epoch::default(),
-                subclasses: gauge.chip.subclasses.iter().map(|_| Fact::default()).collect(),
-            }),
+            kept: Mutex::new(Cache { now: Epoch::default(), readings: Fact::default() }),
             flash_scales: Mutex::default(),
             signal,
             index: AtomicU16::new(NOWHERE),
@@ -382,6 +383,10 @@ impl Shared {
 
     /// A value of data flash, given by its subclass (or `FLAT`) and offset, if its bytes are kept and still valid.
     pub(super) fn kept_value(&self, (id, offset): (u8, u16), kind: Type) -> Option<Value> {
+        // A check of the configuration asks for hundreds of values, and of most gauges nothing is read.
+        if lock(&self.kept).is_empty() {
+            return None;
+        }
         self.kept_at(self.index((id, offset))?, offset, kind)
     }
 
@@ -415,7 +420,7 @@ impl Shared {
         let reading = Reading { start, bytes, poll };
         let mut kept = lock(&self.kept);
         let now = kept.now;
-        let readings = kept.subclasses[subclass].in_epoch(now);
+        let readings = kept.readings.in_epoch(now).entry(subclass).or_default();
         readings.retain(|before| !reading.covers(&before.offsets()));
         readings.push(reading);
         drop(kept);
@@ -469,11 +474,10 @@ impl Shared {
     }
 
     pub(super) fn forget(&self, changed: impl Fn(&Subclass) -> bool) {
-        for (subclass, kept) in self.chip.subclasses.iter().zip(&mut lock(&self.kept).subclasses) {
-            if changed(subclass) {
-                *kept = Fact::default();
-            }
-        }
+        let mut kept = lock(&self.kept);
+        let now = kept.now;
+        kept.readings.in_epoch(now).retain(|&subclass, _| !changed(&self.chip.subclasses[subclass]));
+        drop(kept);
         // Attributes follow from them.
         self.raise();
     }
