@@ -53,8 +53,8 @@ const KERNEL: &[(&str, Cost)] = &[
 /// The chip with budgets.
 const BUDGETED: &str = "bq34z100-g1";
 const POLL: Cost = Cost::of(3, 43);
-const FIRST: Cost = Cost::of(40, 300);
-const LATER: Cost = Cost::of(32, 260);
+const FIRST: Cost = Cost::of(52, 700);
+const LATER: Cost = Cost::of(44, 590);
 
 /// Subcommand and parameter that put the pack of a bq34z100-G1 into service (SLUSBZ5D 7.3.1.2 and table 7-16).
 const IT_ENABLE: u16 = 0x0021;

@@ -265,7 +265,7 @@ impl DataFlash {
         if is_broken {
             self.knowledge.suspect(gauge.chip);
         }
-        let unread = self.knowledge.unread_marks(gauge.chip);
+        let mut known = self.knowledge.unread_marks(gauge.chip);
         // Marks for later comparison. Failing to read them must not fail the read.
         match self.knowledge.learn_marks(gauge) {
             Ok(Some(row)) if is_broken => {
@@ -278,7 +278,7 @@ impl DataFlash {
         self.knowledge.refer(gauge, session);
         let mut read = Vec::with_capacity(wanted.len());
         for part in wanted {
-            read.push(self.knowledge.read_part(gauge, part, &unread)?.0);
+            read.push(self.knowledge.read_part(gauge, part, &mut known)?.0);
         }
         self.knowledge.take_gate(gauge.chip, wanted);
         gauge.note_open();
@@ -530,7 +530,7 @@ impl DataFlash {
     }
 
     fn read_first(&mut self, gauge: &mut Gauge, first: First<'_>, session: &mut Session) -> Result<()> {
-        let unread = self.knowledge.unread_marks(gauge.chip);
+        let mut known = self.knowledge.unread_marks(gauge.chip);
         if let Some(row) = self.knowledge.learn_marks(gauge)? {
             return Err(self.knowledge.other_pack(gauge, row));
         }
@@ -540,7 +540,7 @@ impl DataFlash {
         gauge.statistics.progress.begin(Phase::Saving, count, gauge.clock.now());
         let mut read = Vec::with_capacity(wanted.len());
         for part in &wanted {
-            let (bytes, other) = self.knowledge.read_part(gauge, part, &unread)?;
+            let (bytes, other) = self.knowledge.read_part(gauge, part, &mut known)?;
             if let Some(row) = other {
                 return Err(self.knowledge.other_pack(gauge, row));
             }

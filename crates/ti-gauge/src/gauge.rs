@@ -37,6 +37,7 @@ pub(crate) use seal::SEAL_LAG;
 pub(crate) use state::Look;
 pub use state::{ALONG, Seal};
 pub use statistics::{Phase, Progress, Statistics};
+pub(crate) use wire::Landmark;
 use wire::Wire;
 
 const CONTROL_STATUS: u16 = 0x0000;

@@ -8,7 +8,7 @@ use super::pack::Known;
 use super::part::Part;
 use super::schemes::{Care, sequence};
 use super::window::{Planned, Window, holds_keys, learned, locate};
-use crate::chip::Chip;
+use crate::chip::{Chip, Scheme};
 use crate::codec::WINDOW;
 use crate::error::{Cause, Error, Reason, Result, Step};
 use crate::gauge::{Gauge, Phase, Seal};
@@ -56,7 +56,7 @@ pub(super) fn reload(gauge: &mut Gauge, block: &Planned, care: Care) -> Result<P
     let own = learned(gauge.chip, block.place);
     let differs = |window: &[u8; WINDOW]| (0..WINDOW).find(|&at| window[at] != block.old[at] && !own.has(at));
     let look = match care {
-        Care::Sure => sequence(gauge).glance(gauge, block.place),
+        Care::Sure => sequence(gauge).glance(gauge, block.place, None),
         Care::Quick => sequence(gauge).load(gauge, block.place, Care::Quick),
     };
     let window = match look {
@@ -92,16 +92,17 @@ pub(super) fn still_open(gauge: &mut Gauge) -> Result<()> {
 
 /// The window shows the buffer after a write, so the block is selected again. Keys cannot be corrected later: two looks.
 pub(super) fn verify(gauge: &mut Gauge, block: &Planned) -> Result<()> {
+    let mut sent = Some(&block.new);
     patiently(gauge, |gauge| {
         let stored = match holds_keys(gauge.chip, block.place) {
             true => sequence(gauge).load(gauge, block.place, Care::Sure),
-            false => sequence(gauge).glance(gauge, block.place),
+            false => sequence(gauge).glance(gauge, block.place, sent.take()),
         };
         compare(block, &stored.map_err(|error| error.at(Step::Verify))?)
     })
 }
 
-fn patiently(gauge: &mut Gauge, look: impl Fn(&mut Gauge) -> Result<()>) -> Result<()> {
+fn patiently(gauge: &mut Gauge, mut look: impl FnMut(&mut Gauge) -> Result<()>) -> Result<()> {
     let mut outcome = look(gauge);
     for _ in 1..VERIFIES {
         if outcome.is_ok() {
@@ -119,7 +120,10 @@ pub(super) fn verify_written(gauge: &mut Gauge, block: &Planned, care: Care) -> 
     let (Some(first), Some(last)) = ((0..WINDOW).find(written), (0..WINDOW).rfind(written)) else {
         return Ok(());
     };
+    // A whole block shows by itself that it was loaded.
+    let is_whole = gauge.chip.access.scheme == Scheme::Block;
     let read = match care {
+        Care::Sure if is_whole => sequence(gauge).glance(gauge, block.place, None),
         Care::Sure => {
             let mut stored = block.new;
             let part = &mut stored[first..last + 1];

@@ -160,16 +160,17 @@ impl Knowledge {
         windows.filter(|place| self.known().get(*place).is_none()).collect()
     }
 
-    /// Reads a part of a subclass. Blocks of it that this session has just `read` are taken as they were then. Also returns what
-    /// shows that it is another pack, which is in doubt then.
+    /// Reads a part of a subclass. Blocks of it that this session has just `read` are taken as they were then; subclasses of a
+    /// flat part share some. Also returns what shows that it is another pack, which is in doubt then.
     pub(super) fn read_part(
         &mut self,
         gauge: &mut Gauge,
         part: &Part,
-        read: &[Window],
+        read: &mut Vec<Window>,
     ) -> Result<(Vec<u8>, Option<Row>)> {
-        let (chip, read, mut other) = (gauge.chip, self.known().only(read), None);
-        let bytes = io::read(gauge, part, &read, |place, content| {
+        let (chip, known, mut other) = (gauge.chip, self.known().only(read), None);
+        let bytes = io::read(gauge, part, &known, |place, content| {
+            read.push(place);
             let row = self.contradicted_mark(chip, place, content).filter(|_| chip.volatile.is_none());
             if let Some(row) = row {
                 other = other.or(Some(row));

@@ -8,7 +8,7 @@ use super::window::{Planned, Window, holds_keys, learned};
 use crate::chip::{Chip, Scheme};
 use crate::codec::{Bytes, WINDOW};
 use crate::error::{Cause, Error, Result, Step};
-use crate::gauge::Gauge;
+use crate::gauge::{Gauge, Landmark};
 
 mod block;
 mod cfgupdate;
@@ -21,8 +21,15 @@ pub(super) use sealed::shown_sealed;
 /// wait 10 to 30 ms, and some read zeros). Until then the window has another block with a checksum that fits.
 const FIRST_LOOK: Duration = Duration::from_millis(30);
 const SECOND_LOOK: Duration = Duration::from_millis(55);
-/// From selecting a block of flash until a look is worth its transfer that shows by itself whether the window was loaded.
-const EARLY_LOOK: Duration = Duration::from_millis(5);
+/// From selecting a block of flash until looks are worth their transfers that show by themselves whether the window was loaded.
+const EARLY_LOOKS: [Duration; 4] = [
+    Duration::from_millis(1),
+    Duration::from_millis(4),
+    Duration::from_millis(10),
+    Duration::from_millis(18),
+];
+/// Time between two early looks at what is about to be written: no disturbance makes both wrong in the same way.
+const APART: Duration = Duration::from_millis(5);
 /// Time between two looks that must agree, where the first two did not.
 const NEXT_LOOK: Duration = Duration::from_millis(25);
 const LOOKS: u32 = 4;
@@ -33,7 +40,7 @@ pub(crate) enum Care {
     #[default]
     Sure,
     /// Looks at checksum and whole that show a loaded window, as soon as they do. Enough for what is not about to be
-    /// written, and for RAM, which the next brown-out empties. A doubtful block is looked at as for `Sure`.
+    /// written, and for RAM, which the next brown-out empties. A doubtful block is looked at late, as for `Sure`.
     Quick,
 }
 
@@ -42,10 +49,11 @@ pub(super) trait Sequence {
     fn enable(&self, gauge: &mut Gauge) -> Result<()>;
     /// Enables writing data flash, if that is a mode of its own.
     fn begin(&self, gauge: &mut Gauge) -> Result<()>;
-    /// Loads a block until two looks agree, some time apart; with [`Care::Quick`] until looks show that it was loaded.
+    /// Loads a block until looks show that it was loaded; with [`Care::Sure`] until two agree as well, some time apart.
     fn load(&self, gauge: &mut Gauge, place: Window, care: Care) -> Result<[u8; WINDOW]>;
-    /// Loads a block whose content is known: one look, when it must be ready, with its checksum.
-    fn glance(&self, gauge: &mut Gauge, place: Window) -> Result<[u8; WINDOW]>;
+    /// Loads a block whose content is known: one look, with its checksum, when it must be ready, in flash as soon as it shows
+    /// that it is. After a commit the window holds what was `sent`.
+    fn glance(&self, gauge: &mut Gauge, place: Window, sent: Option<&[u8; WINDOW]>) -> Result<[u8; WINDOW]>;
     /// Loads a block and reads some bytes, unchecked: what is not as expected has to be confirmed by `load`.
     fn read_part(&self, gauge: &mut Gauge, place: Window, at: usize, into: &mut [u8]) -> Result<()>;
     /// Reads a word, believed when the selection is echoed and two readings agree, or its checksum is right.
@@ -87,12 +95,23 @@ impl Before {
         Some(Self { place: Some(Window { subclass, base }), content })
     }
 
+    /// The bytes of it that a window may show otherwise as soon as the gauge has rewritten them.
+    fn moving(&self, chip: &Chip) -> Bytes {
+        let place = self.place.filter(|_| chip.volatile.is_none());
+        place.map_or(Bytes::default(), |place| learned(chip, place))
+    }
+
     /// Until it is loaded, a window may show this block, in flash with what the gauge has rewritten, or a blank one.
     fn is_shown(&self, chip: &Chip, now: &[u8; WINDOW]) -> bool {
-        let place = self.place.filter(|_| chip.volatile.is_none());
-        let moving = place.map_or(Bytes::default(), |place| learned(chip, place));
+        let moving = self.moving(chip);
         let is_blank = |blank: u8| now.iter().all(|&byte| byte == blank);
         is_blank(0) || is_blank(0xff) || (0..WINDOW).all(|at| moving.has(at) || now[at] == self.content[at])
+    }
+
+    /// Whether the block at that place is not told from it: it is the same one, or it may show anything.
+    fn hides(&self, chip: &Chip, place: Window) -> bool {
+        let moving = self.moving(chip);
+        self.place == Some(place) || (0..WINDOW).all(|at| moving.has(at))
     }
 
     /// The sums of these: only bit errors in three places turn a look at them into one at another block.
@@ -100,59 +119,99 @@ impl Before {
         let contents = [&self.content, &[0; WINDOW], &[0xff; WINDOW]].map(|content| sum(None, content));
         [contents[0], contents[1], contents[2], sum(self.place, &self.content)]
     }
+
+    /// Whether a look shows neither, nor with wrong bits: no disturbance changes so many bytes and the sum to fit.
+    fn is_far(&self, chip: &Chip, now: &[u8; WINDOW]) -> bool {
+        let moving = self.moving(chip);
+        let contents = [&self.content, &[0; WINDOW], &[0xff; WINDOW]];
+        contents.iter().all(|content| {
+            (0..WINDOW).filter(|&at| !moving.has(at) && now[at] != content[at]).count() >= Landmark::STEADY
+        })
+    }
+
+    /// A known block that is told from this one and from that at `place`, to be loaded between them.
+    fn landmark(&self, gauge: &Gauge, place: Window) -> Option<(Window, Landmark)> {
+        let others = [Some(place), self.place].map(|at| at.map(|at| (at.subclass, at.base)));
+        let landmark = gauge.landmark(others).filter(|landmark| landmark.differs_from(&self.content))?;
+        let (subclass, base) = landmark.place;
+        Some((Window { subclass, base }, landmark))
+    }
 }
 
 /// How a look at a loaded window is told from one at what it showed before.
 struct Early<'a, T> {
     stale: [u8; 4],
     is_new: &'a dyn Fn(&T) -> bool,
+    /// The same by many bytes.
+    is_far: &'a dyn Fn(&T) -> bool,
+}
+
+/// The early looks that are worth their transfers. A gauge that has shown how long it takes is looked at once.
+fn early_looks(gauge: &Gauge) -> Vec<Duration> {
+    match gauge.load_time() {
+        Some(usual) => EARLY_LOOKS.into_iter().filter(|&time| time >= usual).take(1).collect(),
+        None => EARLY_LOOKS.to_vec(),
+    }
+}
+
+/// The first early look at the whole that shows by itself what was loaded.
+fn look_early<T>(
+    gauge: &mut Gauge,
+    is_loaded: impl Fn(&T) -> bool,
+    whole: impl Fn(&mut Gauge) -> Result<(T, u8)>,
+) -> Option<T> {
+    let selected = gauge.clock.now();
+    for time in early_looks(gauge) {
+        wait_until(gauge, selected, time);
+        if let Some((now, _)) = whole(gauge).ok().filter(|(now, _)| is_loaded(now)) {
+            gauge.note_load_time(time);
+            return Some(now);
+        }
+    }
+    None
 }
 
 /// Looks until two agree. The first is at the checksum only, which differs with another block, for an eighth of the cost.
-/// With `early`, these two count as soon as both show a block that was loaded since; of RAM the second alone does.
+/// With `early`, these two count as soon as both show a block that was loaded since; for [`Care::Sure`] two looks at the
+/// whole do, some time apart, and of RAM one does.
 fn look_twice<T: PartialEq>(
     gauge: &mut Gauge,
-    mut early: Option<&Early<'_, T>>,
+    care: Care,
+    early: Option<&Early<'_, T>>,
     sum: impl Fn(&mut Gauge) -> Result<u8>,
     whole: impl Fn(&mut Gauge) -> Result<(T, u8)>,
 ) -> Result<T> {
     let selected = gauge.clock.now();
-    if let Some(Early { is_new, .. }) = early.filter(|_| gauge.chip.volatile.is_some()) {
-        for time in [gauge.chip.access.soonest, gauge.chip.access.select] {
-            wait_until(gauge, selected, time);
-            if let Some((now, _)) = whole(gauge).ok().filter(|(now, _)| is_new(now)) {
-                return Ok(now);
-            }
+    let is_ram = gauge.chip.volatile.is_some();
+    let (seen, first) = match early {
+        Some(Early { is_new, .. }) if is_ram => (look_in_ram(gauge, is_new, &whole), None),
+        Some(Early { is_far, .. }) if care == Care::Sure => {
+            let now = look_early(gauge, is_far, &whole);
+            (now.filter(|now| is_same_again(gauge, now, &whole)), None)
         }
-        early = None;
+        Some(early) => look_quickly(gauge, early, &sum, &whole),
+        None => (None, None),
+    };
+    if let Some(seen) = seen {
+        return Ok(seen);
     }
-    let mut first = None;
-    for time in [EARLY_LOOK, FIRST_LOOK] {
-        // A block that is late costs a transfer, and the next one is probably late as well.
-        if time == EARLY_LOOK && (early.is_none() || gauge.loads_late()) {
-            continue;
-        }
-        wait_until(gauge, selected, time);
-        first = sum(gauge).ok();
-        if let Some(Early { stale, is_new }) = early
-            && first.is_some_and(|sum| !stale.contains(&sum))
-            && let Ok((now, reported)) = whole(gauge)
-            && first == Some(reported)
-        {
-            gauge.note_late(time > EARLY_LOOK);
-            if is_new(&now) {
-                return Ok(now);
-            }
-            // It cannot be told from the block before, however long it is looked at.
-            early = None;
-        }
-    }
+    let first = if first.is_some() {
+        first
+    } else {
+        wait_until(gauge, selected, FIRST_LOOK);
+        sum(gauge).ok()
+    };
     wait_until(gauge, selected, SECOND_LOOK.max(FIRST_LOOK + gauge.chip.access.select));
     let mut before = whole(gauge);
-    if let (Some(first), Ok((now, sum))) = (&first, &before)
+    if let (Some(Early { stale, is_new, .. }), Ok((now, sum))) = (early.filter(|_| !is_ram), &before)
+        && !stale.contains(sum)
+        && is_new(now)
+    {
+        gauge.note_load_time(later_than(gauge.load_time()));
+    }
+    if let (Some(first), Ok((_, sum))) = (&first, &before)
         && first == sum
     {
-        gauge.note_late(early.is_some_and(|early| !early.stale.contains(sum) && (early.is_new)(now)));
         return before.map(|(seen, _)| seen);
     }
     for _ in 2..LOOKS {
@@ -168,9 +227,70 @@ fn look_twice<T: PartialEq>(
     Err(Error::new("", Cause::Protocol, why).at(Step::ReadBlock))
 }
 
+/// The time of the next early look.
+fn later_than(usual: Option<Duration>) -> Duration {
+    let later = EARLY_LOOKS.into_iter().find(|&time| usual.is_some_and(|usual| time > usual));
+    later.unwrap_or(SECOND_LOOK)
+}
+
+fn look_in_ram<T>(
+    gauge: &mut Gauge,
+    is_new: impl Fn(&T) -> bool,
+    whole: impl Fn(&mut Gauge) -> Result<(T, u8)>,
+) -> Option<T> {
+    let selected = gauge.clock.now();
+    for time in [gauge.chip.access.soonest, gauge.chip.access.select] {
+        wait_until(gauge, selected, time);
+        if let Some((now, _)) = whole(gauge).ok().filter(|(now, _)| is_new(now)) {
+            return Some(now);
+        }
+    }
+    None
+}
+
+/// Looks at the checksum, and at the whole as soon as it is another one. If nothing shows that the window was loaded, the
+/// latest checksum is the first of two looks that must agree.
+fn look_quickly<T>(
+    gauge: &mut Gauge,
+    Early { stale, is_new, .. }: &Early<'_, T>,
+    sum: impl Fn(&mut Gauge) -> Result<u8>,
+    whole: impl Fn(&mut Gauge) -> Result<(T, u8)>,
+) -> (Option<T>, Option<u8>) {
+    let selected = gauge.clock.now();
+    let mut first = None;
+    let usual = gauge.load_time();
+    for time in early_looks(gauge).into_iter().chain([FIRST_LOOK]) {
+        // It is as what was there before: later looks show no more.
+        if time == FIRST_LOOK && first.is_some() && usual.is_some() {
+            break;
+        }
+        wait_until(gauge, selected, time);
+        first = sum(gauge).ok();
+        if first.is_some_and(|sum| !stale.contains(&sum))
+            && let Ok((now, reported)) = whole(gauge)
+            && first == Some(reported)
+        {
+            gauge.note_load_time(time);
+            // If not, it cannot be told from the block before, however long it is looked at.
+            return (Some(now).filter(|now| is_new(now)), first);
+        }
+    }
+    (None, first)
+}
+
+fn is_same_again<T: PartialEq>(
+    gauge: &mut Gauge,
+    now: &T,
+    whole: impl Fn(&mut Gauge) -> Result<(T, u8)>,
+) -> bool {
+    gauge.wait(APART);
+    whole(gauge).is_ok_and(|(again, _)| again == *now)
+}
+
 fn note_shown(gauge: &mut Gauge, place: Window, content: [u8; WINDOW]) {
     if !holds_keys(gauge.chip, place) {
-        gauge.note_shown(((place.subclass, place.base), content));
+        let moving = learned(gauge.chip, place);
+        gauge.note_shown(((place.subclass, place.base), content), moving);
     }
 }
 

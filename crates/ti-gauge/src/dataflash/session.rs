@@ -375,8 +375,10 @@ fn reset(gauge: &mut Gauge, found: Seal, moment: Moment) -> Result<Seal> {
         gauge.reset_since(moment)?;
         let sent = gauge.clock.now();
         let mut silent = false;
-        if attempt == 0 || found == Seal::Sealed {
-            gauge.wait(access.reset);
+        match found {
+            Seal::Sealed => gauge.await_reset(sent),
+            Seal::Unsealed | Seal::FullAccess if attempt == 0 => gauge.wait(access.reset),
+            Seal::Unsealed | Seal::FullAccess => {}
         }
         loop {
             let failures = gauge.failures();
@@ -400,7 +402,8 @@ fn reset(gauge: &mut Gauge, found: Seal, moment: Moment) -> Result<Seal> {
                 }
                 Err(_) => silent = true,
             }
-            gauge.wait(Duration::from_millis(if found == Seal::Sealed { 80 } else { 40 }));
+            let is_soon = gauge.clock.now() < sent + access.reset;
+            gauge.wait(Duration::from_millis(if found == Seal::Sealed && !is_soon { 80 } else { 40 }));
         }
     }
     let unseen = Reason::NoEffect { command: "RESET".into(), times: RESETS.into() };

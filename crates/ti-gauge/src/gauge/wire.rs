@@ -20,6 +20,8 @@ mod pace;
 mod recognise;
 mod shown;
 
+pub(crate) use shown::Landmark;
+
 /// Pauses before further attempts. A gauge that programs a row, at any time, stretches the clock or is silent for 250 ms.
 const PAUSES: [Duration; 5] = [
     Duration::from_millis(25),
@@ -175,12 +177,12 @@ impl Gauge {
         self.wire.stopped = Some(stopped);
         self.presence.note_duration(stopped.saturating_sub(begun));
         self.note(write, read, outcome);
+        let touches = self.dialect.touches(write);
+        self.wire.shown.transfer(&touches, outcome, (self.chip.access.scheme.is_flat(), stopped));
         if self.wire.secrets > 0 {
             self.effects.forget();
             self.wire.shown.forget();
         } else {
-            let touches = self.dialect.touches(write);
-            self.wire.shown.transfer(&touches, outcome);
             let shown = match write {
                 [start] => Some(self.dialect.shows(*start, read)),
                 _ => None,

@@ -32,12 +32,12 @@ fn forge(read: &mut [u8], value: u8) {
 #[test]
 fn a_block_that_changes_between_two_looks_is_not_believed() {
     let expected = Rig::new("bq34z100-g1").read(48, 11).expect("a read");
-    for forged in [1, 2] {
+    for forged in [1, 2, 3] {
         let mut rig = Rig::new("bq34z100-g1");
         let mut looks = 0;
         rig.through(move |bus, write, read| {
             let done = bus.transfer(write, read);
-            if is_whole(write, read) {
+            if is_whole(write, read) && read[..2] == [48, 0] {
                 looks += 1;
                 if looks <= forged {
                     forge(read, looks);

@@ -9,13 +9,14 @@ use super::attacks::Bench1;
 use super::*;
 
 /// Rows of the table by their first words, and the functions that wait for that reason; the first row that fits counts.
-const ROWS: [(&str, &[&str]); 6] = [
+const ROWS: [(&str, &[&str]); 7] = [
     ("transfers, and the pauses between", &["again"]),
-    ("reading all data flash, twice", &["read_found/look_twice", "read_first/look_twice"]),
-    ("commits of the write", &["commit", "glance", "read_part"]),
-    ("reading the blocks of the write", &["gather/look_twice"]),
+    ("reading all data flash, twice", &["read_found/load", "read_first/load"]),
+    ("commits of the write", &["commit", "glance", "verify_written"]),
+    ("reading the blocks of the write", &["gather/load"]),
     ("the reset after the write", &["reset"]),
     ("asking for the seal", &["look_at_status"]),
+    ("the next look at the registers", &["wait_for_turn"]),
 ];
 
 /// A clock that notes which row each wait belongs to.

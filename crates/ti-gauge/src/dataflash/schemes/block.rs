@@ -3,13 +3,15 @@
 //! Unsealed block access (SLUSBZ5D 7.3.3.1): BlockDataControl, DataFlashClass, DataFlashBlock, a window
 //! of 32 bytes, and a checksum that commits them.
 
+use std::time::Duration;
+
 use super::{
-    Before, Care, Early, FIRST_LOOK, NEXT_LOOK, SECOND_LOOK, Sequence, look_twice, note_shown, settle,
-    wait_until,
+    Before, Care, Early, FIRST_LOOK, NEXT_LOOK, SECOND_LOOK, Sequence, early_looks, look_early, look_twice,
+    note_shown, settle, wait_until,
 };
 use crate::chip::Kind;
 use crate::codec::{WINDOW, checksum};
-use crate::dataflash::window::{Planned, Window};
+use crate::dataflash::window::{Planned, Window, holds_keys};
 use crate::error::{Cause, Error, Reason, Result, Step};
 use crate::gauge::{Gauge, Statistics};
 
@@ -23,6 +25,8 @@ const BLOCK_DATA_CONTROL: u8 = 0x61;
 const MANUFACTURER_BLOCKS: u8 = 1;
 
 const SELECTIONS: usize = 3;
+/// In which the words of a block are programmed (SLUSBZ5D 6.12).
+const WORDS: Duration = Duration::from_millis(32);
 
 pub(super) struct Block;
 
@@ -37,10 +41,10 @@ impl Sequence for Block {
 
     fn load(&self, gauge: &mut Gauge, place: Window, care: Care) -> Result<[u8; WINDOW]> {
         let selection = [place.subclass, block_of(place)?];
-        let mut before = if care == Care::Quick { before(gauge, place)? } else { None };
+        let mut before = before(gauge, place, care)?;
         let (mut failed, mut others) = (false, Vec::new());
         while others.len() < SELECTIONS {
-            match load_once(gauge, place, before.take().as_ref()) {
+            match load_once(gauge, place, before.take().as_ref(), care) {
                 Ok(Shown { echo, window }) if echo == selection => {
                     note_shown(gauge, place, window);
                     return Ok(window);
@@ -66,7 +70,13 @@ impl Sequence for Block {
         Err(Error::new("", Cause::Protocol, why).at(Step::ReadBlock))
     }
 
-    fn glance(&self, gauge: &mut Gauge, place: Window) -> Result<[u8; WINDOW]> {
+    fn glance(&self, gauge: &mut Gauge, place: Window, sent: Option<&[u8; WINDOW]>) -> Result<[u8; WINDOW]> {
+        if gauge.chip.volatile.is_none() && !holds_keys(gauge.chip, place) {
+            let sent = sent.map(|content| Before { place: Some(place), content: *content });
+            if let Some(window) = glance_early(gauge, place, sent) {
+                return Ok(window);
+            }
+        }
         select(gauge, place)?;
         settle(gauge);
         match read_window(gauge, place)?.0 {
@@ -124,13 +134,23 @@ impl Sequence for Block {
 
     fn commit(&self, gauge: &mut Gauge, block: &Planned) -> Result<()> {
         let sent = gauge.write_once(CHECKSUM, &[checksum(&block.new)]);
-        gauge.wait(gauge.chip.access.commit);
+        gauge.wait(commit_time(gauge, block.place));
         sent.map_err(|bus| Error::bus("BlockDataChecksum()", bus).at(Step::WriteBlock))
     }
 
     fn always_finishes(&self) -> bool {
         false
     }
+}
+
+/// When the first look at a commit is worth its transfers: after the time of the words alone, until one has come too early;
+/// then after as long as it took to be seen, but no later than is usual. A look that does not show it is repeated.
+fn commit_time(gauge: &Gauge, place: Window) -> Duration {
+    let (usual, seen) = (gauge.chip.access.commit, &gauge.statistics.commits);
+    if gauge.chip.volatile.is_some() || holds_keys(gauge.chip, place) {
+        return usual;
+    }
+    usual.min(if seen.unseen_ms() == 0 { WORDS } else { Duration::from_millis(seen.seen_ms()) })
 }
 
 fn block_of(place: Window) -> Result<u8> {
@@ -152,31 +172,71 @@ struct Shown {
     window: [u8; WINDOW],
 }
 
-/// What the window shows before a load; of RAM it is read where it is not known. If that is the block already, another one
-/// goes first, so that the load shows.
-fn before(gauge: &mut Gauge, place: Window) -> Result<Option<Before>> {
-    let is_ram = gauge.chip.volatile.is_some();
-    let mut shown = Before::shown(gauge);
-    if shown.is_none() && is_ram {
-        let read = read_window(gauge, place).ok();
-        shown = read.map(|(Shown { echo: [subclass, block], window }, _)| {
-            let base = u16::from(block) * WINDOW as u16;
-            Before { place: Some(Window { subclass, base }), content: window }
-        });
+/// What the window shows before a load, if the load can be told from it.
+fn before(gauge: &mut Gauge, place: Window, care: Care) -> Result<Option<Before>> {
+    if care == Care::Sure && holds_keys(gauge.chip, place) {
+        return Ok(None);
     }
-    let Some(before) = shown else { return Ok(None) };
-    if !is_ram || before.place != Some(place) {
+    match gauge.chip.volatile {
+        Some(_) if care == Care::Quick => before_ram(gauge, place),
+        Some(_) => Ok(None),
+        None => Ok(before_flash(gauge, place, None)),
+    }
+}
+
+/// Where it is not known it is read. A block that is not told from it comes after another one.
+fn before_flash(gauge: &mut Gauge, place: Window, sent: Option<Before>) -> Option<Before> {
+    let known = sent.or_else(|| Before::shown(gauge));
+    let before = if known.is_none() && gauge.window_rests() { read_before(gauge, place) } else { known }?;
+    if !before.hides(gauge.chip, place) {
+        return Some(before);
+    }
+    let (other, landmark) = before.landmark(gauge, place)?;
+    let selection = [other.subclass, block_of(other).ok()?];
+    select(gauge, other).ok()?;
+    let is_there = |now: &Shown| now.echo == selection && landmark.is(&now.window);
+    let Some(seen) = look_early(gauge, is_there, |gauge: &mut Gauge| read_window(gauge, other)) else {
+        gauge.forget_landmark(landmark.place);
+        return None;
+    };
+    note_shown(gauge, other, seen.window);
+    Some(Before { place: Some(other), content: seen.window })
+}
+
+fn glance_early(gauge: &mut Gauge, place: Window, sent: Option<Before>) -> Option<[u8; WINDOW]> {
+    if early_looks(gauge).is_empty() {
+        return None;
+    }
+    let (selection, chip) = ([place.subclass, block_of(place).ok()?], gauge.chip);
+    let before = before_flash(gauge, place, sent)?;
+    select(gauge, place).ok()?;
+    let is_there = |now: &Shown| now.echo == selection && before.is_far(chip, &now.window);
+    let seen = look_early(gauge, is_there, |gauge: &mut Gauge| read_window(gauge, place))?;
+    note_shown(gauge, place, seen.window);
+    Some(seen.window)
+}
+
+fn read_before(gauge: &mut Gauge, place: Window) -> Option<Before> {
+    let (Shown { echo: [subclass, block], window }, _) = read_window(gauge, place).ok()?;
+    let base = u16::from(block) * WINDOW as u16;
+    Some(Before { place: Some(Window { subclass, base }), content: window })
+}
+
+/// Of RAM it is read where it is not known. If that is the block already, another one goes first, so that the load shows.
+fn before_ram(gauge: &mut Gauge, place: Window) -> Result<Option<Before>> {
+    let Some(before) = Before::shown(gauge).or_else(|| read_before(gauge, place)) else { return Ok(None) };
+    if before.place != Some(place) {
         return Ok(Some(before));
     }
     let mut rows = gauge.chip.subclasses.iter().filter(|row| row.kind != Kind::Security);
     let Some(other) = rows.find(|row| row.id != place.subclass) else { return Ok(None) };
     let other = Window { subclass: other.id, base: 0 };
-    let loaded = load_once(gauge, other, Some(&before)).ok();
+    let loaded = load_once(gauge, other, Some(&before), Care::Quick).ok();
     let loaded = loaded.filter(|loaded| loaded.echo == [other.subclass, 0]);
     Ok(loaded.map(|loaded| Before { place: Some(other), content: loaded.window }))
 }
 
-fn load_once(gauge: &mut Gauge, place: Window, before: Option<&Before>) -> Result<Shown> {
+fn load_once(gauge: &mut Gauge, place: Window, before: Option<&Before>, care: Care) -> Result<Shown> {
     let (selection, chip) = ([place.subclass, block_of(place)?], gauge.chip);
     select(gauge, place)?;
     let sum = |gauge: &mut Gauge| {
@@ -185,11 +245,13 @@ fn load_once(gauge: &mut Gauge, place: Window, before: Option<&Before>) -> Resul
     };
     let whole = |gauge: &mut Gauge| read_window(gauge, place);
     let seen = match before {
-        None => look_twice(gauge, None, sum, whole),
+        None => look_twice(gauge, care, None, sum, whole),
         Some(before) => {
             let stale = before.sums(|_, content| checksum(content));
             let is_new = |now: &Shown| now.echo == selection && !before.is_shown(chip, &now.window);
-            look_twice(gauge, Some(&Early { stale, is_new: &is_new }), sum, whole)
+            let is_far = |now: &Shown| now.echo == selection && before.is_far(chip, &now.window);
+            let early = Early { stale, is_new: &is_new, is_far: &is_far };
+            look_twice(gauge, care, Some(&early), sum, whole)
         }
     };
     seen.map_err(|error| error.within(&place.name(0)))

@@ -80,8 +80,8 @@ impl Sequence for CfgUpdate {
         self.access.load(gauge, place, care)
     }
 
-    fn glance(&self, gauge: &mut Gauge, place: Window) -> Result<[u8; WINDOW]> {
-        self.access.glance(gauge, place)
+    fn glance(&self, gauge: &mut Gauge, place: Window, sent: Option<&[u8; WINDOW]>) -> Result<[u8; WINDOW]> {
+        self.access.glance(gauge, place, sent)
     }
 
     fn read_part(&self, gauge: &mut Gauge, place: Window, at: usize, into: &mut [u8]) -> Result<()> {

@@ -2,7 +2,7 @@
 
 //! ManufacturerAccessControl (SLUUBH1C 12.1.3, SLUA790 3): a flat address, echoed, up to 32 bytes, MACDataSum, MACDataLen.
 
-use super::{Before, Care, Early, Sequence, look_twice, note_shown, settle};
+use super::{Before, Care, Early, Sequence, look_early, look_twice, note_shown, settle};
 use crate::chip::FLAT;
 use crate::codec::{WINDOW, checksum};
 use crate::dataflash::window::{Planned, Window};
@@ -30,25 +30,25 @@ impl Sequence for Mac {
     }
 
     fn load(&self, gauge: &mut Gauge, place: Window, care: Care) -> Result<[u8; WINDOW]> {
-        let before = if care == Care::Quick { before(gauge) } else { None };
-        let mut outcome = load_once(gauge, place, before.as_ref());
+        let before = before(gauge, place, care);
+        let mut outcome = load_once(gauge, place, before.as_ref(), care);
         // A bit error in the address made the gauge answer for another one.
         let wrong = |error: &Error| matches!(error.cause(), Cause::BadChecksum | Cause::Protocol);
         if outcome.as_ref().is_err_and(wrong) {
             Statistics::count(&gauge.statistics.retries);
-            outcome = load_once(gauge, place, None);
+            outcome = load_once(gauge, place, None, care);
         }
         outcome.inspect(|window| note_shown(gauge, place, *window))
     }
 
-    fn glance(&self, gauge: &mut Gauge, place: Window) -> Result<[u8; WINDOW]> {
+    fn glance(&self, gauge: &mut Gauge, place: Window, _: Option<&[u8; WINDOW]>) -> Result<[u8; WINDOW]> {
         request(gauge, place)?;
         settle(gauge);
         read_answer(gauge, place).map(|(window, _)| window)
     }
 
     fn read_part(&self, gauge: &mut Gauge, place: Window, at: usize, into: &mut [u8]) -> Result<()> {
-        let window = self.glance(gauge, place)?;
+        let window = self.glance(gauge, place, None)?;
         into.copy_from_slice(&window[at..at + into.len()]);
         Ok(())
     }
@@ -108,16 +108,38 @@ fn request(gauge: &mut Gauge, place: Window) -> Result<()> {
     gauge.write(MAC, &place.base.to_le_bytes()).map_err(|error| error.at(Step::ReadBlock))
 }
 
-fn before(gauge: &mut Gauge) -> Option<Before> {
-    let shown = Before::shown(gauge);
-    if shown.is_some() || gauge.chip.volatile.is_none() {
-        return shown;
+fn before(gauge: &mut Gauge, place: Window, care: Care) -> Option<Before> {
+    match gauge.chip.volatile {
+        _ if care == Care::Sure && holds_keys(gauge.chip, place) => None,
+        Some(_) if care == Care::Quick => Before::shown(gauge).or_else(|| read_before(gauge)),
+        Some(_) => None,
+        None => before_flash(gauge, place),
     }
+}
+
+fn read_before(gauge: &mut Gauge) -> Option<Before> {
     let mut content = [0; WINDOW];
     gauge.read(MAC_DATA, &mut content).ok().map(|()| Before { place: None, content })
 }
 
-fn load_once(gauge: &mut Gauge, place: Window, before: Option<&Before>) -> Result<[u8; WINDOW]> {
+/// What the window shows before a load. A block that is not told from it comes after another one.
+fn before_flash(gauge: &mut Gauge, place: Window) -> Option<Before> {
+    let before = Before::shown(gauge)?;
+    if !before.hides(gauge.chip, place) {
+        return Some(before);
+    }
+    let (other, landmark) = before.landmark(gauge, place)?;
+    request(gauge, other).ok()?;
+    let is_there = |now: &[u8; WINDOW]| landmark.is(now);
+    let Some(content) = look_early(gauge, is_there, |gauge: &mut Gauge| read_answer(gauge, other)) else {
+        gauge.forget_landmark(landmark.place);
+        return None;
+    };
+    note_shown(gauge, other, content);
+    Some(Before { place: Some(other), content })
+}
+
+fn load_once(gauge: &mut Gauge, place: Window, before: Option<&Before>, care: Care) -> Result<[u8; WINDOW]> {
     let chip = gauge.chip;
     request(gauge, place)?;
     let read_sum = |gauge: &mut Gauge| {
@@ -126,11 +148,13 @@ fn load_once(gauge: &mut Gauge, place: Window, before: Option<&Before>) -> Resul
     };
     let whole = |gauge: &mut Gauge| read_answer(gauge, place);
     let seen = match before {
-        None => look_twice(gauge, None, read_sum, whole),
+        None => look_twice(gauge, care, None, read_sum, whole),
         Some(before) => {
             let stale = before.sums(|at, content| sum(at.unwrap_or(place).base, content));
             let is_new = |now: &[u8; WINDOW]| !before.is_shown(chip, now);
-            look_twice(gauge, Some(&Early { stale, is_new: &is_new }), read_sum, whole)
+            let is_far = |now: &[u8; WINDOW]| before.is_far(chip, now);
+            let early = Early { stale, is_new: &is_new, is_far: &is_far };
+            look_twice(gauge, care, Some(&early), read_sum, whole)
         }
     };
     seen.map_err(|error| error.within(&place.name(0)))

@@ -2,7 +2,7 @@
 
 //! The blocks that a SEALED gauge shows (SLUSBZ5D 7.3.2.16): DataFlashBlock() selects one in the window.
 
-use super::look_twice;
+use super::{Care, look_twice};
 use crate::codec::{WINDOW, checksum};
 use crate::error::{Cause, Error, Reason, Result};
 use crate::gauge::Gauge;
@@ -17,7 +17,7 @@ pub(in crate::dataflash) fn shown_sealed(gauge: &mut Gauge, block: u8) -> Result
         let mut sum = [0];
         gauge.read(CHECKSUM, &mut sum).map(|()| sum[0])
     };
-    look_twice(gauge, None, sum, |gauge| {
+    look_twice(gauge, Care::Sure, None, sum, |gauge| {
         let mut bytes = [0; 1 + WINDOW + 1];
         gauge.read(DATA_FLASH_BLOCK, &mut bytes)?;
         let mut window = [0; WINDOW];

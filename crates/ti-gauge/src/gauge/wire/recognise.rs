@@ -2,11 +2,17 @@
 
 //! Looks at the selection, which show whether it is still the same gauge that answers.
 
+use std::time::Duration;
+
 use crate::gauge::Gauge;
 use crate::gauge::presence::{Moment, PAUSE};
 use gauge_bus::BusError;
 
 const LOOKS: u32 = 2;
+/// When a look at a gauge that was sent RESET is worth its transfer, in tenths of the usual time.
+const RESET_LOOK: u32 = 9;
+/// A gauge that did not show it so much earlier may show it by then.
+const EARLIER_MS: u64 = 10;
 
 impl Gauge {
     /// The present moment, for [`Self::is_unbroken_since`]. What is in doubt now counts as happening later.
@@ -39,6 +45,29 @@ impl Gauge {
         {
             self.presence.learn(seen);
         }
+    }
+
+    /// Waits until a gauge that was sent RESET may show it, some time before the usual one unless this gauge was later. That it
+    /// is silent until the usual time says no less than not to look would, so that is no failure.
+    pub(crate) fn await_reset(&mut self, sent: Duration) {
+        let (usual, seen) = (self.chip.access.reset, &self.statistics.reset_seals);
+        let (is_known, unseen) = (seen.count() > 0, Duration::from_millis(seen.unseen_ms() + EARLIER_MS));
+        let look = usual * RESET_LOOK / 10;
+        if unseen < look {
+            self.wait((sent + look).saturating_sub(self.clock.now()));
+            if is_known || !self.may_try_until(sent + usual) {
+                return;
+            }
+            let was_doubted = self.presence.is_doubted();
+            if self.pass(self.dialect.selection(), &mut [0; 2]).is_ok() {
+                return;
+            }
+            // An adapter may have waited so long that a pack was exchanged meanwhile.
+            if !was_doubted && self.clock.now() < sent + PAUSE {
+                self.presence.look();
+            }
+        }
+        self.wait((sent + usual).saturating_sub(self.clock.now()));
     }
 
     pub(crate) fn doubt(&mut self) {
