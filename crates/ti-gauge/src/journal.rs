@@ -530,8 +530,14 @@ impl OpenJournal {
         stored.map_err(|error| refused(&self.path, &error))
     }
 
+    /// Notes that a reset is about to be sent. That outlives the process; only [`Self::sync`] has it on disk.
     pub(crate) fn reset_sent(&mut self) -> Result<()> {
-        self.note(RESET_SENT)
+        self.file.append(RESET_SENT.as_bytes()).map_err(|error| refused(&self.path, &error))
+    }
+
+    /// Returns once all that was noted is on disk.
+    pub(crate) fn sync(&mut self) -> Result<()> {
+        self.file.sync().map_err(|error| refused(&self.path, &error))
     }
 
     /// Appends a line about a plan's progress. On return it is on disk.

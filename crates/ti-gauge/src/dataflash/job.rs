@@ -239,15 +239,20 @@ impl Job {
     /// Brings data flash to one side: stores, makes the gauge use it, and reads back what was not read back since.
     fn bring(&mut self, gauge: &mut Gauge, session: &mut Session, side: Side, is_seen: bool) -> Result<()> {
         let unread: Vec<bool> = self.blocks.iter().map(|seen| is_seen && seen.is_at(side)).collect();
-        match side {
-            Side::New => self.forward(gauge, session)?,
-            Side::Old => self.back(gauge, session, is_seen)?,
-        }
         let ends = match side {
             // The gauge may work with the new values, unless this very job has not come so far.
             Side::Old => self.reset && (self.in_use || !self.returns),
             Side::New => self.reset,
         };
+        match side {
+            Side::New => self.forward(gauge, session)?,
+            Side::Old => {
+                if ends {
+                    session.keep_reset();
+                }
+                self.back(gauge, session, is_seen)?;
+            }
+        }
         let ends = ends || sequence(gauge).always_finishes();
         if ends {
             session.leave_calibration(gauge)?;

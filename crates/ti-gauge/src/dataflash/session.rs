@@ -268,6 +268,16 @@ impl Session {
         self.journal.as_mut().map_or(Ok(()), OpenJournal::reset_sent)
     }
 
+    /// Has it on disk that the gauge may use the new content, before old content goes back: when all of that is back, data
+    /// flash shows no longer that a reset is due. On the way forward it shows that by itself, in its new blocks.
+    pub(super) fn keep_reset(&mut self) {
+        let noted = self.note_reset();
+        let kept = noted.and_then(|()| self.journal.as_mut().map_or(Ok(()), OpenJournal::sync));
+        if let Err(error) = kept {
+            log::warn!("{error}");
+        }
+    }
+
     /// Records how far a key change has come. If that fails the journal says less than is known, and the change goes on.
     pub(super) fn note_keys(&mut self, change: impl FnOnce(&mut KeyPlan), line: &str) {
         if let Some(key) = self.entry.as_mut().and_then(|entry| entry.plan.as_mut()?.key.as_mut()) {
