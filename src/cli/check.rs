@@ -386,7 +386,8 @@ impl Answer {
             let _ = writeln!(text, "missing   {rule}: {values} has no value now");
         }
         if !self.not_looked_at.is_empty() {
-            let why = if read { ", which could not be read" } else { " (--read)" };
+            let why =
+                if read { ", as it could not be read or the gauge has updated it" } else { " (--read)" };
             let _ =
                 writeln!(text, "not looked at without data flash{why}: {}", self.not_looked_at.join(", "));
         }

@@ -342,7 +342,7 @@ mod tests {
     use super::*;
     use crate::error::Cause;
     use gauge_bus::clock::Clock as _;
-    use ti_gauge::chip::{Limited, SIBLINGS};
+    use ti_gauge::chip::{Limited, Role, SIBLINGS};
     use ti_gauge::dataflash::Change;
     use ti_gauge::value::Value;
 
@@ -419,6 +419,24 @@ mod tests {
         let read = rig.ask(&READ, vec![index]).expect("the default key");
         assert_eq!(read[0][53..55], 3100_u16.to_be_bytes());
         assert!(rig.ask(&READ, vec![]).expect("nothing to read").is_empty());
+    }
+
+    /// A bq34110 takes what is written without a reset.
+    #[test]
+    fn regression_design_capacity_was_shown_as_it_was_before_a_write() {
+        let mut rig = Rig::of("bq34110", Run::default());
+        rig.start().expect("it answers");
+        let chip = rig.handle.chip();
+        let shown = |rig: &Rig| {
+            let snapshot = rig.handle.published().snapshot.clone().expect("it was polled");
+            snapshot.registers().value(chip.register(Role::ChargeFullDesign).expect("it has one"))
+        };
+        assert_eq!(shown(&rig), Some(2200));
+        let row = chip.rows().find(|(_, row)| row.name == "Design Capacity mAh").expect("a row");
+        let change = Change::of_value(chip, row, &Value::Int(5200), false).expect("it fits");
+        rig.ask(&WRITE, vec![change]).expect("the default key");
+        rig.poll_after(INTERVAL);
+        assert_eq!(shown(&rig), Some(5200));
     }
 
     #[test]

@@ -44,8 +44,9 @@ impl Readings {
         self.rare = Registers::unread(chip.registers);
     }
 
-    /// A write has changed what attributes need of data flash.
+    /// A write has changed what attributes need of data flash, and registers that are copies of it.
     pub(super) fn look_again(&mut self) {
+        self.statics = Fact::default();
         self.looked = Fact::default();
     }
 
