@@ -128,7 +128,13 @@ pub static SIBLINGS: &[Sibling] = &[
     Sibling::new("bq27510-G1", 0x0510, &[], &[], Some(&kernel::BQ27510_G1)),
     Sibling::new("bq27510-G2", 0x0510, &[], &[], Some(&kernel::BQ27510_G2)),
     Sibling::new("bq27510-G3", 0x0510, &[], &[], Some(&kernel::BQ27510_G3)),
+    // Four parts have one type. The firmware is printed for the bq27541-G1 (SLUSAL6C), in the name of the bq27541-V200
+    // (SLUSA11), and not for the first bq27541 and the bq27546-G1 (SLUSC53), which has a threshold in the place of the
+    // others' AveragePower().
+    Sibling::new("bq27541-G1", 0x0541, &[0x0224], &[], Some(&kernel::BQ27541)),
+    Sibling::new("bq27541-V200", 0x0541, &[0x0200], &[], Some(&kernel::BQ27541)),
     Sibling::new("bq27541", 0x0541, &[], &[], Some(&kernel::BQ27541)),
+    Sibling::new("bq27546", 0x0541, &[], &[], Some(&kernel::BQ27546)),
     Sibling::new("bq27542", 0x0542, &[], &[], Some(&kernel::BQ27542)),
     Sibling::new("bq27742", 0x0742, &[], &[], Some(&kernel::BQ27742)),
     // Its block access is another one, but DEVICE_TYPE at Control() is the same.

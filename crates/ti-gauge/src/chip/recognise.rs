@@ -85,13 +85,14 @@ impl Limited {
     }
 }
 
-/// Identifies a part by its answers. A part whose identity names the hardware or a DM_CODE takes precedence.
+/// Identifies a part by its answers. One whose identity names the hardware, a DM_CODE or the firmware takes precedence.
 pub fn recognise(answers: &Answers) -> Recognised {
     let names_hardware = |one: &Identity| one.hardware.is_some();
     let names_dm_code = |one: &Identity| answers.dm_code.is_some_and(|code| one.dm_codes.contains(&code));
     let mut chips: Vec<_> = CHIPS.iter().copied().filter(|chip| chip.identity.fits(answers)).collect();
     let mut siblings: Vec<_> = SIBLINGS.iter().filter(|sibling| sibling.identity.fits(answers)).collect();
-    let choices: [&dyn Fn(&Identity) -> bool; 2] = [&names_hardware, &names_dm_code];
+    let names_firmware = |one: &Identity| one.firmware.contains(&answers.firmware_version);
+    let choices: &[&dyn Fn(&Identity) -> bool] = &[&names_hardware, &names_dm_code, &names_firmware];
     for named in choices {
         let in_chips = chips.iter().any(|chip| named(&chip.identity));
         if in_chips || siblings.iter().any(|sibling| named(&sibling.identity)) {
@@ -164,7 +165,9 @@ mod tests {
 
     #[test]
     fn a_type_of_several_maps_is_for_the_user_to_decide() {
-        assert_eq!(seen(0x0541, 0x0200, 0, None), "bq27541 like bq27541");
+        assert_eq!(seen(0x0541, 0x0224, 0, None), "bq27541-G1 like bq27541");
+        assert_eq!(seen(0x0541, 0x0200, 0, None), "bq27541-V200 like bq27541");
+        assert_eq!(seen(0x0541, 0x0117, 0, None), "bq27541 or bq27546");
         assert_eq!(seen(0x0510, 0x0400, 0, None), "bq27510-g1 or bq27510-g2 or bq27510-g3");
         // Types that only the name of a part suggests.
         for device_type in [0x0521, 0x0530, 0x0531, 0x0545, 0x0546, 0x0425, 0x2610] {

@@ -90,7 +90,8 @@ impl Bus for Sister {
         let identity = &self.sibling.identity;
         let answer = match (write, self.code) {
             ([0x00], 0x0001) => Some(identity.device_type),
-            ([0x00], 0x0002) => identity.firmware.first().copied(),
+            // Where it is not known, one that no row has.
+            ([0x00], 0x0002) => Some(identity.firmware.first().copied().unwrap_or(0x7fff)),
             ([0x00], 0x0004) => identity.dm_codes.first().copied(),
             _ => None,
         };
