@@ -307,3 +307,28 @@ pub(super) fn sequence(gauge: &Gauge) -> &'static dyn Sequence {
         Scheme::MacUpdate => &cfgupdate::MAC,
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Two wrong bits leave a sum as it is.
+    #[test]
+    fn a_look_that_differs_in_few_bytes_is_no_look_at_another_block() {
+        let chip = Chip::by_name("bq34z100-g1").expect("a table");
+        let far = |content: [u8; WINDOW], changed: usize| {
+            let mut now = content;
+            now[..changed].iter_mut().for_each(|byte| *byte ^= 1);
+            Before { place: None, content }.is_far(chip, &now)
+        };
+        for content in [[7; WINDOW], [0; WINDOW], [0xff; WINDOW]] {
+            assert!(!far(content, 0) && !far(content, 3) && far(content, 4), "{content:?}");
+        }
+        // Nor is a blank one, with wrong bits.
+        for blank in [0, 0xff] {
+            let mut now = [blank; WINDOW];
+            now[..2].fill(5);
+            assert!(!Before { place: None, content: [7; WINDOW] }.is_far(chip, &now));
+        }
+    }
+}
