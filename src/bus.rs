@@ -96,6 +96,7 @@ fn errno(error: BusError) -> Errno {
         BusError::Gone => Errno::NODEV,
         BusError::Busy | BusError::HasMux => Errno::BUSY,
         BusError::Short | BusError::Unsteady => Errno::IO,
+        BusError::Pec => Errno::BADMSG,
         BusError::TooLong { .. } => Errno::OPNOTSUPP,
         BusError::Other(number) | BusError::MaybeNoAck(number) => Errno::from_raw_os_error(number),
     }

@@ -207,7 +207,8 @@ mod tests {
     #[test]
     fn the_report_of_every_chip_replays() {
         let file = std::env::temp_dir().join(format!("gaugefs-report-{}", process::id()));
-        for chip in Chip::all() {
+        // A recording is one of addresses, which a Smart Battery does not have.
+        for chip in Chip::all().filter(|chip| chip.access.scheme != ti_gauge::chip::Scheme::Smbus) {
             let mut rig = Rig::of(chip.name, Run::default());
             rig.start().expect("it answers");
             rig.ask(&op::REPORT, ()).expect("it answers");

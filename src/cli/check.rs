@@ -293,7 +293,7 @@ impl Check {
             Scale::Register(source) => {
                 snapshot.registers().value(chip.register_at(source)?).map(|scale| scale as f64)
             }
-            Scale::None | Scale::Flash(..) => None,
+            Scale::None | Scale::Flash(..) | Scale::Power(..) => None,
         };
         let (current, energy) = (scale(chip.scaling.current), scale(chip.scaling.energy));
         let has = Has { chip, chem_id: published.answers.chem_id, stored: &stored, current, energy };

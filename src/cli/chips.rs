@@ -119,7 +119,7 @@ fn list(json: bool) -> Result<()> {
 fn details(chip: &'static Chip) -> String {
     let row = Row::new(chip);
     let flash = match chip.access.scheme {
-        Scheme::None => "none: it is only read".to_string(),
+        Scheme::None | Scheme::Smbus => "none: it is only read".to_string(),
         _ => format!(
             "{} parameters in {}, {} can be written; {} are uncertain and read-only without --allow-unproven",
             row.readable,
@@ -177,7 +177,7 @@ fn keys(chip: &Chip) -> &'static str {
 
 fn scheme(chip: &Chip) -> &'static str {
     match chip.access.scheme {
-        Scheme::None => "none",
+        Scheme::None | Scheme::Smbus => "none",
         scheme if scheme.is_ram() => "RAM",
         _ => "flash",
     }

@@ -69,6 +69,8 @@ enum State {
     Maybe,
     /// Perhaps a gauge in ROM mode.
     Rom,
+    /// A Smart Battery.
+    Pack,
     /// A kernel driver is bound to the address.
     Driver,
     /// Another gaugefs uses it.
@@ -152,6 +154,8 @@ impl Probe {
     fn look(&self, adapter: &Adapter) -> Result<Report> {
         let options = GaugeOptions { byte_writes: self.byte_writes, ..GaugeOptions::default() };
         let found = match self.address {
+            // What a Smart Battery takes for a command is sent to no device there.
+            Some(ROM_ADDRESS) => vec![examine_rom(adapter)?],
             Some(address) => vec![examine(adapter, address, true, options.reach())?],
             None => side_by_side(vec![
                 (GAUGE_ADDRESS, examine(adapter, GAUGE_ADDRESS, false, Reach::FULL)),
@@ -170,6 +174,7 @@ impl Probe {
                 State::Gauge => found.chips.join(" or "),
                 State::Maybe => format!("maybe {}", found.chips.join(" or ")),
                 State::Rom => "maybe a gauge in ROM mode".to_string(),
+                State::Pack => "Smart Battery".to_string(),
                 State::Driver => "kernel driver".to_string(),
                 State::Busy => "in use".to_string(),
                 State::Other => "other device".to_string(),
@@ -180,7 +185,7 @@ impl Probe {
         }
         let mut table = align(&rows);
         table.extend(mux.iter().map(|mux| format!("{mux}\n")));
-        if self.address.is_none() {
+        if self.address.is_none() || found.iter().any(|found| found.state == State::Pack) {
             table += &advice(found, bus);
         }
         table
@@ -225,7 +230,9 @@ fn advice(found: &[Found], bus: &str) -> String {
     let at = |address, states: &[State]| {
         found.iter().any(|found| found.address == address && states.contains(&found.state))
     };
-    if at(GAUGE_ADDRESS, &[State::Maybe]) {
+    if at(ROM_ADDRESS, &[State::Pack]) {
+        format!("To read it, and nothing else: gaugefs mount --bus {bus} --chip sbs FOLDER\n")
+    } else if at(GAUGE_ADDRESS, &[State::Maybe]) {
         format!("To identify it: gaugefs probe --bus {bus} --address 0x55\n")
     } else if at(GAUGE_ADDRESS, &[State::Nothing]) && at(ROM_ADDRESS, &[State::Rom]) {
         format!(
@@ -325,7 +332,7 @@ fn examine_rom(adapter: &Adapter) -> Result<Found> {
 fn at_rom(device: Device) -> (State, &'static str) {
     match device {
         Device::BootLoader => (State::Rom, "it reads like one; its firmware update was interrupted"),
-        Device::SmartBattery => (State::Other, "a Smart Battery"),
+        Device::SmartBattery => (State::Pack, ""),
         Device::Unclear => (State::Rom, "or a Smart Battery, which is not told apart by reading"),
     }
 }
@@ -375,7 +382,8 @@ mod tests {
         assert_eq!(advice(State::Driver, State::Rom), "");
         assert_eq!(advice(State::Nothing, State::Nothing), "");
         assert_eq!(advice(State::Silent, State::Rom), "", "a gauge may be there");
-        assert_eq!(advice(State::Nothing, at_rom(Device::SmartBattery).0), "");
+        let pack = advice(State::Nothing, at_rom(Device::SmartBattery).0);
+        assert!(pack.contains("mount --bus /dev/i2c-1 --chip sbs"), "{pack}");
         assert!(!advice(State::Nothing, at_rom(Device::Unclear).0).is_empty());
     }
 

@@ -266,7 +266,7 @@ fn chip(word: &str) -> Result<Simulated> {
             "no gauge that is simulated{meant} `gaugefs chips` lists them. A PATH has a slash, such as ./bus"
         ))
     })?;
-    let address = at.map_or(Ok(GAUGE_ADDRESS), |at| address(at).map_err(refuse))?;
+    let address = at.map_or(Ok(chip.address), |at| address(at).map_err(refuse))?;
     Ok((chip, address))
 }
 

@@ -5,7 +5,7 @@
 //! A row of [`ATTRIBUTES`] is an attribute: its name, and the rule for its text.
 
 use gauge_owner::{Handle, Snapshot};
-use ti_gauge::chip::{Chip, Condition, Primary, Register, Role, Scale, Signature};
+use ti_gauge::chip::{Chip, Condition, Primary, Register, Role, Scale, Signature, power};
 use ti_gauge::value::Value;
 use ti_gauge::{date, text};
 
@@ -80,14 +80,14 @@ enum Text {
     /// A word of the kernel, or a name.
     Fixed(fn(&Reading<'_>) -> Option<&'static str>),
     /// The pack's own text, which the table's row with this role reads; the other one where the table has no such row.
-    Row(Role, &'static str),
+    Row(Role, fn(&Reading<'_>) -> &'static str),
 }
 
 const fn text(name: &'static str, show: fn(&Reading<'_>) -> Option<&'static str>) -> Row {
     Row { name, show: Show::Text(Text::Fixed(show)) }
 }
 
-const fn own_text(name: &'static str, role: Role, otherwise: &'static str) -> Row {
+const fn own_text(name: &'static str, role: Role, otherwise: fn(&Reading<'_>) -> &'static str) -> Row {
     Row { name, show: Show::Text(Text::Row(role, otherwise)) }
 }
 
@@ -107,7 +107,8 @@ static ATTRIBUTES: &[Row] = &[
     text("health", |reading| reading.health()),
     text("technology", |reading| Some(reading.technology())),
     text("scope", |_| Some("System")),
-    number("capacity", |reading| reading.value(Role::Capacity)),
+    // A Smart Battery may say more.
+    number("capacity", |reading| Some(reading.value(Role::Capacity)?.min(100))),
     text("capacity_level", |reading| reading.capacity_level()),
     number("capacity_error_margin", |reading| reading.value(Role::CapacityErrorMargin)),
     number("voltage_now", |reading| reading.micro(Role::VoltageNow, Kind::Voltage)),
@@ -122,6 +123,8 @@ static ATTRIBUTES: &[Row] = &[
     number("constant_charge_voltage", |reading| reading.charge_voltage()),
     number("constant_charge_current", |reading| reading.micro(Role::ChargeCurrent, Kind::Current)),
     number("energy_now", |reading| reading.energy(Role::EnergyNow)),
+    number("energy_full", |reading| reading.energy(Role::EnergyFull)),
+    number("energy_full_design", |reading| reading.energy(Role::EnergyFullDesign)),
     number("power_avg", |reading| reading.power()),
     // From 0.1 K to 0.1 °C, rounded as in the kernel's driver.
     number("temp", |reading| Some(reading.steps(Role::Temp, 1)? - 2731)),
@@ -129,12 +132,13 @@ static ATTRIBUTES: &[Row] = &[
     number("time_to_empty_now", |reading| reading.seconds(reading.time_to_empty_now()?)),
     number("time_to_empty_avg", |reading| reading.seconds(Role::TimeToEmptyAvg)),
     number("time_to_full_now", |reading| reading.seconds(Role::TimeToFullNow)),
+    number("time_to_full_avg", |reading| reading.seconds(Role::TimeToFullAvg)),
     number("cycle_count", |reading| reading.value(Role::CycleCount)),
     number("state_of_health", |reading| {
         reading.value(Role::StateOfHealth).filter(|_| reading.computes_health() == Some(true))
     }),
-    own_text("manufacturer", Role::Manufacturer, "Texas Instruments"),
-    text("model_name", |reading| Some(reading.model)),
+    own_text("manufacturer", Role::Manufacturer, |_| "Texas Instruments"),
+    own_text("model_name", Role::ModelName, |reading| reading.model),
     hex("serial_number", |reading| reading.value(Role::SerialNumber)),
     number("manufacture_year", |reading| Some(reading.manufactured()?[0])),
     number("manufacture_month", |reading| Some(reading.manufactured()?[1])),
@@ -188,7 +192,7 @@ impl Attribute {
             Show::Text(Text::Fixed(show)) => show(reading).map(str::to_string),
             Show::Text(Text::Row(role, otherwise)) => match reading.chip.register(role) {
                 Some(register) => reading.own_text(register),
-                None => Some(otherwise.into()),
+                None => Some(otherwise(reading).into()),
             },
             Show::Number(show) => show(reading).map(|number| number.to_string()),
             Show::Hex(show) => show(reading).map(|word| format!("{word:04x}")),
@@ -214,6 +218,8 @@ impl Reading<'_> {
         let is_current = matches!(role, Role::CurrentNow | Role::CurrentAvg);
         let value = self.raw(role).filter(|_| snapshot.has_current || !is_current)?;
         let register = self.chip.register(role)?;
+        let word = |source| snapshot.value(self.chip.register_at(source)?);
+        register.feeds(role, word).filter(|feeds| *feeds)?;
         let is_ready = |source| {
             self.chip.register_at(source).and_then(|by| snapshot.value(by)).is_some_and(|by| by != 0)
         };
@@ -233,7 +239,7 @@ impl Reading<'_> {
 
     /// A register in that fraction of its role's unit, rounded down as in the kernel's driver.
     pub(super) fn steps(&self, role: Role, fraction: i64) -> Option<i64> {
-        Some(self.chip.register(role)?.in_unit(self.value(role)?, fraction))
+        Some(self.chip.register(role)?.in_unit_of(role, self.value(role)?, fraction))
     }
 
     /// A register in thousandths of a unit, converted to millionths.
@@ -297,16 +303,24 @@ impl Reading<'_> {
         Some(pack_voltage(reading, cell, cells))
     }
 
-    /// The date in data flash, unless it is 0 or impossible.
+    /// The date of a register or in data flash, unless it is 0 or impossible.
     pub(super) fn manufactured(&self) -> Option<[i64; 3]> {
-        date::of(self.stored_number(Role::ManufactureDate)?)
+        date::of(self.value(Role::ManufactureDate).or_else(|| self.stored_number(Role::ManufactureDate))?)
     }
 
-    /// The chemistry in data flash, if the kernel has a name for it.
+    /// The chemistry of a register or in data flash, if the kernel has a name for it.
     pub(super) fn technology(&self) -> &'static str {
-        let Some(Value::Text(chemistry)) = self.stored(Role::Technology) else { return self.chip.technology };
-        let names = CHEMISTRIES.iter().find(|(short, _)| chemistry.eq_ignore_ascii_case(short.as_bytes()));
-        names.map_or(self.chip.technology, |(_, name)| name)
+        let own = self.chip.register(Role::Technology).and_then(|register| self.own_text(register));
+        let named = |chemistry: &[u8]| {
+            let names =
+                CHEMISTRIES.iter().find(|(short, _)| chemistry.eq_ignore_ascii_case(short.as_bytes()));
+            names.map_or(self.chip.technology, |(_, name)| name)
+        };
+        match (own, self.stored(Role::Technology)) {
+            (Some(chemistry), _) => named(chemistry.trim().as_bytes()),
+            (None, Some(Value::Text(chemistry))) => named(&chemistry),
+            (None, _) => self.chip.technology,
+        }
     }
 
     /// The measured resistance in µΩ, in some of the gauge's modes.
@@ -333,10 +347,14 @@ impl Reading<'_> {
         let register = match kind.scale(self.chip) {
             Scale::None => return Some(1),
             Scale::Flash(subclass, offset) => return self.handle.flash_scale((subclass, offset)),
-            Scale::Register(source) => self.chip.register_at(source)?,
+            Scale::Register(source) | Scale::Power(source, _) => self.chip.register_at(source)?,
         };
         let snapshot = self.snapshot.filter(|snapshot| snapshot.is_valid)?;
-        snapshot.value(register).and_then(|scale| scale.try_into().ok()).filter(|&scale| scale > 0)
+        let word = snapshot.value(register).and_then(|word| word.try_into().ok())?;
+        match kind.scale(self.chip) {
+            Scale::Power(_, fields) => Some(power(word, fields)),
+            _ => Some(word).filter(|&scale| scale > 0),
+        }
     }
 
     /// Whether the gauge says that its values have a factor unknown to it, and the source; `None` if the part never
@@ -365,7 +383,9 @@ impl Reading<'_> {
     }
 
     fn energy(&self, role: Role) -> Option<i64> {
-        self.micro(role, Kind::Energy).filter(|_| self.scales.energy_shown)
+        // A part that counts in either has no charge beside it.
+        let is_alone = self.chip.register(role).is_some_and(|register| register.other.is_some());
+        self.micro(role, Kind::Energy).filter(|_| self.scales.energy_shown || is_alone)
     }
 
     /// Negative while discharging, like the current. A register for discharges only has no value while the average
@@ -453,7 +473,13 @@ impl Reading<'_> {
     }
 
     pub(super) fn capacity_level(&self) -> Option<&'static str> {
-        self.first_set(&level(&self.chip.condition), "Normal")
+        // Predictions that are not to be trusted give no level.
+        match self.chip.condition.certain {
+            certain if certain != 0 && self.has_flag(certain) != Some(true) => {
+                self.snapshot.map(|_| "Unknown")
+            }
+            _ => self.first_set(&level(&self.chip.condition), "Normal"),
+        }
     }
 
     /// The word of the first set flag, or another word without one; `Unknown` if some flags are unknown. `None` where
@@ -487,7 +513,7 @@ fn health(condition: &Condition) -> [(u32, &'static str); 6] {
 
 /// The flags that decide `capacity_level`, in order of precedence.
 fn level(condition: &Condition) -> [(u32, &'static str); 3] {
-    [(condition.full, "Full"), (condition.critical, "Critical"), (condition.low, "Low")]
+    [(condition.full, "Full"), (condition.critical | condition.empty, "Critical"), (condition.low, "Low")]
 }
 
 /// The charging voltage of a pack of cells in series, from a reading for the pack or for a cell, and from a cell's
@@ -530,5 +556,7 @@ pub(super) fn plain(text: &str) -> String {
 
 #[cfg(test)]
 mod by_part;
+#[cfg(test)]
+mod packs;
 #[cfg(test)]
 mod tests;

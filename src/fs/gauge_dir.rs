@@ -75,6 +75,7 @@ static FILES: &[File] = &[
     file("current_scale", Mode::Public, |gauge| scale(gauge, Kind::Current)),
     file("charge_scale", Mode::Public, |gauge| scale(gauge, Kind::Charge)),
     file("energy_scale", Mode::Public, |gauge| scale(gauge, Kind::Energy)),
+    file("pec", Mode::Public, |gauge| gauge.handle.pec().and_then(|pec| line(pec.as_str()))),
     file("presence", Mode::Public, |gauge| line(gauge.published().presence.number())),
     asks(&op::POLL_INTERVAL, Mode::ReadWrite, |gauge| line(gauge.published().interval.as_secs_f64())),
     asks(&op::REFRESH, Mode::Write, |_| empty()),

@@ -13,7 +13,7 @@ use std::sync::Arc;
 use super::Fs;
 use super::attribute::{CHEMISTRIES, Kind, Reading};
 use super::supply::Supply;
-use ti_gauge::chip::{Chip, Role};
+use ti_gauge::chip::{Chip, Role, Scheme};
 
 /// 7-bit address of a Smart Battery.
 pub(crate) const ADDRESS: u8 = 0x0b;
@@ -71,6 +71,9 @@ const NEEDED: [u8; 6] =
 
 /// Why gauges of that chip cannot be Smart Batteries.
 pub(crate) fn obstacle(chip: &Chip) -> Option<String> {
+    if chip.access.scheme == Scheme::Smbus {
+        return Some("it is one already, which the kernel's sbs-battery reads where gaugefs does not".into());
+    }
     let needed = [Role::Temp, Role::VoltageNow, Role::Capacity, Role::ChargeNow, Role::ChargeFull];
     let is_missing = |role: &Role| chip.register(*role).is_none();
     (needed.iter().any(is_missing) || chip.condition.primary.is_some()).then(|| {
@@ -431,7 +434,7 @@ mod tests {
                 }
             }
         }
-        assert_eq!(left_out, ["bq35100", "bq27521"]);
+        assert_eq!(left_out, ["bq35100", "bq27521", "sbs"]);
         for status in ["Charging", "Discharging", "Full", "Not charging"] {
             assert!(seen.get(status).is_some_and(|&times| times > 3), "{status}: {seen:?}");
         }

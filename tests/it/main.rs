@@ -41,6 +41,7 @@ mod output;
 mod over;
 mod packaging;
 #[cfg(feature = "screen")]
+mod packs;
 mod pages;
 mod production;
 mod program;

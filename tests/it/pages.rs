@@ -23,6 +23,7 @@ macro_rules! pages {
 pages! {
     the_readme: "README.md", 22;
     semantics: "docs/SEMANTICS.md", 1;
+    smart_batteries: "docs/SMART-BATTERIES.md", 4;
     simulator: "docs/SIMULATOR.md", 10;
     images: "docs/IMAGES.md", 8;
     monitors: "docs/MONITORS.md", 0;

@@ -111,13 +111,19 @@ fn semantics_of_the_tree() {
         .flat_map(|row| quoted(row[0]).map(|name| (name, (!row[1].is_empty(), !row[2].is_empty()))))
         .collect();
     let (mut seen, mut seen_in_gauge) = (BTreeSet::new(), BTreeSet::new());
-    // One attribute is only a bq27000's.
-    for chip in CHIPS.iter().copied().chain(Chip::by_name("bq27000")) {
+    // One attribute is only a bq27000's, and some are a Smart Battery's.
+    let others = ["bq27000", "sbs"].into_iter().filter_map(Chip::by_name);
+    for chip in CHIPS.iter().copied().chain(others) {
         let Some(mount) = Mount::new(chip.name, &["--energy", "--poll", "0.5"]) else { return };
         for load in ["500", "-500"] {
             // A primary cell cannot be charged.
             let set = mount.echo(load, "sim/load_ma");
             assert!(set.is_ok() || chip.name == "bq35100" && load == "-500", "{}: {set:?}", chip.name);
+            if chip.name == "sbs" && load == "-500" {
+                mount.until("an average that charges", |mount| mount.path("time_to_full_avg").exists());
+                seen.extend(mount.list(".").into_keys());
+                mount.echo("0x8000", "sim/battery_mode").expect("energies in place of charges");
+            }
             let polls = mount.number("gauge/statistics/polls");
             mount.until("a poll", |mount| mount.number("gauge/statistics/polls") >= polls + 2);
             if chip.name == "bq34z100-g1" && load == "-500" {

@@ -83,6 +83,7 @@ impl embedded_hal::i2c::Error for BusError {
             | BusError::TooSlow { .. }
             | BusError::TooLong { .. }
             | BusError::Unsteady
+            | BusError::Pec
             | BusError::Other(_) => ErrorKind::Other,
         }
     }

@@ -104,6 +104,8 @@ pub enum BusError {
     },
     /// What belongs together was read in several messages, and differs each time.
     Unsteady,
+    /// A packet error code that does not fit the bytes before it.
+    Pec,
     /// The host sends no write to this address: SPD Write Disable is set.
     WriteDisabled,
     /// Any other error number from the adapter.
@@ -185,6 +187,7 @@ impl BusError {
             BusError::Unsteady => {
                 ("what it reads in several messages differs each time; check the bus", Errno::IO, true)
             }
+            BusError::Pec => ("its packet error code is wrong; check the bus", Errno::BADMSG, true),
             BusError::WriteDisabled => (
                 "the host sends no write to 0x50 to 0x57 (SPD Write Disable, which `dmesg | grep SPD` shows); switch that off \
                  in the settings of its firmware, or connect the gauge to another adapter",
@@ -239,6 +242,7 @@ impl BusError {
             BusError::ReadOnly,
             BusError::NotRecorded,
             BusError::Unsteady,
+            BusError::Pec,
             BusError::WriteDisabled,
         ];
         let found = known.into_iter().find(|error| error.row().0 == text);

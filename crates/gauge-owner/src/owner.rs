@@ -199,6 +199,9 @@ impl Owner {
     ) -> (Box<Self>, Arc<Shared>) {
         let now = clock.now();
         let mut gauge = Gauge::new(chip, bus, clock, run.keys).within(run.reach);
+        if run.origin.address != 0 {
+            gauge = gauge.at(run.origin.address);
+        }
         if let Some(file) = run.keys_from {
             gauge.key_file = file;
         }

@@ -20,9 +20,10 @@ use gauge_bus::{AdapterModel, Bus, BusError, GAUGE_ADDRESS, Reach};
 use gauge_sim::scenario::Scenario;
 use gauge_sim::{self, Level, Sim, SimBus};
 use gaugefs_client::mounts;
-use ti_gauge::chip::{Chip, Tier};
-use ti_gauge::probe::{self, Target};
-use ti_gauge::registers::bursts;
+use ti_gauge::chip::{self, Chip, Scheme, Tier};
+use ti_gauge::gauge::reads;
+use ti_gauge::probe::{self, ROM_ADDRESS, Target};
+use ti_gauge::rom::{self, Device};
 
 /// Longest time from the power-up of a simulated gauge to its first answer.
 const POWER_UP: Duration = Duration::from_secs(2);
@@ -319,6 +320,7 @@ fn on_bus(
     let lock = claim(&adapter, address, mountpoint, clock)?;
     let known = match chip {
         Some(chip) => chip,
+        None if address == ROM_ADDRESS => smart_battery(&mut *open()?, &**clock, subject)?,
         None => {
             let clock_hz = adapter.clock_hz();
             probe::find(subject, &Target { open: &open, clock, reach, clock_hz }).map_err(named)?
@@ -331,6 +333,19 @@ fn on_bus(
         unverified: chip.is_some(),
         ..Opened::new(known, open()?, subject.into())
     })
+}
+
+/// What answers at ROM mode's address, by reads alone: any other question might be a command there.
+fn smart_battery(bus: &mut dyn Bus, clock: &dyn Clock, subject: &str) -> Result<&'static Chip> {
+    let found = rom::find(bus, clock).map_err(|error| error.within(subject))?;
+    match found.ok_or_else(|| Error::from(BusError::NoAck).within(subject))? {
+        Device::SmartBattery => Ok(&chip::sbs::CHIP),
+        Device::BootLoader | Device::Unclear => {
+            let why = "it does not read like a Smart Battery, and nothing was written to it; a gauge that answers only \
+                       here is in ROM mode (`gaugefs rescue --help`)";
+            Err(Error::new(subject, Cause::Gone, why).at(Step::Identify))
+        }
+    }
 }
 
 /// Locks a gauge on a bus, which has no mux.
@@ -402,9 +417,13 @@ pub fn recorded(path: &Path) -> Result<(&'static Chip, Replay)> {
     let chip = Chip::by_name(&recording.chip).ok_or_else(|| {
         refuse(format!("unknown chip `{}`; `gaugefs chips` lists the known ones", recording.chip))
     })?;
+    if chip.access.scheme == Scheme::Smbus {
+        let why = "it is of a Smart Battery, whose command codes are no addresses: such a recording is not replayed";
+        return Err(refuse(why.into()));
+    }
     let replay = ti_gauge::gauge::replay(chip, &recording);
     for tier in [Tier::Poll, Tier::Static, Tier::Slow] {
-        let mut read = bursts(chip.registers, |found| found == tier).into_iter();
+        let mut read = reads(chip, tier).into_iter();
         if !read.all(|(register, length)| replay.covers(register, length)) {
             let why = "recording too short: record a few seconds of a mount";
             return Err(refuse(why.into()));

@@ -307,7 +307,7 @@ impl Device {
     fn program(&mut self, wire: &mut dyn Wire, kept: Kept) {
         let Kept { area, offset, bytes } = match self.part.scheme {
             Scheme::Block(_) => self.whole_block(kept),
-            Scheme::Mac(_) | Scheme::Registers(_) => kept,
+            Scheme::Mac(_) | Scheme::Registers(_) | Scheme::Smbus => kept,
         };
         let before = self.flash.clone();
         self.flash.program(area, offset, &bytes);
@@ -423,6 +423,10 @@ pub(super) trait Wire: Send {
     /// Takes a data byte. Returns whether it is acknowledged.
     fn write(&mut self, device: &mut Device, register: u8, byte: u8) -> bool;
     fn read(&mut self, device: &Device, register: u8) -> u8;
+    /// A whole message of a part that has no registers; `None` on one that has. The error is that of [`Gauge::message`].
+    fn packet(&mut self, _device: &Device, _write: &[u8], _read: &mut [u8]) -> Option<Result<(), usize>> {
+        None
+    }
     fn stop(&mut self) {}
     /// Firmware and hardware version as the documents print them.
     fn versions(&mut self, flash: &Flash) -> [Option<u16>; 2];
@@ -594,6 +598,9 @@ impl Gauge {
     /// acknowledged.
     pub(super) fn message(&mut self, write: &[u8], read: &mut [u8], now: Duration) -> Result<(), usize> {
         self.device.now = now;
+        if let Some(outcome) = self.wire.packet(&self.device, write, read) {
+            return outcome;
+        }
         if let Some((&register, data)) = write.split_first() {
             if !self.wire.has(register) {
                 return Err(1);
@@ -644,7 +651,9 @@ impl Gauge {
             | (Of::Block, Scheme::Block(_))
             | (Of::Mac, Scheme::Mac(_)) => true,
             (Of::Gauge, Scheme::Registers(_)) => knob::OF_REGISTERS.contains(&knob.name),
+            (Of::Gauge, Scheme::Smbus) => knob::OF_PACKS.contains(&knob.name),
             (Of::Volts, Scheme::Registers(part)) => part.in_volts,
+            (Of::Smart, scheme) => matches!(scheme, Scheme::Smbus),
             (Of::Block | Of::Mac | Of::Volts, _) => false,
         }
     }

@@ -229,7 +229,7 @@ impl Envelope {
                 timing.lock = lock;
                 new.key_lock = random.pick(&[false, true]);
             }
-            Scheme::Block(_) | Scheme::Registers(_) => {}
+            Scheme::Block(_) | Scheme::Registers(_) | Scheme::Smbus => {}
             // E2E 888302.
             Scheme::Mac(_) => {
                 timing.refused_quiet = quiet;

@@ -22,6 +22,10 @@ pub(super) const OF_REGISTERS: &[&str] = &[
     "watchdog",
 ];
 
+/// Knobs of all gauges that also act on a Smart Battery.
+pub(super) const OF_PACKS: &[&str] =
+    &["load_ma", "temperature", "speed", "clock", "soc", "voltage_mv", "power", "mode"];
+
 /// One file of the folder `sim/`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Knob {
@@ -43,6 +47,8 @@ pub(super) enum Of {
     Mac,
     /// A gauge that counts the voltage of its sense resistor.
     Volts,
+    /// A Smart Battery.
+    Smart,
 }
 
 impl Of {
@@ -173,6 +179,23 @@ pub(super) static KNOBS: &[Knob] = &[
     Of::Gauge.set("endurance", "how often a block can be programmed until some of its bits stay 0; 0 always"),
     Of::Mac.set("df_shift", "bytes by which data flash lies lower than printed from 0x4100 on: 0 or 1"),
     Of::Volts.set("battery", "`out`: nothing is behind the registers, and all of them read 0xff; `in`"),
+    Of::Smart.set("series", "cells in series, 1 to 16; words 0x3c to 0x3f have the first four"),
+    Of::Smart.set(
+        "specification",
+        "SpecificationInfo() in hexadecimal: 0x0031 has PEC, 0x0021 has none; the upper digits are powers of ten",
+    ),
+    Of::Smart.set("battery_mode", "BatteryMode() in hexadecimal: 0x8000 has capacities in 10 mWh, 0x0000 in mAh"),
+    Of::Smart.set(
+        "pec",
+        "`right`, `missing`, or `split`: the packet error code as behind an adapter that splits a transfer with a STOP",
+    ),
+    Of::Smart.set(
+        "answers",
+        "`own`, or codes and the bytes sent in place of the pack's answers: `0d=6400 1b=-`, where `-` is no acknowledgement, \
+         and `all=1717`",
+    ),
+    Of::Smart.set("sleeps", "`on`: after 10 s of silence it answers only 1 s after it was addressed; `off`"),
+    Of::Smart.show("written", "messages that were more than a command and a read"),
     Of::Gauge.set("key_quiet_ms", "silence on the bus without which a key is refused"),
     Of::Gauge.set("full_access_quiet_ms", "the same for the key to FULL ACCESS"),
     Of::Gauge.set("refused_quiet_ms", "the same after a key was refused"),

@@ -37,7 +37,7 @@
 //! ```
 //!
 //! [`Sim`] is the bus with its faults and counters. Behind it is a `device`, the shell that every gauge has, with one
-//! of three schemes: `block` access, `mac`, or `register` for a gauge without data flash. The `envelope` has the
+//! of four schemes: `block` access, `mac`, `register` for a gauge without data flash, or `smbus`. The `envelope` has the
 //! behaviour of one specimen, a `part` the differences between the parts, and a `model` the gauge's view of its
 //! `battery`.
 
@@ -48,7 +48,7 @@ use std::time::Duration;
 
 use gauge_bus::clock::Clock;
 use gauge_bus::error::{Error, ErrorKind, Result};
-use gauge_bus::{AdapterModel, Bus, BusError, GAUGE_ADDRESS, Reach, wire_bits, wire_bytes};
+use gauge_bus::{AdapterModel, Bus, BusError, Reach, wire_bits, wire_bytes};
 
 mod adapter;
 mod analog;
@@ -73,6 +73,7 @@ mod register;
 mod rom;
 pub mod scenario;
 mod seal;
+mod smbus;
 mod timing;
 mod update;
 mod watchdog;
@@ -90,6 +91,7 @@ use part::{Part, Scheme};
 use register::Register;
 use scenario::{Player, Scenario};
 pub use seal::Level;
+use smbus::SmartBattery;
 
 /// What adapters of the kernel answer to what they cannot carry.
 const EOPNOTSUPP: i32 = 95;
@@ -255,6 +257,7 @@ fn make(part: &'static Part, options: &Options, now: Duration) -> Result<Gauge> 
         Scheme::Block(scheme) => Block::gauge(part, scheme, options, now),
         Scheme::Mac(scheme) => Mac::gauge(part, scheme, options, now),
         Scheme::Registers(scheme) => Register::gauge(part, scheme, options, now),
+        Scheme::Smbus => SmartBattery::gauge(part, options, now),
     }?;
     options.seal.map_or(Ok(()), |level| gauge.set_level(level))?;
     Ok(gauge)
@@ -311,7 +314,7 @@ impl Sim {
 
     /// A bus to the gauge.
     pub fn bus(&self) -> SimBus {
-        self.bus_at(GAUGE_ADDRESS)
+        self.bus_at(self.lock().part.address())
     }
 
     /// A bus to another address on the same wires, where usually nothing answers.

@@ -9,6 +9,10 @@ use super::rom::{Firmware, Layout};
 use super::seal::Level;
 use super::timing::Timing;
 use super::update::Exit;
+use gauge_bus::GAUGE_ADDRESS;
+
+/// The address of a Smart Battery.
+pub(super) const SMART_BATTERY: u8 = 0x0B;
 
 pub(super) struct Part {
     pub(super) name: &'static str,
@@ -25,16 +29,21 @@ impl Part {
         match self.scheme {
             Scheme::Block(part) => part.data_memory.is_none(),
             Scheme::Mac(part) => part.data_memory.is_none(),
-            Scheme::Registers(_) => false,
+            Scheme::Registers(_) | Scheme::Smbus => false,
         }
     }
 }
 
 impl Part {
+    /// Its address on the bus.
+    pub(super) fn address(&self) -> u8 {
+        if matches!(self.scheme, Scheme::Smbus) { SMART_BATTERY } else { GAUGE_ADDRESS }
+    }
+
     fn layout(&self) -> Option<Layout> {
         match self.scheme {
             Scheme::Block(part) => part.rom,
-            Scheme::Mac(_) | Scheme::Registers(_) => None,
+            Scheme::Mac(_) | Scheme::Registers(_) | Scheme::Smbus => None,
         }
     }
 
@@ -71,6 +80,8 @@ pub(super) enum Scheme {
     Block(&'static BlockPart),
     Mac(&'static MacPart),
     Registers(&'static RegisterPart),
+    /// A Smart Battery, which has no registers.
+    Smbus,
 }
 
 /// A bit of the word at a place.

@@ -18,6 +18,7 @@ mod bq34z100_g1;
 mod bq34z100_r2;
 mod bq35100;
 mod kernel;
+mod sbs;
 
 static PARTS: &[&Part] = &[
     &bq34z100_g1::PART,
@@ -35,9 +36,9 @@ static PARTS: &[&Part] = &[
     &bq35100::PART,
 ];
 
-/// Every part: those with data flash, then those known by their standard commands only.
+/// Every part: those with data flash, those known by their standard commands only, and the Smart Battery.
 pub(super) fn all() -> impl Iterator<Item = &'static Part> {
-    PARTS.iter().chain(kernel::PARTS).copied()
+    PARTS.iter().chain(kernel::PARTS).copied().chain([&sbs::PART])
 }
 
 /// Compares blocks of an image with the checksums of documents and real parts.

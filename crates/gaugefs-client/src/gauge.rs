@@ -253,6 +253,11 @@ impl Gauge {
         match fs::symlink_metadata(self.folder.join(file)) {
             Ok(_) => Ok(()),
             Err(_) if !self.folder.join("uevent").exists() => Err(not_a_gauge(&self.folder)),
+            // A Smart Battery alone has it.
+            Err(_) if self.folder.join("gauge/pec").exists() => {
+                let why = "a Smart Battery is only read, as its folder shows it";
+                Err(Error::host(self.folder.display().to_string(), Errno::EPERM, why))
+            }
             Err(_) => {
                 let why =
                     format!("gaugefs knows no {what} of this part; `gaugefs chips` lists what works on each");

@@ -5,7 +5,7 @@
 //! A row of [`RULES`] is a rule. Rules look at registers and not at attributes, which are absent where a value is impossible.
 //! Nothing here reads a gauge: [`Facts`] has what was read, and a rule whose facts are missing says which.
 
-use crate::chip::{Chip, Role, Row, Scale, Source};
+use crate::chip::{Chip, Role, Row, Scale, Source, power};
 use crate::registers::Registers;
 use crate::value::Value;
 
@@ -219,7 +219,7 @@ impl<'a> Facts<'a> {
         if !self.chip.condition.shows_battery(Some(flags)) || self.history.has_not_measured() {
             return Err(missing);
         }
-        Ok(register.in_unit(registers.value(register).ok_or(missing)?, 1) as f64)
+        registers.property(role).map(|value| value as f64).ok_or(missing)
     }
 
     /// A polled value that follows from the configuration: a gauge without its own has none.
@@ -301,8 +301,8 @@ impl<'a> Facts<'a> {
     fn design(&self) -> Result<f64, Lacking> {
         match self.chip.register(Role::ChargeFullDesign) {
             Some(register) if self.registers.is_some() => {
-                let value = self.registers.and_then(|registers| registers.value(register));
-                value.map(|value| register.in_unit(value, 1) as f64).ok_or(Lacking::Polled(register.name))
+                let value = self.registers.and_then(|registers| registers.property(Role::ChargeFullDesign));
+                value.map(|value| value as f64).ok_or(Lacking::Polled(register.name))
             }
             _ => self.number(self.named(rules::DESIGN)?),
         }
@@ -322,6 +322,7 @@ impl<'a> Facts<'a> {
         let own = match self.chip.scaling.voltage {
             Scale::None => 1.0,
             Scale::Register(source) => f64::from(self.word(source)?).max(1.0),
+            Scale::Power(source, fields) => f64::from(power(self.word(source)?, fields)),
             Scale::Flash(id, offset) => self.number(self.at((id, offset))?)?.max(1.0),
         };
         Ok(own * self.host_scale)

@@ -24,8 +24,10 @@ pub mod bq34z100_g1;
 pub mod bq34z100_r2;
 pub mod bq35100;
 pub mod kernel;
+pub mod sbs;
 
 mod beliefs;
+mod bursts;
 mod calibration;
 mod identity;
 mod names;
@@ -36,6 +38,7 @@ mod source;
 mod values;
 
 pub use beliefs::{BELIEFS, Belief};
+pub use bursts::bursts;
 pub use calibration::{Calibration, Offset};
 pub use identity::{Answers, Identity, SIBLINGS, Sibling, Signature};
 pub use names::{Unnamed, kebab_case, snake_case};
@@ -250,8 +253,14 @@ pub enum Role {
     TimeToEmptyAvg,
     /// `time_to_full_now`, min.
     TimeToFullNow,
+    /// `time_to_full_avg`, min.
+    TimeToFullAvg,
     /// `energy_now`, mWh.
     EnergyNow,
+    /// `energy_full`, mWh.
+    EnergyFull,
+    /// `energy_full_design`, mWh.
+    EnergyFullDesign,
     /// `power_avg`, mW.
     PowerAvg,
     /// `charge_counter`, mAh; rises while charging.
@@ -283,6 +292,8 @@ pub enum Role {
     SerialNumber,
     /// `manufacturer`: a text.
     Manufacturer,
+    /// `model_name`: a text.
+    ModelName,
 }
 
 /// A standard command.
@@ -316,8 +327,21 @@ pub struct Register {
     pub values: Values,
     /// The register of one byte that is 0 while the reading is not valid.
     pub validity: Option<Source>,
+    /// The property that it feeds in another mode of the part, in place of its own.
+    pub other: Option<Other>,
     /// Names of its bits, if it is a flag word.
     pub bits: &'static [Bit],
+}
+
+/// What a register feeds while a bit of another register is set.
+#[derive(Clone, Copy, Debug)]
+pub struct Other {
+    /// The register with the bit, and the bit.
+    pub bit: (Source, u32),
+    /// The property.
+    pub role: Role,
+    /// One step in the unit of that role, as numerator and denominator.
+    pub step: (i64, i64),
 }
 
 /// A named bit of a flag word. Reserved bits have no entry.
@@ -378,6 +402,10 @@ pub struct Condition {
     pub absent: u32,
     /// Set while the gauge asks for an update of its capacity; 0 where no flag does.
     pub uncertain: u32,
+    /// Clear while the gauge's predictions are not to be trusted; 0 where no flag shows that.
+    pub certain: u32,
+    /// Empty, as it is in use: `capacity_level` is `Critical`, and nothing is wrong with the battery.
+    pub empty: u32,
     /// The bit of CONTROL_STATUS or of a polled register that is set once values are valid after a reset, if documented.
     pub complete: Option<(Source, u32)>,
     /// A gauge for primary cells.
@@ -432,8 +460,15 @@ pub enum Scale {
     None,
     /// In a polled register, which is not 0 in a configured gauge.
     Register(Source),
+    /// A power of ten: the sum of some fields of four bits of a register, by their lowest bits.
+    Power(Source, &'static [u8]),
     /// In a byte of data flash, by subclass and offset. Its default is 1.
     Flash(u8, u16),
+}
+
+/// Ten to the sum of these fields of four bits of a word.
+pub fn power(word: u32, fields: &[u8]) -> u32 {
+    10_u32.pow(fields.iter().map(|field| word >> field & 0xf).sum::<u32>().min(9))
 }
 
 impl Scaling {
@@ -453,7 +488,7 @@ impl Scaling {
             .into_iter()
             .filter_map(|scale| match scale {
                 Scale::Flash(subclass, offset) => Some((subclass, offset)),
-                Scale::None | Scale::Register(_) => None,
+                Scale::None | Scale::Register(_) | Scale::Power(..) => None,
             })
             .collect();
         places.dedup();
@@ -575,6 +610,8 @@ pub enum Scheme {
     MacUpdate,
     /// None: only the standard commands are known.
     None,
+    /// None: words and blocks of the Smart Battery Data Specification, which are only read.
+    Smbus,
 }
 
 impl Scheme {
@@ -678,6 +715,7 @@ impl Register {
             empty: 0,
             values: Values::ALL,
             validity: None,
+            other: None,
             bits: &[],
         }
     }
@@ -737,6 +775,13 @@ impl Register {
         self
     }
 
+    /// What it feeds in its place while that bit of another register is set.
+    #[must_use]
+    pub const fn or(mut self, bit: (u8, u32), role: Role, step: (i64, i64)) -> Self {
+        self.other = Some(Other { bit: (Source::Command(bit.0), bit.1), role, step });
+        self
+    }
+
     /// Names of its bits.
     #[must_use]
     pub const fn bits(mut self, bits: &'static [Bit]) -> Self {
@@ -748,9 +793,27 @@ impl Register {
 impl Register {
     /// A reading in that fraction of the unit of its role, without the rest.
     pub fn in_unit(&self, value: i64, fraction: i64) -> i64 {
-        let (numerator, denominator) = self.step;
-        value * fraction * numerator / denominator
+        in_steps(value, fraction, self.step)
     }
+
+    /// The same for the unit of a role that it may feed in another mode.
+    pub fn in_unit_of(&self, role: Role, value: i64, fraction: i64) -> i64 {
+        let other = self.other.filter(|other| other.role == role);
+        in_steps(value, fraction, other.map_or(self.step, |other| other.step))
+    }
+
+    /// Whether it feeds a property now, as the register of its mode shows; `None` while that is not known.
+    pub fn feeds(&self, role: Role, word: impl Fn(Source) -> Option<i64>) -> Option<bool> {
+        let Some(Other { bit: (source, mask), role: other, .. }) = self.other else {
+            return Some(self.role == Some(role));
+        };
+        let is_set = word(source)? & i64::from(mask) != 0;
+        Some(if is_set { other == role } else { self.role == Some(role) })
+    }
+}
+
+fn in_steps(value: i64, fraction: i64, (numerator, denominator): (i64, i64)) -> i64 {
+    value * fraction * numerator / denominator
 }
 
 impl Bit {
@@ -783,9 +846,9 @@ impl Chip {
         }
     }
 
-    /// Every chip: those with a table, then those with standard commands only.
+    /// Every chip: those with a table, those with standard commands only, and the Smart Battery.
     pub fn all() -> impl Iterator<Item = &'static Chip> {
-        CHIPS.iter().copied().chain(kernel::GAUGES.iter().copied())
+        CHIPS.iter().copied().chain(kernel::GAUGES.iter().copied()).chain([&sbs::CHIP])
     }
 
     /// The chip of that name on the command line, or else of that name in the kernel's driver or in TI's documents.
@@ -801,7 +864,15 @@ impl Chip {
 
     /// Whether it has a full table. Without one nothing is written: Control()'s address may be another register's.
     pub fn has_table(&self) -> bool {
-        self.access.scheme != Scheme::None
+        !matches!(self.access.scheme, Scheme::None | Scheme::Smbus)
+    }
+
+    /// Why nothing is written to it, if it has no table.
+    pub fn only_read(&self) -> &'static str {
+        match self.access.scheme {
+            Scheme::Smbus => "a Smart Battery is only read",
+            _ => "only its standard commands are known, so nothing is written to it",
+        }
     }
 
     /// The register that distinguishes packs. A chemistry ID is no serial number.
@@ -814,9 +885,12 @@ impl Chip {
         self.registers.iter().find(|register| register.source == source)
     }
 
-    /// The register that feeds a property.
+    /// The register that feeds a property, at least in some mode.
     pub fn register(&self, role: Role) -> Option<&'static Register> {
-        self.registers.iter().find(|register| register.role == Some(role))
+        let feeds = |register: &&Register| {
+            register.role == Some(role) || register.other.is_some_and(|other| other.role == role)
+        };
+        self.registers.iter().find(feeds)
     }
 
     /// The parameter that feeds a property, with its subclass.

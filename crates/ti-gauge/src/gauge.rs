@@ -3,12 +3,12 @@
 //! A gauge on a bus, driven by its chip's table: registers, Control() subcommands, seal states.
 //!
 //! Its rooms, each above the next: `access` (keys), `seal` (looks), `control` (registers, subcommands), `dialect` (what
-//! these are on the wire), `wire` (transfers, retries, time); then `presence`, `effects`, `statistics`, `state`.
+//! these are on the wire), `wire` (transfers, retries, time); then `packets`, `presence`, `effects`, `statistics`, `state`.
 
 use std::sync::Arc;
 
 pub use crate::chip::Answers;
-use crate::chip::Chip;
+use crate::chip::{Chip, Register, Tier};
 use crate::error::{Cause, Error, Result, Step};
 use crate::keys::Keys;
 use gauge_bus::clock::Clock;
@@ -18,6 +18,7 @@ mod access;
 mod control;
 pub(crate) mod dialect;
 mod effects;
+mod packets;
 mod presence;
 mod seal;
 mod state;
@@ -27,15 +28,17 @@ mod wire;
 use access::Access;
 pub use access::DEFAULT_FULL_ACCESS;
 use dialect::Dialect;
-pub use dialect::replay;
+pub use dialect::{reads, replay};
 pub use effects::Effects;
 use effects::Watch;
+use packets::Packets;
+pub use packets::Pec;
 pub(crate) use presence::Moment;
 use presence::Presence;
 use seal::Looks;
 pub(crate) use seal::SEAL_LAG;
-pub(crate) use state::Look;
 pub use state::{ALONG, Seal};
+pub(crate) use state::{Answer, Look};
 pub use statistics::{Phase, Progress, Statistics};
 pub(crate) use wire::Landmark;
 use wire::Wire;
@@ -76,7 +79,7 @@ impl Gauge {
             dialect: dialect::of(chip),
             presence: Presence::default(),
             effects: Watch::default(),
-            wire: Wire::new(bus),
+            wire: Wire::new(bus, Packets::at(chip.address)),
             looks: Looks::new(),
             access: Access::new(keys),
         }
@@ -89,11 +92,34 @@ impl Gauge {
         self
     }
 
+    /// The gauge at an address, where that is not its part's.
+    #[must_use]
+    pub fn at(mut self, address: u8) -> Self {
+        self.wire.at(address);
+        self
+    }
+
+    /// Whether what answers is of the part's kind, by reads alone; `None` where only its values show it.
+    pub(crate) fn is_its_kind(&mut self) -> Result<Option<bool>> {
+        self.dialect.is_its_kind(self)
+    }
+
+    /// Reads the rows of the wanted tiers.
+    pub(crate) fn read_rows(
+        &mut self,
+        rows: &'static [Register],
+        wanted: &dyn Fn(Tier) -> bool,
+        take: &mut dyn FnMut(Answer<'_>),
+    ) -> Result<()> {
+        self.dialect.read(self, (rows, wanted), take)
+    }
+
     /// Forgets all that is known of the gauge, after an access that was not brought to its end.
     pub fn start_over(&mut self) {
         self.forget_refusal();
         self.limit_until(None);
         self.looks.start_over();
+        self.wire.packets.forget();
         self.hide_nothing();
         self.statistics.progress.end();
     }

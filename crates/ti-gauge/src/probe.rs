@@ -38,8 +38,7 @@ pub struct Reading {
 impl Reading {
     /// The value of the register for a property, in the role's unit.
     pub fn value(&self, role: Role) -> Option<i64> {
-        let register = self.chip.register(role)?;
-        Some(register.in_unit(self.registers.value(register)?, 1))
+        self.registers.property(role)
     }
 
     /// Whether these can be a gauge's: between -50 and 125 degrees Celsius, and percentages of at most 100.
@@ -103,7 +102,11 @@ fn spans() -> Vec<(u8, u8)> {
 
 /// Checks that the device's registers read like the gauge's. Nothing is written.
 pub fn check(gauge: &mut Gauge) -> Result<()> {
-    if reading(gauge)?.is_plausible() {
+    let is_one = match gauge.is_its_kind()? {
+        Some(is_one) => is_one,
+        None => reading(gauge)?.is_plausible(),
+    };
+    if is_one {
         return Ok(());
     }
     Err(Error::new("", Cause::Gone, STRANGE).at(Step::Identify))

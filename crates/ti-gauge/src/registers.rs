@@ -6,15 +6,13 @@
 
 use std::sync::Arc;
 
-use crate::chip::{Register, Source, Tier};
+pub use crate::chip::bursts;
+use crate::chip::{Register, Role, Source, Tier};
 use crate::codec;
 use crate::error::Result;
-use crate::gauge::Gauge;
+use crate::gauge::{Answer, Gauge};
 
 const ADDRESSES: usize = 128;
-
-/// The longest gap that one read spans: a second read costs the gauge's address twice and the register's.
-const GAP: u8 = 3;
 
 /// A number as standard commands have it, least significant byte first.
 pub(crate) fn number(bytes: &[u8]) -> i64 {
@@ -57,12 +55,12 @@ impl Registers {
 
     /// Reads the registers of the wanted tiers. If a read fails, the registers that it was for keep their values.
     pub fn read(&mut self, gauge: &mut Gauge, wanted: impl Fn(Tier) -> bool) -> Result<()> {
+        let rows = self.rows;
+        gauge.read_rows(rows, &wanted, &mut |answer| match answer {
+            Answer::Burst(start, bytes) => self.fill(start, bytes),
+            Answer::Row(row, bytes) => self.set(row, bytes),
+        })?;
         let mut bytes = [0; ADDRESSES];
-        for (start, length) in bursts(self.rows, &wanted) {
-            let bytes = &mut bytes[..usize::from(length)];
-            gauge.read(start, bytes)?;
-            self.fill(start, bytes);
-        }
         for (row, cell) in self.rows.iter().zip(&mut self.cells).filter(|(row, _)| wanted(row.tier)) {
             match row.source {
                 Source::Command(_) => {}
@@ -87,6 +85,24 @@ impl Registers {
                 *cell = Some(Cell::of(row, own));
             }
         }
+    }
+
+    /// Takes the bytes of one row; `None` if it has no value.
+    fn set(&mut self, row: &Register, bytes: Option<&[u8]>) {
+        if let Some(at) = self.rows.iter().position(|own| own.source == row.source) {
+            self.cells[at] = bytes.map(|bytes| Cell::of(row, bytes));
+        }
+    }
+
+    /// What a property reads in its unit; `None` until it has been read, and while the part shows another one in its place.
+    pub fn property(&self, role: Role) -> Option<i64> {
+        let feeds = |row: &&Register| row.feeds(role, |source| self.at(source)) == Some(true);
+        let row = self.rows.iter().find(feeds)?;
+        Some(row.in_unit_of(role, self.value(row)?, 1))
+    }
+
+    fn at(&self, source: Source) -> Option<i64> {
+        self.value(self.rows.iter().find(|row| row.source == source)?)
     }
 
     fn cell(&self, register: &Register) -> Option<&Cell> {
@@ -118,22 +134,6 @@ impl Registers {
         };
         self.rows.iter().zip(&self.cells).all(is_ones)
     }
-}
-
-/// The reads that fetch all commands of the tiers in the fewest bytes. Overlapping addresses are read apart.
-pub fn bursts(registers: &[Register], wanted: impl Fn(Tier) -> bool) -> Vec<(u8, u8)> {
-    let mut bursts: Vec<(u8, u8)> = Vec::new();
-    for register in registers.iter().filter(|register| wanted(register.tier)) {
-        let Some(code) = register.source.command() else { continue };
-        let end = code + register.size;
-        match bursts.last_mut() {
-            Some((start, length)) if (*start + *length..=*start + *length + GAP).contains(&code) => {
-                *length = end - *start;
-            }
-            _ => bursts.push((code, register.size)),
-        }
-    }
-    bursts
 }
 
 #[cfg(test)]

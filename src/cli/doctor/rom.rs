@@ -55,9 +55,10 @@ fn finding(bus: &str, gauge: Answer<()>, rom: Answer<Device>) -> Finding {
     };
     match (gauge, rom) {
         (Answer::Yes(()), _) => ok(what, "a device answers at 0x55"),
-        (Answer::No, Answer::Yes(Device::SmartBattery)) => {
-            warning(what, "no device answers at 0x55, and a Smart Battery at 0x0b", CHECK)
-        }
+        (Answer::No, Answer::Yes(Device::SmartBattery)) => ok(
+            what,
+            format!("a Smart Battery answers at 0x0b; gaugefs mount --bus {bus} --chip sbs reads it"),
+        ),
         (Answer::Unknown(why), Answer::Yes(device)) => {
             let says = format!("a device answers at 0x0b: {}; at 0x55: {why}", which(device));
             let remedy =
@@ -97,7 +98,7 @@ mod tests {
         let found = finding("/dev/i2c-1", No, Yes(Device::Unclear));
         assert!(found.state == State::Problem && found.says.contains("or a Smart Battery"));
         let found = finding("/dev/i2c-1", No, Yes(Device::SmartBattery));
-        assert!(found.state == State::Warning && !found.says.contains("ROM mode"));
+        assert!(found.state == State::Ok && found.says.contains("--chip sbs"), "{}", found.says);
         // A gauge beside a Smart Battery.
         assert!(finding("/dev/i2c-1", Yes(()), Yes(Device::SmartBattery)).state == State::Ok);
         assert!(finding("/dev/i2c-1", No, No).state == State::Warning);

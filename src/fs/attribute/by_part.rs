@@ -33,12 +33,15 @@ const NUMBERS: &[(&str, &[Role], i64, i64)] = &[
     ("constant_charge_voltage", &[Role::ChargeVoltage], 1000, 0),
     ("constant_charge_current", &[Role::ChargeCurrent], 1000, 0),
     ("energy_now", &[Role::EnergyNow], 1000, 0),
+    ("energy_full", &[Role::EnergyFull], 1000, 0),
+    ("energy_full_design", &[Role::EnergyFullDesign], 1000, 0),
     ("power_avg", &[Role::PowerAvg], 1000, 0),
     ("temp", &[Role::Temp], 1, 2731),
     ("internal_resistance", &[Role::InternalResistance], 1000, 0),
     ("time_to_empty_now", &[Role::TimeToEmptyNow, Role::TimeToEmptyAvg], 60, 0),
     ("time_to_empty_avg", &[Role::TimeToEmptyAvg], 60, 0),
     ("time_to_full_now", &[Role::TimeToFullNow], 60, 0),
+    ("time_to_full_avg", &[Role::TimeToFullAvg], 60, 0),
     ("cycle_count", &[Role::CycleCount], 1, 0),
     ("state_of_health", &[Role::StateOfHealth], 1, 0),
 ];
@@ -91,7 +94,11 @@ impl Feed {
     /// The unit, and how a reading becomes the attribute.
     fn conversion(&self, chip: &Chip, role: Role, units: i64, less: i64) -> String {
         let (unit, (numerator, denominator), discharge) = match self {
-            Feed::Register(register) => (register.unit, register.step, register.discharge),
+            Feed::Register(register) => match register.other.filter(|other| other.role == role) {
+                Some(other) => ("10 mWh in CAPACITY_MODE:", other.step, false),
+                None if register.other.is_some() => ("mAh", register.step, false),
+                None => (register.unit, register.step, register.discharge),
+            },
             Feed::Stored(_, parameter) => (parameter.unit, (1, 1), false),
         };
         let sign = if discharge { -1 } else { 1 };
@@ -262,6 +269,9 @@ fn simulated_gauges_show_what_the_conversions_yield() {
         let loads: &[&str] = if chip.condition.primary.is_some() { &["50"] } else { &["500", "-500"] };
         for load in loads {
             turn(&rig, "load_ma", load);
+            if chip.registers.iter().any(|register| register.other.is_some()) {
+                turn(&rig, "battery_mode", if *load == "500" { "0x0000" } else { "0x8000" });
+            }
             for _ in 0..12 {
                 rig.poll_after(Duration::from_secs(1));
             }

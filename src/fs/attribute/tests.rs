@@ -147,6 +147,8 @@ fn reading(chip: &Chip, register: &Register, value: i64, name: &str) -> Option<S
     let other = Other::default();
     let wrap = |bus| Box::new(Reads { bus, other: other.clone() }) as Box<dyn Bus>;
     let mut rig = Rig::on(chip.name, Run::default(), wrap);
+    // A packet error code would show that the bytes are others.
+    let _ = rig.sim.set("specification", "0x0021");
     rig.start().expect("it answers");
     let bytes = value.to_le_bytes()[..usize::from(register.size)].to_vec();
     *other.lock().expect("no panic") = Some((register.source.command().expect("a standard command"), bytes));
@@ -164,6 +166,7 @@ const SHOWN: &[(Role, &str)] = &[
     (Role::TimeToEmptyNow, "time_to_empty_now"),
     (Role::TimeToEmptyAvg, "time_to_empty_avg"),
     (Role::TimeToFullNow, "time_to_full_now"),
+    (Role::TimeToFullAvg, "time_to_full_avg"),
     (Role::StateOfHealth, "state_of_health"),
 ];
 

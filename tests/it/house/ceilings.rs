@@ -14,15 +14,15 @@ use super::{crates, files, without_tests};
 /// The most lines of each crate.
 const LINES: [(&str, usize); 10] = [
     ("gauge-bus", 3_220),
-    ("gauge-owner", 7_660),
-    ("gauge-sim", 10_870),
+    ("gauge-owner", 7_690),
+    ("gauge-sim", 11_470),
     ("gauge-station", 3_800),
-    ("gaugefs", 19_090),
-    ("gaugefs-client", 2_830),
+    ("gaugefs", 19_120),
+    ("gaugefs-client", 2_850),
     ("gaugefs-host", 600),
     ("gaugefs-screen", 6_160),
     ("i2c-server", 1_280),
-    ("ti-gauge", 31_305),
+    ("ti-gauge", 32_225),
 ];
 
 /// The least lines of code to one of comment in each crate, in tenths. What others use has a line for each public item.
@@ -88,7 +88,7 @@ const GAUGE: [(&str, &str); 36] = [
     ("ti-gauge", "dataflash/rules.rs Wear"),
 ];
 /// The most fields of all of them. Thirty-one are options that people set, thirteen are counters that the program reads.
-const GAUGE_FIELDS: usize = 263;
+const GAUGE_FIELDS: usize = 267;
 
 /// The files of a crate that are product, and their text without tests.
 fn product(folder: &Path) -> BTreeMap<PathBuf, String> {

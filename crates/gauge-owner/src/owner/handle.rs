@@ -21,10 +21,10 @@ use gauge_bus::clock::Clock;
 use ti_gauge::authentication::{Message, Order};
 use ti_gauge::calibration::Measured;
 use ti_gauge::check::Summary;
-use ti_gauge::chip::{Chip, Limited, Parameter, Register, Role, Subclass};
+use ti_gauge::chip::{Chip, Limited, Parameter, Register, Role, Scheme, Subclass};
 use ti_gauge::dataflash::{Change, Place};
 use ti_gauge::epoch::{Epoch, Fact};
-use ti_gauge::gauge::{Answers, Gauge, Phase, Seal, Statistics};
+use ti_gauge::gauge::{Answers, Gauge, Pec, Phase, Seal, Statistics};
 use ti_gauge::registers::Registers;
 use ti_gauge::value::{Type, Value};
 
@@ -601,6 +601,11 @@ impl Handle {
     /// Name and value of each file of `gauge/statistics`.
     pub fn statistics(&self) -> Vec<(&'static str, u64)> {
         self.shared.statistics.list()
+    }
+
+    /// What is known of the packet error codes of a Smart Battery; `None` of another gauge.
+    pub fn pec(&self) -> Option<Pec> {
+        Some(self.shared.statistics.pec()).filter(|_| self.shared.chip.access.scheme == Scheme::Smbus)
     }
 
     /// What the current write is at, such as `committing 3/4`; `None` while nothing is written.

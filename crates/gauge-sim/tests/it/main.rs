@@ -13,3 +13,4 @@ mod mac;
 mod ram;
 mod register;
 mod sick;
+mod smbus;

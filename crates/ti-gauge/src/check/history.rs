@@ -148,10 +148,7 @@ impl History {
 
     /// Takes the next poll.
     pub fn note(&mut self, chip: &'static Chip, poll: &Poll<'_>) {
-        let read = |role| {
-            let register = chip.register(role)?;
-            Some(register.in_unit(poll.registers.value(register)?, 1) as f64)
-        };
+        let read = |role| Some(poll.registers.property(role)? as f64);
         let now = Seen {
             time: poll.time,
             own: poll.own,

@@ -258,7 +258,7 @@ impl Planner<'_> {
         if let Some((_, row)) = row {
             let why = format!("a {} cannot hold {stored} mAh in {}", chip.model, row.name);
             return Err(match chip.scaling.charge {
-                Scale::Register(_) => {
+                Scale::Register(_) | Scale::Power(..) => {
                     format!(
                         "{why}; set Curr Scale first, whose place in data flash no document has, with TI's tool"
                     )

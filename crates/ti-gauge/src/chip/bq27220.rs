@@ -66,6 +66,8 @@ pub static CHIP: Chip = Chip {
         present: 0x0008, // [BATTPRES]
         absent: 0,
         uncertain: 0,
+        certain: 0,
+        empty: 0,
         complete: Some((Source::Command(0x3A), 0x0020)), // [INITCOMP]
         primary: None,
     },

@@ -120,6 +120,8 @@ pub(super) const CONDITION: Condition = Condition {
     present: 0x0008, // [BAT_DET]
     absent: 0,
     uncertain: 0,
+    certain: 0,
+    empty: 0,
     complete: Some((Source::Status, 0x0080)), // [INITCOMP]
     primary: None,
 };

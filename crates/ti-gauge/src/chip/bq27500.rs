@@ -78,6 +78,8 @@ const fn chip(
             present: 0x0008, // [BAT_DET]
             absent: 0,
             uncertain: 0,
+            certain: 0,
+            empty: 0,
             complete: None,
             primary: None,
         },

@@ -63,6 +63,8 @@ pub static CHIP: Chip = Chip {
         present: 0x0008, // [BAT_DET]
         absent: 0,
         uncertain: 0,
+        certain: 0,
+        empty: 0,
         complete: Some((Source::Status, 0x0080)), // [INITCOMP]
         primary: None,
     },

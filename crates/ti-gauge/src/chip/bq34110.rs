@@ -59,6 +59,8 @@ pub static CHIP: Chip = Chip {
         present: 0,
         absent: 0,
         uncertain: 0,
+        certain: 0,
+        empty: 0,
         // [INITCOMP] is in OperationStatus(), and sources disagree about its place.
         complete: None,
         primary: None,

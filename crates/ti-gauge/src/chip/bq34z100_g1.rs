@@ -59,6 +59,8 @@ pub static CHIP: Chip = Chip {
         present: 0,
         absent: 0,
         uncertain: 0x0010, // [CF]
+        certain: 0,
+        empty: 0,
         // No bit: Voltage() is 0 before the first measurement.
         complete: None,
         primary: None,

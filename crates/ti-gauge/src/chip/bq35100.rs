@@ -65,6 +65,8 @@ pub static CHIP: Chip = Chip {
         present: 0,
         absent: 0,
         uncertain: 0,
+        certain: 0,
+        empty: 0,
         complete: Some((Source::Status, 0x0080)), // [INITCOMP]
         primary: Some(Primary {
             active: 0x0001,         // [GA]

@@ -151,6 +151,8 @@ impl Flavour {
             // Nothing pulls the lines of a gauge that is not there.
             absent: if matches!(self, Zero) { 0xff } else { 0 },
             uncertain,
+            certain: 0,
+            empty: 0,
             complete: None,
             primary: None,
         }

@@ -5,7 +5,7 @@
 use crate::error::Cause;
 use gauge_bus::BusError;
 
-use super::{Answers, CHIPS, Chip, Identity, SIBLINGS, Sibling};
+use super::{Answers, CHIPS, Chip, Identity, SIBLINGS, Scheme, Sibling};
 
 /// The result of recognising a part.
 #[derive(Debug)]
@@ -57,6 +57,7 @@ impl Limited {
     /// Why it is limited, and what would change that.
     pub fn why(self, chip: &Chip, answers: &Answers) -> String {
         let found = match self {
+            Limited::NoTable if chip.access.scheme == Scheme::Smbus => return chip.only_read().to_string(),
             Limited::Sibling(_) | Limited::NoTable => {
                 let why =
                     "no table describes its data flash and subcommands; only standard commands are read";

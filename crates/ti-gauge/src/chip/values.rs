@@ -66,7 +66,7 @@ impl Role {
             Role::TimeToEmptyNow | Role::TimeToEmptyAvg => {
                 Values::up_to(0xfffe, "SLUSBZ5D 7.3.2.1, SLUSAB7A: 65535 while not discharging")
             }
-            Role::TimeToFullNow => {
+            Role::TimeToFullNow | Role::TimeToFullAvg => {
                 Values::up_to(0xfffe, "SLUSBZ5D 7.3.2.2, SLUSAB7A: 65535 while not charging")
             }
             Role::ChargeVoltage | Role::ChargeCurrent => {
@@ -82,6 +82,8 @@ impl Role {
             | Role::CurrentNow
             | Role::CurrentAvg
             | Role::EnergyNow
+            | Role::EnergyFull
+            | Role::EnergyFullDesign
             | Role::PowerAvg
             | Role::ChargeCounter
             | Role::CycleCount
@@ -89,7 +91,8 @@ impl Role {
             | Role::Technology
             | Role::ManufactureDate
             | Role::SerialNumber
-            | Role::Manufacturer => Values::ALL,
+            | Role::Manufacturer
+            | Role::ModelName => Values::ALL,
         }
     }
 }

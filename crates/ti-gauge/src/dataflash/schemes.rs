@@ -301,7 +301,7 @@ fn settle(gauge: &Gauge) {
 pub(super) fn sequence(gauge: &Gauge) -> &'static dyn Sequence {
     match gauge.chip.access.scheme {
         // A gauge without a table is never written to, and its first transfer of this sequence refused.
-        Scheme::Block | Scheme::None => &block::Block,
+        Scheme::Block | Scheme::None | Scheme::Smbus => &block::Block,
         Scheme::CfgUpdate => &cfgupdate::BLOCK,
         Scheme::Mac => &mac::Mac,
         Scheme::MacUpdate => &cfgupdate::MAC,

@@ -37,7 +37,7 @@ impl Gauge {
         self.dialect.put(self, code, data)
     }
 
-    fn name_of(&self, code: u8) -> String {
+    pub(super) fn name_of(&self, code: u8) -> String {
         self.chip
             .register_at(Source::Command(code))
             .map_or_else(|| format!("register 0x{code:02x}"), |register| format!("{}()", register.name))

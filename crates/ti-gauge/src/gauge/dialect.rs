@@ -3,15 +3,18 @@
 //! What is on the wire: how registers, subcommands, selections and blocks of a family of gauges are addressed.
 
 use super::Gauge;
-use super::state::{Rows, Shown};
-use crate::chip::{Chip, Scheme, SealStatus, Source};
+use super::state::{Answer, Rows, Shown};
+use crate::chip::{Chip, Register, Scheme, SealStatus, Source, Tier, bursts};
 use crate::error::Result;
 use gauge_bus::BusError;
 use gauge_bus::replay::{Recording, Replay, Seals, Touch};
 
 pub(in crate::gauge) mod map;
+mod smbus;
 
 pub(crate) type Touches = Vec<(Touch, u8)>;
+/// The rows of a table, and the tiers that are wanted of them.
+pub(crate) type Wanted<'a> = (&'static [Register], &'a dyn Fn(Tier) -> bool);
 
 pub(crate) struct Challenge {
     /// 0 selects challenge and digest.
@@ -44,13 +47,36 @@ pub(crate) trait Dialect: Sync {
     /// Whether so many bytes from a register on belong to selection and window, all or in part.
     fn is_of_window(&self, register: u8, length: usize) -> bool;
     fn challenge(&self) -> &'static Challenge;
+    /// The reads that fetch all commands of the tiers, as code and length.
+    fn reads(&self, rows: &[Register], wanted: &dyn Fn(Tier) -> bool) -> Vec<(u8, u8)> {
+        bursts(rows, wanted)
+    }
+    /// Reads all commands of the tiers.
+    fn read(&self, gauge: &mut Gauge, rows: Wanted<'_>, take: &mut dyn FnMut(Answer<'_>)) -> Result<()> {
+        for (start, length) in self.reads(rows.0, rows.1) {
+            let mut bytes = vec![0; length.into()];
+            gauge.read(start, &mut bytes)?;
+            take(Answer::Burst(start, &bytes));
+        }
+        Ok(())
+    }
+    /// Whether what answers is of this dialect, by reads alone; `None` where only its values show it.
+    fn is_its_kind(&self, _: &mut Gauge) -> Result<Option<bool>> {
+        Ok(None)
+    }
 }
 
 pub(crate) fn of(chip: &Chip) -> &'static dyn Dialect {
     match chip.access.scheme {
         Scheme::Block | Scheme::CfgUpdate | Scheme::None => &map::BLOCK,
         Scheme::Mac | Scheme::MacUpdate => &map::MAC,
+        Scheme::Smbus => &smbus::SMBUS,
     }
+}
+
+/// The reads that fetch all commands of a chip's tier, as code and length.
+pub fn reads(chip: &Chip, tier: Tier) -> Vec<(u8, u8)> {
+    of(chip).reads(chip.registers, &|found| found == tier)
 }
 
 /// The gauge of a recording, as a bus.

@@ -2,7 +2,7 @@
 
 //! What is known of a gauge's state: its seal, and a look at CONTROL_STATUS. Types only.
 
-use crate::chip::Source;
+use crate::chip::{Register, Source};
 
 /// Most rows that can be read along with CONTROL_STATUS.
 pub const ALONG: usize = 8;
@@ -51,6 +51,14 @@ impl Look {
         }
         self.rows.0.iter().flatten().find(|(found, _)| *found == row).map(|(_, word)| *word)
     }
+}
+
+/// What a read of the table's rows has brought.
+pub(crate) enum Answer<'a> {
+    /// Bytes from an address on.
+    Burst(u8, &'a [u8]),
+    /// A row, and its bytes; `None` if the gauge has none.
+    Row(&'a Register, Option<&'a [u8]>),
 }
 
 /// What a read shows of the window of data flash.

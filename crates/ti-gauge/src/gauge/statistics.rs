@@ -6,6 +6,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use super::effects::Effects;
+use super::packets::Pec;
 
 /// Counters since the gauge was opened.
 #[derive(Debug, Default)]
@@ -24,6 +25,11 @@ pub struct Statistics {
     pub flash_writes: AtomicU64,
     /// Resets that were sent.
     pub resets: AtomicU64,
+    /// Packet error codes that were compared, and those that were wrong.
+    pub pec_checked: AtomicU64,
+    /// See [`Self::pec_checked`].
+    pub pec_wrong: AtomicU64,
+    pec: AtomicU64,
     /// Keys that were sent.
     pub keys: AtomicU64,
     /// Writes whose values were already stored.
@@ -105,6 +111,15 @@ impl Statistics {
         counter.fetch_add(1, Ordering::Relaxed);
     }
 
+    pub(super) fn set_pec(&self, pec: Pec) {
+        self.pec.store(pec.number(), Ordering::Relaxed);
+    }
+
+    /// What is known of a Smart Battery's packet error codes.
+    pub fn pec(&self) -> Pec {
+        Pec::of(Self::read(&self.pec))
+    }
+
     /// Names and values, in the order of `gauge/statistics`.
     pub fn list(&self) -> Vec<(&'static str, u64)> {
         let read = Self::read;
@@ -114,6 +129,8 @@ impl Statistics {
             ("retries", read(&self.retries)),
             ("polls", read(&self.polls)),
             ("failed_polls", read(&self.failed_polls)),
+            ("pec_checked", read(&self.pec_checked)),
+            ("pec_wrong", read(&self.pec_wrong)),
             ("flash_writes", read(&self.flash_writes)),
             ("resets", read(&self.resets)),
             ("unchanged_writes", read(&self.unchanged_writes)),

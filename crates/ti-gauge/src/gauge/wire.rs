@@ -10,6 +10,7 @@ use std::time::Duration;
 
 use super::Gauge;
 use super::effects::Seen;
+use super::packets::Packets;
 use super::statistics::Statistics;
 use crate::codec::WINDOW;
 use crate::error::{Cause, Error, Reason, Result, Step};
@@ -54,6 +55,8 @@ pub(super) struct Wire {
     shown: shown::Shown,
     /// No transfer starts after it, so that write(2) returns in time.
     limit: Option<Limit>,
+    /// What a Smart Battery answers.
+    pub(super) packets: Packets,
 }
 
 #[derive(Clone, Copy)]
@@ -65,7 +68,7 @@ struct Limit {
 }
 
 impl Wire {
-    pub(super) fn new(bus: Box<dyn Bus>) -> Self {
+    pub(super) fn new(bus: Box<dyn Bus>, packets: Packets) -> Self {
         Self {
             bus,
             takes: Reach::FULL,
@@ -79,7 +82,12 @@ impl Wire {
             pace: pace::Pace::default(),
             shown: shown::Shown::default(),
             limit: None,
+            packets,
         }
+    }
+
+    pub(super) fn at(&mut self, address: u8) {
+        self.packets = Packets::at(address);
     }
 
     pub(super) fn within(&mut self, reach: Reach) {
@@ -143,8 +151,8 @@ impl Gauge {
     }
 
     pub(super) fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
-        // A register pointer is all that is ever sent to a part without a table.
-        if write.len() > 1 && !self.chip.has_table() {
+        // A register pointer before a read is all that is ever sent to a part without a table.
+        if (write.len() > 1 || read.is_empty()) && !self.chip.has_table() {
             return Err(BusError::ReadOnly);
         }
         // Where the bus carries it, a look begins at Control(), which is not limited.
@@ -254,8 +262,7 @@ impl Gauge {
         if self.chip.has_table() {
             return Ok(());
         }
-        let why = "only its standard commands are known, so nothing is written to it";
-        Err(Error::new(self.chip.name, Cause::NotPermitted, why))
+        Err(Error::new(self.chip.name, Cause::NotPermitted, self.chip.only_read()))
     }
 
     /// Sends what changes the gauge, and keeps track of what it shows as its selection then.

@@ -861,7 +861,7 @@ pub fn write(image: &Image, raw: impl Fn(u8) -> Result<Vec<u8>>) -> Result<Strin
 /// The subcommand that begins CONFIG UPDATE, and those that end it; `None` for a part with flash.
 fn config_update(scheme: Scheme) -> Option<(u16, &'static [u16])> {
     match scheme {
-        Scheme::Block | Scheme::Mac | Scheme::None => None,
+        Scheme::Block | Scheme::Mac | Scheme::None | Scheme::Smbus => None,
         Scheme::CfgUpdate => Some((SET_CFGUPDATE, &[SOFT_RESET, EXIT_CFGUPDATE, EXIT_RESIM])),
         Scheme::MacUpdate => Some((ENTER_CFG_UPDATE, &[EXIT_CFG_UPDATE_REINIT, EXIT_CFG_UPDATE])),
     }

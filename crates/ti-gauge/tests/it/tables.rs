@@ -587,7 +587,7 @@ fn waits_are_at_least_those_that_a_gauge_needs() {
         let (commit_ms, enters) = match access.scheme {
             Scheme::Block | Scheme::Mac => (100, false),
             Scheme::CfgUpdate | Scheme::MacUpdate => (10, true),
-            Scheme::None => panic!("{}: a table has one", chip.name),
+            Scheme::None | Scheme::Smbus => panic!("{}: a table has one", chip.name),
         };
         assert!(access.commit.as_millis() >= commit_ms, "{}", chip.name);
         assert_eq!(!access.enter_limit.is_zero(), enters, "{}", chip.name);
@@ -780,7 +780,7 @@ fn scales_are_bytes_of_polled_registers_or_of_data_flash() {
         let Scaling { voltage, current, charge, energy, scaled } = &chip.scaling;
         for scale in [voltage, current, charge, energy] {
             match *scale {
-                Scale::None => {}
+                Scale::None | Scale::Power(..) => {}
                 Scale::Register(source) => {
                     let register = chip.register_at(source).expect(chip.name);
                     let found = (register.size, register.tier);

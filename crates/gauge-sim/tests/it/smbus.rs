@@ -1,0 +1,145 @@
+// SPDX-License-Identifier: MIT
+
+//! A Smart Battery by the Smart Battery Data Specification 1.1, and by a trace of a laptop with a pack of 2004.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use gauge_bus::clock::{Clock, SimClock};
+use gauge_bus::{Bus, BusError};
+use gauge_sim::{Options, Sim};
+
+fn pack() -> (Sim, Arc<SimClock>) {
+    let clock = Arc::new(SimClock::new());
+    let sim = Sim::new("sbs", &Options::default(), clock.clone()).expect("a simulated part");
+    clock.sleep(Duration::from_secs(1));
+    (sim, clock)
+}
+
+fn read<const N: usize>(sim: &Sim, code: u8) -> [u8; N] {
+    let mut bytes = [0; N];
+    sim.bus().transfer(&[code], &mut bytes).expect("it answers");
+    bytes
+}
+
+fn word(sim: &Sim, code: u8) -> u16 {
+    u16::from_le_bytes(read(sim, code))
+}
+
+fn set(sim: &Sim, knob: &str, text: &str) {
+    sim.set(knob, text).unwrap_or_else(|error| panic!("{knob} {text}: {error}"));
+}
+
+#[test]
+fn each_word_is_at_its_own_code_in_the_units_of_the_specification() {
+    let (pack, clock) = pack();
+    assert_eq!(
+        [0x08, 0x09, 0x0a, 0x0d, 0x0f, 0x10].map(|code| word(&pack, code)),
+        [2981, 15420, 0, 60, 3030, 5050]
+    );
+    assert_eq!([0x11, 0x12, 0x13].map(|code| word(&pack, code)), [0xffff; 3], "no current, no time");
+    assert_eq!([0x18, 0x19, 0x1a].map(|code| word(&pack, code)), [5200, 14400, 0x0031]);
+    assert_eq!([0x3c, 0x3f].map(|code| word(&pack, code)), [3855; 2]);
+    set(&pack, "load_ma", "1500");
+    clock.sleep(Duration::from_secs(600));
+    assert_eq!(word(&pack, 0x0a) as i16, -1500);
+    assert_eq!((word(&pack, 0x11), word(&pack, 0x16) & 0x00f0), (111, 0x00c0));
+    set(&pack, "battery_mode", "0x8000");
+    assert_eq!(word(&pack, 0x18), 7488, "74.88 Wh in steps of 10 mWh");
+}
+
+/// Of the charging voltage and current the specification says that they have no scale.
+#[test]
+fn the_scales_divide_what_was_measured_and_not_what_a_charger_is_asked_for() {
+    let (pack, clock) = pack();
+    set(&pack, "series", "16");
+    set(&pack, "load_ma", "-2000");
+    clock.sleep(Duration::from_secs(2));
+    let [voltage, current, charge] = [0x09, 0x0a, 0x10].map(|code| word(&pack, code));
+    set(&pack, "specification", "0x1131");
+    let scaled = [0x09, 0x0a, 0x10].map(|code| word(&pack, code));
+    let tenth = |word: u16| (f64::from(word) / 10.0).round() as u16;
+    assert_eq!(scaled, [voltage, current, charge].map(tenth));
+    // 67.2 V do not fit into the word.
+    assert_eq!([0x14, 0x15].map(|code| word(&pack, code)), [2600, 0xffff]);
+}
+
+#[test]
+fn a_block_has_its_length_first_and_bytes_behind_its_text() {
+    let (pack, _) = pack();
+    assert_eq!(&read::<13>(&pack, 0x20), b"\x0cSim Cells\x0002");
+    assert_eq!(&read::<5>(&pack, 0x22), b"\x04LION");
+}
+
+/// Bytes of the trace, whose packet error codes a pack has sent.
+#[test]
+fn packet_error_codes_are_those_of_a_real_pack() {
+    let (pack, _) = pack();
+    for (code, answer, pec) in [
+        (0x01, &[0xdb, 0x01][..], 0xf1),
+        (0x03, &[0x00, 0x80], 0x7e),
+        (0x09, &[0x6b, 0x2c], 0xcd),
+        (0x13, &[0xff, 0xff], 0xb4),
+        (0x20, b"\x08SANYO\x0002", 0x83),
+        (0x21, b"\x0bIBM-08K8193", 0xb1),
+        (0x22, b"\x04LION", 0x31),
+    ] {
+        let hex: String = answer.iter().map(|byte| format!("{byte:02x}")).collect();
+        set(&pack, "answers", &format!("{code:02x}={hex}"));
+        let mut bytes = vec![0; answer.len() + 3];
+        pack.bus().transfer(&[code], &mut bytes).expect("it answers");
+        assert_eq!(bytes, [answer, &[pec; 3]].concat(), "0x{code:02x}: and the last byte repeats");
+    }
+    // A pack of TI behind an adapter that sends a STOP between the two messages.
+    set(&pack, "pec", "split");
+    set(&pack, "answers", "23=04217b5000");
+    assert_eq!(read::<6>(&pack, 0x23)[5], 0x91);
+    set(&pack, "pec", "missing");
+    assert_eq!(read::<6>(&pack, 0x23)[5], 0x00);
+}
+
+#[test]
+fn it_takes_what_a_driver_writes_and_counts_it() {
+    let (pack, _) = pack();
+    let write = |message: &[u8]| pack.bus().transfer(message, &mut []);
+    write(&[0x03, 0x00, 0x80, 0x27]).expect("with its PEC");
+    assert_eq!(word(&pack, 0x03), 0x8000);
+    write(&[0x03, 0x00, 0x00]).expect("without one");
+    assert_eq!(write(&[0x03, 0x00, 0x80, 0x28]), Err(BusError::NoAck), "with a wrong one");
+    assert_eq!((word(&pack, 0x03), word(&pack, 0x00)), (0, 0x8306));
+    // A sealed pack acknowledges each command, and a code that it does not have is the word before again.
+    write(&[0x00, 0x54, 0x00]).expect("it takes it");
+    assert_eq!(word(&pack, 0x09), word(&pack, 0x1d));
+    assert_eq!(pack.bus().transfer(&[0x44], &mut [0; 2]), Err(BusError::NoAck));
+    assert_eq!(pack.get("written").as_deref(), Some("4"));
+}
+
+#[test]
+fn a_pack_that_sleeps_answers_a_second_after_it_was_addressed() {
+    let (pack, clock) = pack();
+    set(&pack, "sleeps", "on");
+    assert_eq!(word(&pack, 0x0d), 60);
+    clock.sleep(Duration::from_secs(20));
+    let answers = || pack.bus().transfer(&[0x0d], &mut [0; 2]).is_ok();
+    assert!(!answers());
+    clock.sleep(Duration::from_millis(500));
+    assert!(!answers());
+    clock.sleep(Duration::from_millis(600));
+    assert!(answers());
+}
+
+#[test]
+fn answers_are_given_in_place_of_its_own() {
+    let (pack, _) = pack();
+    set(&pack, "answers", "0d=7800 1b=- all=1717");
+    assert_eq!((word(&pack, 0x0d), word(&pack, 0x09)), (0x78, 0x1717));
+    assert_eq!(pack.bus().transfer(&[0x1b], &mut [0; 2]), Err(BusError::NoAck));
+    assert_eq!(pack.get("answers").as_deref(), Some("all=1717 0d=7800 1b=-"));
+    for wrong in ["0d", "0d=7", "0d=gg", "all=-", "100=00"] {
+        assert!(pack.set("answers", wrong).is_err(), "{wrong}");
+    }
+    set(&pack, "answers", "own");
+    assert_eq!(word(&pack, 0x0d), 60);
+    set(&pack, "power", "off");
+    assert_eq!(pack.bus().transfer(&[0x0d], &mut [0; 2]), Err(BusError::NoAck));
+}

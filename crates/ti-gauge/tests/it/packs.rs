@@ -1,0 +1,376 @@
+// SPDX-License-Identifier: MIT
+
+//! A Smart Battery: nothing but a command code and a read reaches it, and what is no answer of a pack is no value.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use gauge_bus::clock::{Clock, SimClock};
+use gauge_bus::{Bus, BusError, Reach};
+use gauge_sim::{Options, Sim};
+use ti_gauge::chip::{Chip, Role, Tier};
+use ti_gauge::error::{Cause, Result};
+use ti_gauge::gauge::{Gauge, Pec, Seal, Statistics, reads};
+use ti_gauge::keys::Keys;
+use ti_gauge::probe;
+use ti_gauge::registers::Registers;
+
+struct Bench {
+    sim: Sim,
+    clock: Arc<SimClock>,
+    gauge: Gauge,
+}
+
+fn sbs() -> &'static Chip {
+    Chip::by_name("sbs").expect("a chip")
+}
+
+impl Bench {
+    fn new() -> Self {
+        let clock = Arc::new(SimClock::new());
+        let sim = Sim::new("sbs", &Options::default(), clock.clone()).expect("it is simulated");
+        clock.sleep(Duration::from_secs(1));
+        sim.keep_log(true);
+        let gauge = Gauge::new(sbs(), Box::new(sim.bus()), clock.clone(), Keys::default());
+        Self { sim, clock, gauge }
+    }
+
+    /// A pack with these settings.
+    fn with(knobs: &[(&str, &str)]) -> Self {
+        let bench = Self::new();
+        knobs.iter().for_each(|(knob, text)| bench.set(knob, text));
+        bench
+    }
+
+    fn set(&self, knob: &str, text: &str) {
+        self.sim.set(knob, text).unwrap_or_else(|error| panic!("{knob} {text}: {error}"));
+    }
+
+    fn read(&mut self) -> Result<Registers> {
+        let mut registers = Registers::unread(sbs().registers);
+        registers.read(&mut self.gauge, |tier| tier != Tier::Window)?;
+        Ok(registers)
+    }
+
+    fn property(&mut self, role: Role) -> Option<i64> {
+        self.read().expect("it answers").property(role)
+    }
+
+    fn text(&mut self, role: Role) -> Option<String> {
+        let registers = self.read().expect("it answers");
+        registers.text(sbs().register(role).expect("a register")).map(ToString::to_string)
+    }
+
+    /// The codes that were sent, each before a read.
+    #[track_caller]
+    fn codes(&self) -> Vec<u8> {
+        let codes = self.sim.log().into_iter().map(|record| match (&record.write[..], record.read.len()) {
+            ([code], 1..) => *code,
+            other => panic!("it was sent {other:?}"),
+        });
+        codes.collect()
+    }
+
+    fn counts(&self) -> (u64, u64) {
+        let statistics = &self.gauge.statistics;
+        (Statistics::read(&statistics.pec_checked), Statistics::read(&statistics.pec_wrong))
+    }
+}
+
+#[test]
+fn each_row_is_read_by_its_code_and_nothing_else_is() {
+    let mut bench = Bench::new();
+    let registers = bench.read().expect("it answers");
+    for row in sbs().registers {
+        assert!(registers.value(row).is_some() || registers.text(row).is_some(), "{}", row.name);
+    }
+    let known: Vec<_> = sbs().registers.iter().filter_map(|row| row.source.command()).collect();
+    let sent = bench.codes();
+    assert!(sent.iter().all(|code| known.contains(code)) && known.iter().all(|code| sent.contains(code)));
+    assert!(!known.contains(&0x2f) && !known.contains(&0x23) && known.iter().all(|code| *code <= 0x3f));
+    assert_eq!(bench.sim.get("written").as_deref(), Some("0"));
+}
+
+/// The dialect has no way to write, whatever is asked of a gauge.
+#[test]
+fn no_call_of_a_gauge_sends_more_than_a_code_and_a_read() {
+    let mut bench = Bench::new();
+    let gauge = &mut bench.gauge;
+    let mut refused = 0;
+    for code in 0..=u8::MAX {
+        for data in [&[][..], &[0], &[0x10, 0x00], &[0; 32]] {
+            refused += u32::from(gauge.write(code, data).is_err());
+            refused += u32::from(gauge.write_once(code, data).is_err());
+        }
+        let _ = (gauge.word(code), gauge.read(code, &mut [0; 3]), gauge.read(code, &mut []));
+    }
+    assert_eq!(refused, 256 * 8);
+    for word in [0x0000, 0x0001, 0x0010, 0x0029, 0x0030, 0x0041, 0x0f00] {
+        gauge.command(word).expect_err("it is only read");
+        gauge.command_once(word).expect_err("it is only read");
+        gauge.ask(word).expect_err("it is only read");
+    }
+    for outcome in [
+        gauge.unseal().map(drop),
+        gauge.full_access().map(drop),
+        gauge.close().map(drop),
+        gauge.seal().map(drop),
+        gauge.go_to(Seal::FullAccess).map(drop),
+        gauge.identify().map(drop),
+        gauge.whole_firmware_answer().map(drop),
+    ] {
+        outcome.expect_err("it is only read");
+    }
+    let known: Vec<_> = sbs().registers.iter().filter_map(|row| row.source.command()).collect();
+    assert!(bench.codes().iter().all(|code| known.contains(code)));
+    let state = ["written", "battery_mode"].map(|knob| bench.sim.get(knob));
+    assert_eq!(state, [Some("0".into()), Some("0x0000".into())]);
+}
+
+#[test]
+fn a_poll_reads_a_word_for_each_value_and_the_mode_twice() {
+    let mut bench = Bench::new();
+    bench.read().expect("it answers");
+    bench.sim.clear_log();
+    let mut registers = Registers::unread(sbs().registers);
+    registers.read(&mut bench.gauge, |tier| tier == Tier::Poll).expect("it answers");
+    let (sent, rows) = (bench.codes(), reads(sbs(), Tier::Poll));
+    assert_eq!((sent.len(), rows.len()), (19, 18), "{sent:02x?}");
+    assert_eq!(sent[sent.len() - 5..], [0x03, 0x0f, 0x10, 0x18, 0x03], "the mode around what it decides");
+}
+
+#[test]
+fn packet_error_codes_are_asked_for_once_and_compared_from_then_on() {
+    for (knobs, pec) in [
+        (&[][..], Pec::Right),
+        (&[("specification", "0x0021")], Pec::None),
+        (&[("pec", "split")], Pec::Split),
+        (&[("pec", "missing")], Pec::Wrong),
+    ] {
+        let mut bench = Bench::with(knobs);
+        bench.read().expect("it answers");
+        assert_eq!(bench.gauge.statistics.pec(), pec);
+        bench.read().expect("it answers");
+        let (checked, wrong) = bench.counts();
+        assert_eq!((checked > 40, wrong), (matches!(pec, Pec::Right | Pec::Split), 0), "{pec:?}");
+        let lengths = bench.sim.log().into_iter().filter(|record| record.write == [0x09]);
+        let without = lengths.filter(|record| record.read.len() == 2).count();
+        assert_eq!(without == 0, matches!(pec, Pec::Right | Pec::Split), "{pec:?}");
+    }
+}
+
+#[test]
+fn an_adapter_that_carries_words_only_is_told_and_not_called_right() {
+    let mut bench = Bench::new();
+    bench.sim.set_reach(Reach::smbus(2, true));
+    let registers = bench.read().expect("it answers");
+    assert_eq!(bench.gauge.statistics.pec(), Pec::Unseen);
+    assert_eq!((registers.property(Role::VoltageNow), bench.counts()), (Some(15420), (0, 0)));
+    assert_eq!(bench.text(Role::Manufacturer), None, "no block passes, and none is filled up");
+}
+
+#[test]
+fn a_flipped_bit_is_counted_and_read_again() {
+    for byte in 1..=3 {
+        for bit in 0..8 {
+            let mut bench = Bench::new();
+            bench.read().expect("it answers");
+            bench.set("fault", &format!("flip 2 {byte} {bit}"));
+            let mut registers = Registers::unread(sbs().registers);
+            registers.read(&mut bench.gauge, |tier| tier == Tier::Poll).expect("it answers");
+            assert_eq!(registers.property(Role::VoltageNow), Some(15420));
+            assert_eq!(bench.counts().1, 1, "byte {byte} bit {bit}");
+        }
+    }
+}
+
+#[test]
+fn a_pec_that_stays_wrong_is_an_error_and_never_dropped() {
+    let mut bench = Bench::new();
+    bench.read().expect("it answers");
+    bench.set("pec", "missing");
+    let error = bench.read().expect_err("it is wrong");
+    assert_eq!(error.cause(), Cause::Bus(BusError::Pec));
+    assert!(error.to_string().contains("packet error code is wrong"), "{error}");
+    assert_eq!(bench.gauge.statistics.pec(), Pec::Right);
+}
+
+/// Each word that is no answer is unknown, and the others are as before.
+#[test]
+fn what_is_no_answer_is_no_value() {
+    for (answers, role) in [
+        ("0d=ffff", Role::Capacity),
+        ("0d=1717", Role::Capacity),
+        ("0d=-", Role::Capacity),
+        ("13=-", Role::TimeToFullAvg),
+        ("17=1717", Role::CycleCount),
+        ("20=00", Role::Manufacturer),
+        ("20=21414243", Role::Manufacturer),
+        ("20=ffffffff", Role::Manufacturer),
+        ("22=0417171717", Role::Technology),
+        ("1b=-", Role::ManufactureDate),
+    ] {
+        let mut bench = Bench::with(&[("specification", "0x0021"), ("answers", answers)]);
+        let registers = bench.read().expect("the others are there");
+        let row = sbs().register(role).expect("a register");
+        let is_value = registers.property(role).is_some_and(|value| row.values.hold(value));
+        assert!(!is_value && registers.text(row).is_none(), "{answers}: {:?}", registers.property(role));
+        assert_eq!(registers.property(Role::VoltageNow), Some(15420), "{answers}");
+    }
+}
+
+#[test]
+fn a_pack_that_repeats_the_word_before_has_no_such_word() {
+    // It has no AverageCurrent(), CycleCount() nor cells, and answers as for a reserved code.
+    struct Repeats {
+        bus: gauge_sim::SimBus,
+        last: Vec<u8>,
+    }
+    impl Bus for Repeats {
+        fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> std::result::Result<(), BusError> {
+            if [0x0b, 0x17, 0x3c, 0x3d, 0x3e, 0x3f].contains(&write[0]) && self.last.len() >= read.len() {
+                read.copy_from_slice(&self.last[..read.len()]);
+                return Ok(());
+            }
+            self.bus.transfer(write, read)?;
+            self.last = read.to_vec();
+            Ok(())
+        }
+    }
+    for load in ["0", "700"] {
+        let bench = Bench::with(&[("specification", "0x0021"), ("load_ma", load)]);
+        bench.clock.sleep(Duration::from_secs(2));
+        let bus = Repeats { bus: bench.sim.bus(), last: Vec::new() };
+        let mut gauge = Gauge::new(sbs(), Box::new(bus), bench.clock.clone(), Keys::default());
+        for _ in 0..3 {
+            let mut registers = Registers::unread(sbs().registers);
+            registers.read(&mut gauge, |tier| tier != Tier::Window).expect("it answers");
+            assert_eq!(registers.property(Role::CurrentNow), Some(-load.parse::<i64>().expect("a number")));
+            assert_eq!([Role::CurrentAvg, Role::CycleCount].map(|role| registers.property(role)), [None; 2]);
+            let cells = sbs().registers.iter().filter(|row| row.name.starts_with("CellVoltage"));
+            assert!(cells.into_iter().all(|row| registers.value(row).is_none()));
+        }
+    }
+}
+
+/// As of an EEPROM, of a stuck line, and of packs that do not take a repeated START.
+#[test]
+fn the_same_word_everywhere_is_no_pack() {
+    for answers in ["all=1717", "all=ffff", "all=3100"] {
+        let mut bench = Bench::with(&[("answers", answers)]);
+        probe::check(&mut bench.gauge).and_then(|()| bench.read().map(drop)).expect_err(answers);
+        bench.codes();
+    }
+    let mut bench = Bench::new();
+    bench.read().expect("it answers");
+    bench.set("specification", "0x0021");
+    bench.gauge.start_over();
+    for word in ["ffff", "1717"] {
+        bench.set("answers", &format!("all={word}"));
+        let error = bench.read().expect_err("nothing answers");
+        assert!(error.to_string().contains(&format!("every word reads 0x{word}")), "{error}");
+    }
+}
+
+#[test]
+fn it_is_told_from_other_devices_by_reads_alone() {
+    probe::check(&mut Bench::new().gauge).expect("it is one");
+    for answers in ["1a=0000", "1a=ffff", "1a=4100", "1a=3104", "1a=3140", "1a=3200"] {
+        let mut bench = Bench::with(&[("answers", answers)]);
+        let error = probe::check(&mut bench.gauge).expect_err(answers);
+        assert!(error.to_string().contains("does not read like"), "{error}");
+        bench.codes();
+    }
+    // Without SpecificationInfo() its values have to be a battery's.
+    probe::check(&mut Bench::with(&[("answers", "1a=-")]).gauge).expect("it may be one");
+    probe::check(&mut Bench::with(&[("answers", "1a=- 08=0000")]).gauge).expect_err("0 K");
+}
+
+#[test]
+fn a_pack_that_sleeps_is_waited_for_and_one_that_is_gone_is_told_how_to_wake() {
+    let mut bench = Bench::with(&[("sleeps", "on")]);
+    bench.clock.sleep(Duration::from_secs(60));
+    probe::check(&mut bench.gauge).expect("it wakes up");
+    bench.set("power", "off");
+    let error = bench.read().expect_err("it is gone");
+    assert!(matches!(error.cause(), Cause::Bus(BusError::NoAck)));
+    let error = probe::check(&mut bench.gauge).map(|()| error).expect_err("it is gone");
+    assert!(error.to_string().contains("woken by a charger's voltage"), "{error}");
+    bench.set("power", "on");
+    bench.clock.sleep(Duration::from_secs(1));
+    assert_eq!(bench.property(Role::Capacity), Some(60));
+}
+
+/// As the kernel's `sbs-battery` does for each of its files, on another master of the bus.
+#[test]
+fn a_mode_that_another_host_changes_meanwhile_misleads_nobody() {
+    struct Changes {
+        bus: gauge_sim::SimBus,
+        at: u32,
+        count: u32,
+    }
+    impl Bus for Changes {
+        fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> std::result::Result<(), BusError> {
+            self.count += 1;
+            if self.count == self.at {
+                self.bus.transfer(&[0x03, 0x00, 0x80], &mut [])?;
+            }
+            self.bus.transfer(write, read)
+        }
+    }
+    for at in 1..=40 {
+        let bench = Bench::new();
+        let bus = Changes { bus: bench.sim.bus(), at, count: 0 };
+        let mut gauge = Gauge::new(sbs(), Box::new(bus), bench.clock.clone(), Keys::default());
+        let mut registers = Registers::unread(sbs().registers);
+        registers.read(&mut gauge, |tier| tier == Tier::Poll).expect("it answers");
+        let charge =
+            [Role::ChargeNow, Role::ChargeFull, Role::ChargeFullDesign].map(|role| registers.property(role));
+        let energy =
+            [Role::EnergyNow, Role::EnergyFull, Role::EnergyFullDesign].map(|role| registers.property(role));
+        match charge {
+            [None, None, None] => assert_eq!(energy, [43630, 72720, 74880].map(Some), "transfer {at}"),
+            charge => {
+                assert_eq!((charge, energy), ([3030, 5050, 5200].map(Some), [None; 3]), "transfer {at}")
+            }
+        }
+    }
+}
+
+/// Drawn packs, answers and faults: a value is the right one, or there is none.
+#[test]
+fn no_fault_makes_a_wrong_number_of_a_pack_with_packet_error_codes() {
+    let mut state = 0x5eed_u64;
+    let mut below = move |limit: u64| {
+        state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+        (state >> 33) % limit
+    };
+    for round in 0..400 {
+        let mut bench = Bench::new();
+        let fault = match below(6) {
+            0 => format!("nack {} {}", below(40) + 1, below(3)),
+            1 => format!("flip {} {} {}", below(40) + 1, below(4), below(8)),
+            2 => format!("burst {} {} {} {}", below(40) + 1, below(3) + 1, below(3) + 1, below(2) * 255),
+            3 => format!("short {}", below(40) + 1),
+            4 => format!("silence {} {}", below(40) + 1, below(400)),
+            _ => "random 30".to_string(),
+        };
+        // The pack has shown that it sends them.
+        bench.read().expect("it answers");
+        bench.set("fault", &fault);
+        let Ok(registers) = bench.read() else { continue };
+        for (role, right) in [
+            (Role::VoltageNow, 15420),
+            (Role::CurrentNow, 0),
+            (Role::Capacity, 60),
+            (Role::ChargeNow, 3030),
+            (Role::ChargeFullDesign, 5200),
+            (Role::Temp, 2981),
+        ] {
+            if let Some(value) = registers.property(role) {
+                assert_eq!(value, right, "{round}: {role:?} after {fault}");
+            }
+        }
+        bench.codes();
+    }
+}

@@ -1,0 +1,99 @@
+// SPDX-License-Identifier: MIT
+
+//! A Smart Battery in a mount: every command and every file, after which the pack has been sent nothing but command codes.
+
+use std::fs;
+use std::os::unix::fs::PermissionsExt;
+use std::path::Path;
+
+use nix::errno::Errno;
+
+use super::room::{Folder, can_mount, gaugefs, within};
+
+/// Every file below a folder, `sim/` left out: its knobs are turned by no program.
+fn files(folder: &Path, into: &mut Vec<std::path::PathBuf>) {
+    let mut entries: Vec<_> =
+        fs::read_dir(folder).expect("a folder").map(|entry| entry.expect("an entry")).collect();
+    entries.sort_by_key(std::fs::DirEntry::file_name);
+    for entry in entries {
+        match entry.file_type().expect("a type") {
+            kind if kind.is_dir() && entry.file_name() != "sim" => files(&entry.path(), into),
+            kind if kind.is_file() => into.push(entry.path()),
+            _ => {}
+        }
+    }
+}
+
+fn errno(outcome: std::io::Result<()>) -> Option<i32> {
+    outcome.err().and_then(|error| error.raw_os_error())
+}
+
+#[test]
+fn no_command_and_no_file_writes_to_a_smart_battery() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let at = folder.file("m");
+    gaugefs(&["mount", "--sim", "sbs", "--poll", "0.5", &at]).done();
+    let gauge = format!("{at}/BAT0");
+    let cat = |name: &str| fs::read_to_string(format!("{gauge}/{name}")).expect(name).trim().to_string();
+    assert_eq!(
+        [cat("manufacturer"), cat("model_name"), cat("gauge/pec")],
+        ["Sim Cells", "SIM-4S2P", "checked"]
+    );
+    assert_eq!([cat("gauge/battery_status"), cat("gauge/registers/cell_voltage1")], ["INIT DSG", "3855"]);
+
+    for command in [
+        &["top", "--json", "--count", "1", &at][..],
+        &["log", "--count", "2", &gauge],
+        &["metrics", &at],
+        &["check", &gauge],
+        &["wait", &gauge, "capacity>1"],
+        &["report", "-o", &folder.file("report.txt"), &gauge],
+    ] {
+        gaugefs(command).done();
+    }
+    let image = folder.file("image.toml");
+    let key = folder.file("key");
+    fs::write(&image, "chip = \"bq34z100-g1\"\n").expect("a file");
+    fs::write(&key, "authentication = 0123456789abcdeffedcba9876543210\n").expect("a file");
+    fs::set_permissions(&key, fs::Permissions::from_mode(0o600)).expect("its mode");
+    for command in [
+        &["set", &gauge, "design-capacity=1000"][..],
+        &["get", &gauge, "design-capacity"],
+        &["export", &gauge],
+        &["import", &gauge, &image],
+        &["calibrate", &gauge, "board-offset"],
+    ] {
+        let ran = gaugefs(command);
+        assert_eq!(ran.code, Some(1), "{command:?}: {}", ran.err);
+        assert!(ran.err.contains("a Smart Battery is only read"), "{command:?}: {}", ran.err);
+    }
+
+    let ran = gaugefs(&["auth", &gauge, "--key-file", &key]);
+    assert!(ran.code == Some(2) && ran.err.contains("a Smart Battery is only read"), "{}", ran.err);
+
+    let mut all = Vec::new();
+    files(Path::new(&gauge), &mut all);
+    assert!(all.len() > 60, "{}", all.len());
+    let mut refused = 0;
+    for path in &all {
+        let _ = fs::read(path);
+        for text in ["0x0010", "sealed", "unsealed", "1"] {
+            refused += u32::from(fs::write(path, text).is_err());
+        }
+    }
+    assert!(refused > 3 * all.len() as u32, "{refused} of {}", all.len());
+    assert_eq!(errno(fs::write(format!("{gauge}/gauge/control"), "0x0010")), Some(Errno::EPERM as i32));
+    for absent in ["df", "gauge/seal", "gauge/keys", "gauge/calibrate", "gauge/control_status"] {
+        assert!(!Path::new(&gauge).join(absent).exists(), "{absent}");
+    }
+
+    assert_eq!([cat("sim/written"), cat("sim/battery_mode")], ["0", "0x0000"]);
+    fs::write(format!("{gauge}/sim/power"), "off").expect("a knob");
+    within("it is gone", || cat("present") == "0");
+    let error = cat("gauge/last_error");
+    assert!(error.contains("woken by a charger's voltage"), "{error}");
+    gaugefs(&["umount", &at]).done();
+}
