@@ -93,7 +93,7 @@ fn the_first_file_after_some_seconds_of_quiet_costs_no_message() {
     assert!(of_first.is_ok(), "{of_first:?}");
 }
 
-/// A LOOKUP, a READ, and a FORGET of the values before: each poll's are others. The folders stay as long as the mount.
+/// Twice a LOOKUP, of which the first is for the values that the kernel knows; READ. The folders stay as long as the mount.
 #[test]
 fn all_values_of_a_gauge_cost_three_messages_however_long_ago_the_last_ones_were_read() {
     let Some(mount) = quiet(CHIP) else { return };
