@@ -203,6 +203,8 @@ impl Gauge {
                 self.wire.silence = self.longest_silence();
                 self.wire.answered = self.clock.now();
             }
+            // It says nothing of the gauge that was recorded.
+            Err(BusError::NotRecorded) => {}
             Err(_) => {
                 self.wire.failures += 1;
                 self.presence.doubt();
