@@ -128,8 +128,9 @@ fn a_station_that_was_killed_records_the_failure_when_it_starts_again() {
         assert_eq!(ends.count(), 1, "{begun}");
     }
     assert_eq!(ran.out.matches("the station was stopped while it programmed this pack").count(), 2 - ended);
-    // The packs pass now, with new numbers.
-    assert!(ended > 0 || ran.out.contains("PASS LEFT serial "), "{}{}", ran.out, ran.err);
+    // The packs pass now, with new numbers, unless a write was interrupted that nothing shows to be this pack's.
+    let is_held = ran.out.contains("was interrupted and is not settled");
+    assert!(ended > 0 || is_held || ran.out.contains("PASS LEFT serial "), "{}{}", ran.out, ran.err);
     assert!(!ran.out.contains("PASS LEFT serial 1 ") && !ran.out.contains("PASS RIGHT serial 1 "));
 }
 
