@@ -155,9 +155,9 @@ impl Gauge {
         if (write.len() > 1 || read.is_empty()) && !self.chip.has_table() {
             return Err(BusError::ReadOnly);
         }
-        // Where the bus carries it, a look begins at Control(), which is not limited.
+        // A look begins at Control() where the bus carries it, which is not limited.
         let is_flat = self.chip.access.scheme.is_flat();
-        let is_free = read.is_empty() || is_flat || self.reach().carries(1, pace::COMMANDS.end.into());
+        let is_free = read.is_empty() || is_flat;
         if let (&[code], false) = (write, is_free) {
             let pause = self.wire.pace.before(code, self.clock.now());
             self.wait(pause);

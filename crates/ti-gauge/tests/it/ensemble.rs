@@ -584,7 +584,7 @@ fn regression_drawn_gauges_that_were_left_in_between() {
     let known = Known::new();
     for seed in [
         7643, 7994, 10452, 10683, 40228, 50195, 162902, 294261, 294680, 575131, 597522, 74059, 189246,
-        10151690, 358191244,
+        10151690, 358191244, 7783403,
     ] {
         run(seed, &known, accesses).unwrap_or_else(|why| panic!("seed {seed}: {why}"));
     }
