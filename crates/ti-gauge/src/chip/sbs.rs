@@ -13,7 +13,6 @@ use super::{
 };
 use crate::codec::Layout;
 use crate::value::Type::{self, I, S, U};
-use std::time::Duration;
 
 /// The address that the System Management Bus gives to a Smart Battery.
 pub(crate) const ADDRESS: u8 = 0x0b;
@@ -26,6 +25,11 @@ const AMPERES: u8 = 12;
 const CAPACITY_MODE: u32 = 0x8000;
 /// The longest block of SMBus, and its length.
 const BLOCK: u8 = 33;
+
+/// Whether a word can be that of SpecificationInfo(): revision 1, version 1 to 3, and two powers of ten up to 3 (5.1.25).
+pub(crate) fn is_specification(info: u16) -> bool {
+    info & 0xf == 1 && (1..=3).contains(&(info >> 4 & 0xf)) && info >> 8 & 0xf <= 3 && info >> 12 <= 3
+}
 
 /// Any Smart Battery.
 pub static CHIP: Chip = Chip {
@@ -71,16 +75,7 @@ pub static CHIP: Chip = Chip {
         scaled: None,
     },
     security: Security::NONE,
-    access: Access {
-        scheme: Scheme::Smbus,
-        select: Duration::ZERO,
-        soonest: Duration::ZERO,
-        commit: Duration::ZERO,
-        enter: Duration::ZERO,
-        enter_limit: Duration::ZERO,
-        reset: Duration::ZERO,
-        reset_limit: Duration::ZERO,
-    },
+    access: Access { scheme: Scheme::Smbus, ..Access::NONE },
     gate: None,
     calibration: None,
     authentication: None,

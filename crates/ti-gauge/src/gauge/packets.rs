@@ -66,14 +66,6 @@ impl Pec {
     }
 }
 
-/// What a code may still need.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Wanting {
-    /// It was not acknowledged, with all repeats.
-    Answer,
-    Nothing,
-}
-
 #[derive(Clone, Copy, Debug, Default)]
 struct Code {
     is_lacking: bool,
@@ -100,9 +92,9 @@ impl Packets {
         *self = Self::at(self.address);
     }
 
-    pub(super) fn wanting(&self, code: u8) -> Wanting {
-        let is_lacking = self.codes.get(&code).is_some_and(|code| code.is_lacking);
-        if is_lacking { Wanting::Answer } else { Wanting::Nothing }
+    /// Whether the pack has not acknowledged a code, with all repeats.
+    pub(super) fn is_lacking(&self, code: u8) -> bool {
+        self.codes.get(&code).is_some_and(|code| code.is_lacking)
     }
 
     /// The pack has not acknowledged a code. Returns whether that is new.

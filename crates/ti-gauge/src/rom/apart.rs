@@ -14,6 +14,7 @@ use std::collections::BTreeMap;
 use std::ops::RangeInclusive;
 
 use super::{RESULT, fetch};
+use crate::chip::sbs::{SPECIFICATION_INFO, is_specification};
 use crate::error::Result;
 use crate::probe::answers_in_rom;
 use gauge_bus::clock::Clock;
@@ -23,7 +24,6 @@ const TEMPERATURE: u8 = 0x08;
 const VOLTAGE: u8 = 0x09;
 const BATTERY_STATUS: u8 = 0x16;
 const DESIGN_VOLTAGE: u8 = 0x19;
-const SPECIFICATION_INFO: u8 = 0x1a;
 const DEVICE_CHEMISTRY: u8 = 0x22;
 /// Command codes with words that are read without effect, and next to each other.
 const WORDS: [RangeInclusive<u8>; 2] = [TEMPERATURE..=0x0a, BATTERY_STATUS..=0x1c];
@@ -101,11 +101,7 @@ fn chemistry(bus: &mut dyn Bus, clock: &dyn Clock) -> Result<Vec<u8>> {
 fn is_battery(words: &BTreeMap<u8, [u8; 2]>, chemistry: &[u8]) -> bool {
     let word = |code| words.get(&code).map(|word| u16::from_le_bytes(*word));
     let fits = |code, fits: &dyn Fn(u16) -> bool| word(code).is_some_and(fits);
-    // Revision 1, version 1 to 3, and two powers of ten up to 3.
-    let is_specified = |info: u16| {
-        info & 0xf == 1 && (1..=3).contains(&(info >> 4 & 0xf)) && info >> 8 & 0xf <= 3 && info >> 12 <= 3
-    };
-    fits(SPECIFICATION_INFO, &is_specified)
+    fits(SPECIFICATION_INFO, &is_specification)
         && fits(TEMPERATURE, &|kelvin| TEMPERATURES.contains(&kelvin))
         && fits(VOLTAGE, &|voltage| voltage != 0)
         && fits(DESIGN_VOLTAGE, &|voltage| voltage != 0)

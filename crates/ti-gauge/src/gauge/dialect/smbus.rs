@@ -6,9 +6,10 @@
 //! acknowledged, the word before once more, the address byte (0x1717), the same word everywhere, a block without a text.
 
 use super::{Challenge, Dialect, Touches, Wanted};
+use crate::chip::sbs::{SPECIFICATION_INFO, is_specification};
 use crate::chip::{Register, Source, Tier};
 use crate::error::{Cause, Error, Result, Step};
-use crate::gauge::packets::{Pec, Wanting, crc};
+use crate::gauge::packets::{Pec, crc};
 use crate::gauge::state::{Answer, Rows, Shown};
 use crate::gauge::statistics::Statistics;
 use crate::gauge::{Gauge, TRIES};
@@ -16,7 +17,6 @@ use gauge_bus::BusError;
 
 const VOLTAGE: u8 = 0x09;
 const BATTERY_STATUS: u8 = 0x16;
-const SPECIFICATION_INFO: u8 = crate::chip::sbs::SPECIFICATION_INFO;
 const LONGEST: u8 = 32;
 /// If at least so many words are read, and all of them are the same, no pack has answered.
 const FEW: usize = 4;
@@ -121,12 +121,7 @@ impl Dialect for Smbus {
             Err(error) if error.may_be_no_ack() => return Ok(None),
             Err(error) => return Err(of(gauge, SPECIFICATION_INFO, error)),
         };
-        // Revision 1, version 1 to 3, and two powers of ten up to 3 (5.1.25).
-        let is_one = info & 0xf == 1
-            && (1..=3).contains(&(info >> 4 & 0xf))
-            && info >> 8 & 0xf <= 3
-            && info >> 12 <= 3;
-        Ok(Some(is_one))
+        Ok(Some(is_specification(info)))
     }
 }
 
@@ -338,9 +333,9 @@ fn word(gauge: &mut Gauge, row: &Register, code: u8) -> Result<Option<Vec<u8>>, 
 
 /// Sends a code again that the pack has not acknowledged before only once.
 fn attempt(gauge: &mut Gauge, code: u8, into: &mut [u8]) -> Result<(), BusError> {
-    match gauge.wire.packets.wanting(code) {
-        Wanting::Answer => packet(gauge, code, into),
-        Wanting::Nothing => SMBUS.fetch(gauge, code, into),
+    match gauge.wire.packets.is_lacking(code) {
+        true => packet(gauge, code, into),
+        false => SMBUS.fetch(gauge, code, into),
     }
 }
 
