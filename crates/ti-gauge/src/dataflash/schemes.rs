@@ -129,6 +129,26 @@ impl Before {
         })
     }
 
+    /// What the window shows before the block at `place` is loaded: this one, or where that is not told from it a known block,
+    /// which `load` brings as soon as it shows itself.
+    fn or_landmark(
+        self,
+        gauge: &mut Gauge,
+        place: Window,
+        load: impl FnOnce(&mut Gauge, Window, &Landmark) -> Result<Option<[u8; WINDOW]>>,
+    ) -> Option<Self> {
+        if !self.hides(gauge.chip, place) {
+            return Some(self);
+        }
+        let (other, landmark) = self.landmark(gauge, place)?;
+        let Some(content) = load(gauge, other, &landmark).ok()? else {
+            gauge.forget_landmark(landmark.place);
+            return None;
+        };
+        note_shown(gauge, other, content);
+        Some(Self { place: Some(other), content })
+    }
+
     /// A known block that is told from this one and from that at `place`, to be loaded between them.
     fn landmark(&self, gauge: &Gauge, place: Window) -> Option<(Window, Landmark)> {
         let others = [Some(place), self.place].map(|at| at.map(|at| (at.subclass, at.base)));
@@ -160,15 +180,25 @@ fn look_early<T>(
     is_loaded: impl Fn(&T) -> bool,
     whole: impl Fn(&mut Gauge) -> Result<(T, u8)>,
 ) -> Option<T> {
+    let looks = early_looks(gauge);
+    let (now, time) = look_until(gauge, looks, is_loaded, whole)?;
+    gauge.note_load_time(time);
+    Some(now)
+}
+
+/// Looks at the whole at these times after the selection. Returns the first look that is believed, and its time.
+fn look_until<T>(
+    gauge: &mut Gauge,
+    times: impl IntoIterator<Item = Duration>,
+    is_loaded: impl Fn(&T) -> bool,
+    whole: impl Fn(&mut Gauge) -> Result<(T, u8)>,
+) -> Option<(T, Duration)> {
     let selected = gauge.clock.now();
-    for time in early_looks(gauge) {
+    times.into_iter().find_map(|time| {
         wait_until(gauge, selected, time);
-        if let Some((now, _)) = whole(gauge).ok().filter(|(now, _)| is_loaded(now)) {
-            gauge.note_load_time(time);
-            return Some(now);
-        }
-    }
-    None
+        let (now, _) = whole(gauge).ok().filter(|(now, _)| is_loaded(now))?;
+        Some((now, time))
+    })
 }
 
 /// Looks until two agree. The first is at the checksum only, which differs with another block, for an eighth of the cost.
@@ -184,7 +214,10 @@ fn look_twice<T: PartialEq>(
     let selected = gauge.clock.now();
     let is_ram = gauge.chip.volatile.is_some();
     let (seen, first) = match early {
-        Some(Early { is_new, .. }) if is_ram => (look_in_ram(gauge, is_new, &whole), None),
+        Some(Early { is_new, .. }) if is_ram => {
+            let looks = [gauge.chip.access.soonest, gauge.chip.access.select];
+            (look_until(gauge, looks, is_new, &whole).map(|(now, _)| now), None)
+        }
         Some(Early { is_far, .. }) if care == Care::Sure => {
             let now = look_early(gauge, is_far, &whole);
             (now.filter(|now| is_same_again(gauge, now, &whole)), None)
@@ -231,21 +264,6 @@ fn look_twice<T: PartialEq>(
 fn later_than(usual: Option<Duration>) -> Duration {
     let later = EARLY_LOOKS.into_iter().find(|&time| usual.is_some_and(|usual| time > usual));
     later.unwrap_or(SECOND_LOOK)
-}
-
-fn look_in_ram<T>(
-    gauge: &mut Gauge,
-    is_new: impl Fn(&T) -> bool,
-    whole: impl Fn(&mut Gauge) -> Result<(T, u8)>,
-) -> Option<T> {
-    let selected = gauge.clock.now();
-    for time in [gauge.chip.access.soonest, gauge.chip.access.select] {
-        wait_until(gauge, selected, time);
-        if let Some((now, _)) = whole(gauge).ok().filter(|(now, _)| is_new(now)) {
-            return Some(now);
-        }
-    }
-    None
 }
 
 /// Looks at the checksum, and at the whole as soon as it is another one. If nothing shows that the window was loaded, the

@@ -188,19 +188,13 @@ fn before(gauge: &mut Gauge, place: Window, care: Care) -> Result<Option<Before>
 fn before_flash(gauge: &mut Gauge, place: Window, sent: Option<Before>) -> Option<Before> {
     let known = sent.or_else(|| Before::shown(gauge));
     let before = if known.is_none() && gauge.window_rests() { read_before(gauge, place) } else { known }?;
-    if !before.hides(gauge.chip, place) {
-        return Some(before);
-    }
-    let (other, landmark) = before.landmark(gauge, place)?;
-    let selection = [other.subclass, block_of(other).ok()?];
-    select(gauge, other).ok()?;
-    let is_there = |now: &Shown| now.echo == selection && landmark.is(&now.window);
-    let Some(seen) = look_early(gauge, is_there, |gauge: &mut Gauge| read_window(gauge, other)) else {
-        gauge.forget_landmark(landmark.place);
-        return None;
-    };
-    note_shown(gauge, other, seen.window);
-    Some(Before { place: Some(other), content: seen.window })
+    before.or_landmark(gauge, place, |gauge, other, landmark| {
+        let selection = [other.subclass, block_of(other)?];
+        select(gauge, other)?;
+        let is_there = |now: &Shown| now.echo == selection && landmark.is(&now.window);
+        let seen = look_early(gauge, is_there, |gauge: &mut Gauge| read_window(gauge, other));
+        Ok(seen.map(|seen| seen.window))
+    })
 }
 
 fn glance_early(gauge: &mut Gauge, place: Window, sent: Option<Before>) -> Option<[u8; WINDOW]> {

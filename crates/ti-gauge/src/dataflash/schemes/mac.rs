@@ -124,19 +124,11 @@ fn read_before(gauge: &mut Gauge) -> Option<Before> {
 
 /// What the window shows before a load. A block that is not told from it comes after another one.
 fn before_flash(gauge: &mut Gauge, place: Window) -> Option<Before> {
-    let before = Before::shown(gauge)?;
-    if !before.hides(gauge.chip, place) {
-        return Some(before);
-    }
-    let (other, landmark) = before.landmark(gauge, place)?;
-    request(gauge, other).ok()?;
-    let is_there = |now: &[u8; WINDOW]| landmark.is(now);
-    let Some(content) = look_early(gauge, is_there, |gauge: &mut Gauge| read_answer(gauge, other)) else {
-        gauge.forget_landmark(landmark.place);
-        return None;
-    };
-    note_shown(gauge, other, content);
-    Some(Before { place: Some(other), content })
+    Before::shown(gauge)?.or_landmark(gauge, place, |gauge, other, landmark| {
+        request(gauge, other)?;
+        let is_there = |now: &[u8; WINDOW]| landmark.is(now);
+        Ok(look_early(gauge, is_there, |gauge: &mut Gauge| read_answer(gauge, other)))
+    })
 }
 
 fn load_once(gauge: &mut Gauge, place: Window, before: Option<&Before>, care: Care) -> Result<[u8; WINDOW]> {
