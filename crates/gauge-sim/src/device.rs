@@ -431,7 +431,9 @@ pub(super) trait Wire: Send {
     /// Firmware and hardware version as the documents print them.
     fn versions(&mut self, flash: &Flash) -> [Option<u16>; 2];
     /// Whether the gauge is gauging, and so may rewrite its own values.
-    fn gauges(&self) -> bool;
+    fn gauges(&self) -> bool {
+        true
+    }
 
     /// Rebuilds RAM after a reset or a start.
     fn reset(&mut self, device: &mut Device);
@@ -440,15 +442,22 @@ pub(super) trait Wire: Send {
     /// Measures again after a knob was turned.
     fn refresh(&mut self);
     fn model(&mut self) -> &mut dyn Model;
-    fn level(&self) -> Level;
+    fn level(&self) -> Level {
+        Level::Sealed
+    }
     /// Goes to a level as after a host's commands.
     fn set_level(&mut self, device: &mut Device, level: Level) -> Result<()>;
     /// Makes the board fit the calibration, so that Voltage() shows the pack's voltage until the calibration changes.
-    fn fit_board(&mut self, flash: &Flash);
-    fn gate(&self, flash: &Flash) -> bool;
+    fn fit_board(&mut self, _flash: &Flash) {}
+    /// Whether it takes what is written to flash now; a part without flash does not.
+    fn gate(&self, _flash: &Flash) -> bool {
+        false
+    }
 
     /// The text of the `mode` knob while the gauge is on and not starting.
-    fn mode(&self, flash: &Flash) -> &'static str;
+    fn mode(&self, _flash: &Flash) -> &'static str {
+        "normal"
+    }
     /// The text of a knob of this scheme, if it has that knob.
     fn knob(&self, device: &Device, name: &str) -> Option<String>;
     fn set_knob(&mut self, device: &mut Device, name: &str, text: &str) -> Result<()>;

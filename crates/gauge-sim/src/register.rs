@@ -131,10 +131,6 @@ impl Wire for Register {
         [None; 2]
     }
 
-    fn gauges(&self) -> bool {
-        true
-    }
-
     fn reset(&mut self, _: &mut Device) {
         (self.low, self.answer, self.registers) = (0, 0, None);
     }
@@ -156,22 +152,8 @@ impl Wire for Register {
         &mut self.gauging
     }
 
-    fn level(&self) -> Level {
-        Level::Sealed
-    }
-
     fn set_level(&mut self, _: &mut Device, _: Level) -> Result<()> {
         Err(Error::new("seal", ErrorKind::NotPermitted, "the part has no seal"))
-    }
-
-    fn fit_board(&mut self, _: &Flash) {}
-
-    fn gate(&self, _: &Flash) -> bool {
-        false
-    }
-
-    fn mode(&self, _: &Flash) -> &'static str {
-        "normal"
     }
 
     fn knob(&self, _: &Device, name: &str) -> Option<String> {

@@ -237,10 +237,6 @@ impl Wire for SmartBattery {
         [None; 2]
     }
 
-    fn gauges(&self) -> bool {
-        true
-    }
-
     fn reset(&mut self, _: &mut Device) {
         self.pack.set(BATTERY_MODE, 0);
     }
@@ -255,22 +251,8 @@ impl Wire for SmartBattery {
         &mut self.pack
     }
 
-    fn level(&self) -> Level {
-        Level::Sealed
-    }
-
     fn set_level(&mut self, _: &mut Device, _: Level) -> Result<()> {
         Err(Error::new("seal", ErrorKind::NotPermitted, "a Smart Battery is only read"))
-    }
-
-    fn fit_board(&mut self, _: &Flash) {}
-
-    fn gate(&self, _: &Flash) -> bool {
-        false
-    }
-
-    fn mode(&self, _: &Flash) -> &'static str {
-        "normal"
     }
 
     fn knob(&self, _: &Device, name: &str) -> Option<String> {
