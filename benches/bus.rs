@@ -28,6 +28,7 @@ use gauge_bus::{Bus, BusError, wire_bytes};
 use gauge_sim::{Options, Sim};
 use i2cdev::core::I2CDevice;
 use i2cdev::linux::LinuxI2CDevice;
+use ti_gauge::chip::bursts;
 use ti_gauge::chip::{CHIPS, Chip, Kind, Parameter, Scheme, Tier};
 use ti_gauge::codec::WINDOW;
 use ti_gauge::dataflash::{Change, DataFlash, Limits, Outcome, Row};
@@ -35,7 +36,6 @@ use ti_gauge::error::Result;
 use ti_gauge::gauge::{Gauge, Seal};
 use ti_gauge::journal::Journal;
 use ti_gauge::keys::Keys;
-use ti_gauge::registers::bursts;
 use ti_gauge::value::Value;
 
 mod report;

@@ -9,11 +9,11 @@ use std::ptr;
 use std::sync::Arc;
 use std::time::Duration;
 
-use crate::chip::{CHIPS, Chip, Recognised, Role, SIBLINGS, Sibling, Tier, recognise};
+use crate::chip::{CHIPS, Chip, Recognised, Role, SIBLINGS, Sibling, Tier, bursts, recognise};
 use crate::error::{Cause, Error, Reason, Result, Step};
 use crate::gauge::{Answers, Gauge};
 use crate::keys::Keys;
-use crate::registers::{Registers, bursts};
+use crate::registers::Registers;
 use gauge_bus::clock::Clock;
 use gauge_bus::{Bus, BusError, Reach};
 

@@ -6,7 +6,6 @@
 
 use std::sync::Arc;
 
-pub use crate::chip::bursts;
 use crate::chip::{Register, Role, Source, Tier};
 use crate::codec;
 use crate::error::Result;
@@ -139,7 +138,7 @@ impl Registers {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::chip::{Chip, Source};
+    use crate::chip::{Chip, Source, bursts};
     use crate::keys::Keys;
     use crate::value::Type;
     use gauge_bus::clock::SimClock;

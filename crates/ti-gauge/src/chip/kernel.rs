@@ -497,7 +497,7 @@ mod tests {
 
     use super::super::CHIPS;
     use super::*;
-    use crate::registers::bursts;
+    use crate::chip::bursts;
 
     #[test]
     fn names_are_those_of_one_chip() {

@@ -7,13 +7,13 @@ use std::fmt::Debug;
 use std::hash::Hash;
 
 use gauge_bus::wire_bytes;
+use ti_gauge::chip::bursts;
 use ti_gauge::chip::{
     Answers, Bit, CHIPS, Chip, Effect, FLAT, Identity, Kind, Parameter, Range, Recognised, Role, SIBLINGS,
     Safe, Scale, Scaling, Scheme, SealStatus, Signature, Source, Subclass, Tier, kebab_case, recognise,
     snake_case,
 };
 use ti_gauge::codec::{self, WINDOW};
-use ti_gauge::registers::bursts;
 use ti_gauge::value::{Type, Value};
 
 /// Fails with the first duplicate.
