@@ -14,7 +14,7 @@ use crate::config::chips;
 use crate::error::Result;
 use crate::output::{print, print_json};
 use gauge_sim::Sim;
-use ti_gauge::chip::{Chip, Evidence, KeyStorage, Kind, Register, Scheme};
+use ti_gauge::chip::{Chip, Evidence, KeyStorage, Kind, Register};
 
 const CHIPS: &str = "\
 ATTRIBUTES counts the registers that feed the files of a power supply, and READ and WRITE the
@@ -118,9 +118,9 @@ fn list(json: bool) -> Result<()> {
 
 fn details(chip: &'static Chip) -> String {
     let row = Row::new(chip);
-    let flash = match chip.access.scheme {
-        Scheme::None | Scheme::Smbus => "none: it is only read".to_string(),
-        _ => format!(
+    let flash = match chip.has_table() {
+        false => "none: it is only read".to_string(),
+        true => format!(
             "{} parameters in {}, {} can be written; {} are uncertain and read-only without --allow-unproven",
             row.readable,
             row.data_flash,
@@ -176,10 +176,10 @@ fn keys(chip: &Chip) -> &'static str {
 }
 
 fn scheme(chip: &Chip) -> &'static str {
-    match chip.access.scheme {
-        Scheme::None | Scheme::Smbus => "none",
-        scheme if scheme.is_ram() => "RAM",
-        _ => "flash",
+    match chip.access.scheme.is_ram() {
+        _ if !chip.has_table() => "none",
+        true => "RAM",
+        false => "flash",
     }
 }
 

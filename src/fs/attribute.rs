@@ -344,16 +344,15 @@ impl Reading<'_> {
 
     /// The gauge's scale, or 1 if the part has none; `None` while it is unknown, or 0.
     pub(super) fn reported_scale(&self, kind: Kind) -> Option<u32> {
-        let register = match kind.scale(self.chip) {
-            Scale::None => return Some(1),
-            Scale::Flash(subclass, offset) => return self.handle.flash_scale((subclass, offset)),
-            Scale::Register(source) | Scale::Power(source, _) => self.chip.register_at(source)?,
+        let word = |source| {
+            let register = self.chip.register_at(source)?;
+            self.snapshot.filter(|snapshot| snapshot.is_valid)?.value(register)?.try_into().ok()
         };
-        let snapshot = self.snapshot.filter(|snapshot| snapshot.is_valid)?;
-        let word = snapshot.value(register).and_then(|word| word.try_into().ok())?;
         match kind.scale(self.chip) {
-            Scale::Power(_, fields) => Some(power(word, fields)),
-            _ => Some(word).filter(|&scale| scale > 0),
+            Scale::None => Some(1),
+            Scale::Flash(subclass, offset) => self.handle.flash_scale((subclass, offset)),
+            Scale::Register(source) => word(source).filter(|&scale| scale > 0),
+            Scale::Power(source, fields) => Some(power(word(source)?, fields)),
         }
     }
 

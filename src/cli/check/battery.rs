@@ -17,6 +17,7 @@ use gaugefs_host::input::Source;
 use ti_gauge::check::{Battery, Has, Plan, is_source};
 use ti_gauge::chip::Row;
 use ti_gauge::image::{Difference, Entry, Image};
+use ti_gauge::text::unsigned;
 use ti_gauge::unit;
 use ti_gauge::value::Value;
 
@@ -92,7 +93,7 @@ pub(super) fn mounted(gauge: &Gauge, battery: &Battery, write: bool) -> Result<F
     let chip = gauge.chip()?;
     let scale = |file| gauge.text(file).ok()?.trim().parse().ok();
     let (current, energy) = (scale("gauge/current_scale"), scale("gauge/energy_scale"));
-    let chem_id = gauge.text("gauge/chem_id").ok().and_then(|text| hexadecimal(text.trim()));
+    let chem_id = gauge.text("gauge/chem_id").ok().and_then(|text| unsigned(text.trim()));
     let plan = |image: &Image| {
         let stored = |row: Row| image.entry(row).map(|entry| entry.value.clone());
         planned(battery, &Has { chip, chem_id, stored: &stored, current, energy }, gauge.folder())
@@ -114,10 +115,6 @@ pub(super) fn mounted(gauge: &Gauge, battery: &Battery, write: bool) -> Result<F
         }
     }
     Ok(fitting)
-}
-
-fn hexadecimal(text: &str) -> Option<u16> {
-    u16::from_str_radix(text.strip_prefix("0x")?, 16).ok()
 }
 
 /// Compares what is known of a gauge, or of an image, with a battery.
