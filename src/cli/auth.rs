@@ -19,7 +19,8 @@ use ti_gauge::keys::Name;
 const AUTH: &str = "\
 The key file needs a line `authentication = 32 hexadecimal digits`. The key never leaves this
 process: the gauge gets a random challenge, and only a gauge with the same key can compute the
-digest. Exit code 0: the pack is genuine, 1: it is not, 2: the gauge could not be asked.
+digest. Exit code 0: the pack is genuine, 1: it is not, or is a Smart Battery, which is only read,
+2: the gauge could not be asked.
 
 Example:
   gaugefs auth /run/gauges/BAT0 --key-file ~/pack.keys";
@@ -37,7 +38,9 @@ pub(super) struct Auth {
 
 impl Auth {
     pub(super) fn run(self) -> Result<ExitCode> {
-        trouble(self.prove())
+        let is_only_read = Gauge::open(&self.gauge).is_ok_and(|gauge| gauge.is_smart_battery());
+        let outcome = self.prove();
+        if is_only_read { outcome } else { trouble(outcome) }
     }
 
     fn prove(&self) -> Result<ExitCode> {

@@ -44,6 +44,9 @@ fn no_command_and_no_file_writes_to_a_smart_battery() {
     );
     assert_eq!([cat("gauge/battery_status"), cat("gauge/registers/cell_voltage1")], ["INIT DSG", "3855"]);
 
+    let listed = gaugefs(&["list", "--json"]).out;
+    assert!(listed.contains("\"serial\":\"0x1a2b\""), "{listed}");
+
     for command in [
         &["top", "--json", "--count", "1", &at][..],
         &["log", "--count", "2", &gauge],
@@ -55,24 +58,31 @@ fn no_command_and_no_file_writes_to_a_smart_battery() {
         gaugefs(command).done();
     }
     let image = folder.file("image.toml");
-    let key = folder.file("key");
     fs::write(&image, "chip = \"bq34z100-g1\"\n").expect("a file");
-    fs::write(&key, "authentication = 0123456789abcdeffedcba9876543210\n").expect("a file");
-    fs::set_permissions(&key, fs::Permissions::from_mode(0o600)).expect("its mode");
+    let [key, old, new] = [
+        ("key", "authentication = 0123456789abcdeffedcba9876543210\n"),
+        ("old", "unseal = 0x04143672\n"),
+        ("new", "unseal = 0x12345678\n"),
+    ]
+    .map(|(name, line)| {
+        let file = folder.file(name);
+        fs::write(&file, line).expect("a file");
+        fs::set_permissions(&file, fs::Permissions::from_mode(0o600)).expect("its mode");
+        file
+    });
     for command in [
         &["set", &gauge, "design-capacity=1000"][..],
         &["get", &gauge, "design-capacity"],
         &["export", &gauge],
         &["import", &gauge, &image],
         &["calibrate", &gauge, "board-offset"],
+        &["auth", &gauge, "--key-file", &key],
+        &["keys", "change", "--key-file", &old, "--new-key-file", &new, &gauge, "unseal"],
     ] {
         let ran = gaugefs(command);
         assert_eq!(ran.code, Some(1), "{command:?}: {}", ran.err);
         assert!(ran.err.contains("a Smart Battery is only read"), "{command:?}: {}", ran.err);
     }
-
-    let ran = gaugefs(&["auth", &gauge, "--key-file", &key]);
-    assert!(ran.code == Some(2) && ran.err.contains("a Smart Battery is only read"), "{}", ran.err);
 
     let mut all = Vec::new();
     files(Path::new(&gauge), &mut all);

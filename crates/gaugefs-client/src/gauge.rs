@@ -253,8 +253,7 @@ impl Gauge {
         match fs::symlink_metadata(self.folder.join(file)) {
             Ok(_) => Ok(()),
             Err(_) if !self.folder.join("uevent").exists() => Err(not_a_gauge(&self.folder)),
-            // A Smart Battery alone has it.
-            Err(_) if self.folder.join("gauge/pec").exists() => {
+            Err(_) if self.is_smart_battery() => {
                 let why = "a Smart Battery is only read, as its folder shows it";
                 Err(Error::host(self.folder.display().to_string(), Errno::EPERM, why))
             }
@@ -299,26 +298,30 @@ impl Gauge {
         Ok(Polled { identity: self.identity(), refused })
     }
 
+    /// Whether it is a Smart Battery, which alone has this file.
+    pub fn is_smart_battery(&self) -> bool {
+        self.folder.join("gauge/pec").exists()
+    }
+
     /// The part, and the serial number of parts that show one, without a transfer.
     pub fn pack(&self) -> (Option<String>, Option<String>) {
         let model = self.text("model_name").ok().map(|model| model.trim().to_string());
-        (model, self.part().ok().and_then(|chip| self.serial(chip)))
+        (model, self.serial())
     }
 
-    fn serial(&self, chip: &Chip) -> Option<String> {
-        names::serial(chip, |name| self.text(&format!("gauge/registers/{name}")).ok()?.trim().parse().ok())
+    fn serial(&self) -> Option<String> {
+        Some(names::serial(&self.text("serial_number").ok()?))
     }
 
     fn identity(&self) -> String {
         let text = |name: &str| Some(self.text(name).ok()?.trim().to_string());
         let model = text("model_name").unwrap_or("unknown part".into());
-        let chip = self.part().ok();
-        let pack = chip.and_then(|chip| Some((chip, chip.preflight.pack.as_ref()?)));
-        let pack = pack.and_then(|(chip, pack)| match pack.word {
-            Source::Command(_) => Some(format!("{} {}", pack.name, self.serial(chip)?)),
-            Source::Answer(_) => Some(format!("{} {}", pack.name, text("gauge/chem_id")?)),
-            Source::Status => None,
-        });
+        let chem_id = || {
+            let pack = self.part().ok()?.preflight.pack.as_ref()?;
+            let is_answer = matches!(pack.word, Source::Answer(_));
+            Some(format!("{} {}", pack.name, text("gauge/chem_id").filter(|_| is_answer)?))
+        };
+        let pack = self.serial().map(|serial| format!("SerialNumber() {serial}")).or_else(chem_id);
         let pack = pack.unwrap_or("no serial number".into());
         let age = text("gauge/age_ms").and_then(|age| age.parse::<f64>().ok());
         let age = age.map_or("age unknown".into(), |age| format!("polled {:.1} s ago", age / 1000.0));

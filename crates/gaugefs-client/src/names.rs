@@ -174,7 +174,7 @@ pub(crate) fn unit(file: &str) -> Option<&'static str> {
     }
 }
 
-pub(crate) fn serial(chip: &Chip, register: impl FnOnce(&str) -> Option<u16>) -> Option<String> {
-    let row = chip.serial_register()?;
-    Some(format!("0x{:04x}", register(&snake_case(row.name))?))
+/// A serial number for people, from the attribute of it.
+pub(crate) fn serial(attribute: &str) -> String {
+    format!("0x{}", attribute.trim())
 }

@@ -9,7 +9,6 @@ use std::time::{Duration, Instant};
 
 use jiff::Timestamp;
 use nix::errno::Errno;
-use ti_gauge::chip::Chip;
 
 use crate::file::content;
 use crate::names::serial;
@@ -145,12 +144,7 @@ impl Sample {
 
     /// The part and the serial number, as far as known.
     pub fn pack(&self) -> (Option<&str>, Option<String>) {
-        let model = self.attribute("model_name");
-        let register = |name: &str| {
-            let (_, value) = self.registers.iter().find(|(found, _)| found == name)?;
-            u16::try_from(*value).ok()
-        };
-        (model, model.and_then(Chip::by_model).and_then(|chip| serial(chip, register)))
+        (self.attribute("model_name"), self.attribute("serial_number").map(serial))
     }
 
     /// Time until the next poll is readable, if the poll interval is known.
