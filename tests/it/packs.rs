@@ -107,3 +107,49 @@ fn no_command_and_no_file_writes_to_a_smart_battery() {
     assert!(error.contains("woken by a charger's voltage"), "{error}");
     gaugefs(&["umount", &at]).done();
 }
+
+/// With all that it shows, its packet error codes and its serial number included.
+#[test]
+fn a_recording_and_a_report_of_a_pack_are_its_replay() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let at = folder.file("m");
+    let [trace, report] = ["trace", "report"].map(|name| folder.file(name));
+    let shown = |what: &str| {
+        let names = [
+            "manufacturer",
+            "model_name",
+            "serial_number",
+            "technology",
+            "capacity",
+            "charge_full",
+            "voltage_now",
+            "temp",
+            "cycle_count",
+            "manufacture_year",
+            "gauge/pec",
+            "gauge/battery_status",
+            "gauge/registers/charging_voltage",
+            "gauge/registers/cell_voltage1",
+        ];
+        let cat = |name: &str| fs::read_to_string(format!("{at}/BAT0/{name}"));
+        // Not all of them change at each poll.
+        within("all of it has been read", || names.iter().all(|name| cat(name).is_ok()));
+        names.map(|name| cat(name).unwrap_or_else(|error| panic!("{what}: {name}: {error}")))
+    };
+    gaugefs(&["mount", "--sim", "sbs", "--poll", "0.5", "--trace", &trace, &at]).done();
+    let polls = || fs::read_to_string(format!("{at}/BAT0/gauge/statistics/polls")).expect("a count");
+    within("some polls", || polls().trim().parse::<u32>().is_ok_and(|polls| polls > 3));
+    let live = shown("live");
+    gaugefs(&["report", "-o", &report, &format!("{at}/BAT0")]).done();
+    gaugefs(&["umount", &at]).done();
+    for file in [&trace, &report] {
+        gaugefs(&["mount", "--replay", file, "--poll", "0.5", &at]).done();
+        assert_eq!(shown(file), live, "{file}");
+        assert_eq!(fs::read_to_string(format!("{at}/BAT0/gauge/last_error")).expect("a file"), "");
+        assert_eq!(errno(fs::write(format!("{at}/BAT0/gauge/control"), "1")), Some(Errno::EROFS as i32));
+        gaugefs(&["umount", &at]).done();
+    }
+}

@@ -18,6 +18,8 @@ const LONGEST: u64 = 256 << 20;
 pub struct Recording {
     /// The name of the chip, as on the command line.
     pub chip: String,
+    /// That of the first transfer.
+    address: Option<u8>,
     events: Vec<Event>,
 }
 
@@ -51,6 +53,15 @@ pub enum Touch {
 /// What each byte of a write touches, in its order; the first byte of a write is the register.
 pub type Touches = Box<dyn Fn(&[u8]) -> Vec<(Touch, u8)> + Send>;
 
+/// What the first byte of a write is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum First {
+    /// An address of registers, which goes on with each byte.
+    Address,
+    /// A command code of SMBus, whose answer is of that code alone.
+    Code,
+}
+
 /// How to recognise whether a target is sealed.
 #[derive(Clone, Copy, Debug)]
 pub struct Seals {
@@ -81,13 +92,14 @@ impl Recording {
         let chip = head.and_then(|head| head.split(" on ").next());
         let chip = chip.ok_or_else(|| refuse(1, "it does not name a gauge"))?.to_string();
         let mut events = Vec::new();
-        let mut asked = None;
+        let (mut asked, mut address) = (None, None);
         for (number, line) in lines {
             if let Some(command) = command(line) {
                 if asked.is_some() {
                     return Err(refuse(number - 1, "the transfer has no result below it"));
                 }
-                asked = Some(command.ok_or_else(|| refuse(number, "not a transfer"))?);
+                let (to, write, read) = command.ok_or_else(|| refuse(number, "not a transfer"))?;
+                (asked, address) = (Some((write, read)), address.or(to));
             } else if line == "; hidden" {
                 events.push(Event::Hidden);
             } else if let Some((write, read)) = asked.take() {
@@ -101,32 +113,35 @@ impl Recording {
                 return Err(refuse(number, "neither a transfer nor a comment"));
             }
         }
-        Ok(Self { chip, events })
+        Ok(Self { chip, address, events })
     }
 }
 
-/// What the line writes, and how many bytes it reads; the inner `None` if it is a malformed transfer.
-fn command(line: &str) -> Option<Option<(Vec<u8>, usize)>> {
+/// A 7-bit address, what is written to it, and how many bytes are read.
+type Command = (Option<u8>, Vec<u8>, usize);
+
+/// The transfer of a line; the inner `None` if it is malformed.
+fn command(line: &str) -> Option<Option<Command>> {
     let (line, is_comment) = line.strip_prefix("; ").map_or((line, false), |line| (line, true));
     if let Some(rest) = line.strip_prefix("W:") {
         let (bytes, count) = rest.split_once(" R: ").unwrap_or((rest, "0"));
-        return Some(hex(bytes).zip(number(count)).map(without_address));
+        return Some(hex(bytes).zip(number(count)).map(addressed));
     }
     let rest = line.strip_prefix("R:")?;
     let (bytes, count) = rest.rsplit_once(' ').unwrap_or((rest, ""));
     // Without a register it is no command of a FlashStream, and so a comment.
     let length = if is_comment { 1 } else { 2 };
     let bytes = hex(bytes).filter(|bytes| bytes.len() == length);
-    Some(bytes.zip(number(count)).map(without_address))
+    Some(bytes.zip(number(count)).map(addressed))
 }
 
 fn number(text: &str) -> Option<usize> {
     text.parse().ok().filter(|number: &usize| number.to_string() == text)
 }
 
-fn without_address((mut bytes, count): (Vec<u8>, usize)) -> (Vec<u8>, usize) {
-    bytes.drain(..bytes.len().min(1));
-    (bytes, count)
+fn addressed((mut bytes, count): (Vec<u8>, usize)) -> Command {
+    let address = bytes.drain(..bytes.len().min(1)).next();
+    (address.map(|byte| byte >> 1), bytes, count)
 }
 
 fn hex(text: &str) -> Option<Vec<u8>> {
@@ -244,11 +259,13 @@ pub struct Replay {
     opened: bool,
     written: Written,
     secret: bool,
+    first: First,
+    address: Option<u8>,
 }
 
 impl Replay {
     /// Replays a recording. `touches` knows the registers of its target.
-    pub fn new(recording: &Recording, seals: Seals, touches: Touches) -> Self {
+    pub fn new(recording: &Recording, first: First, seals: Seals, touches: Touches) -> Self {
         let (mut series, mut bytes) = (HashMap::<_, Series>::new(), HashMap::new());
         let (mut written, mut opened) = (Written::new(seals, touches), false);
         for event in &recording.events {
@@ -264,16 +281,27 @@ impl Replay {
             let register = register.wrapping_add(data.len() as u8);
             let key = (written.context(register), register, *read);
             series.entry(key).or_default().answers.push(answer.clone());
+            if first == First::Code {
+                continue;
+            }
             for (at, &byte) in (register..=0x7f).zip(answer.iter().flatten()) {
                 bytes.insert((written.context(at), at), byte);
             }
         }
         written.begin();
-        Self { series, bytes, opened, written, secret: false }
+        Self { series, bytes, opened, written, secret: false, first, address: recording.address }
     }
 
-    /// Whether these bytes can be read without a write that selects them first.
+    /// Where the target was, if anything was recorded.
+    pub fn address(&self) -> Option<u8> {
+        self.address
+    }
+
+    /// Whether these bytes can be read without a write that selects them first; of a command code, whether it was read.
     pub fn covers(&self, register: u8, length: u8) -> bool {
+        if self.first == First::Code {
+            return self.series.keys().any(|&(_, code, read)| code == register && read >= length.into());
+        }
         (register..register + length).all(|at| self.bytes.contains_key(&(self.written.context(at), at)))
     }
 
@@ -281,6 +309,9 @@ impl Replay {
         let key = (self.written.context(register), register, into.len());
         if let Some(answer) = self.series.get_mut(&key).and_then(Series::next) {
             return answer.map(|bytes| into.copy_from_slice(&bytes));
+        }
+        if self.first == First::Code {
+            return self.beginning(register, into);
         }
         let bytes = (register..=0x7f).map(|at| {
             let recorded = self.bytes.get(&(self.written.context(at), at)).copied();
@@ -290,6 +321,14 @@ impl Replay {
         let bytes = bytes.filter(|bytes| bytes.len() == into.len()).ok_or_else(|| self.lacks(register))?;
         into.copy_from_slice(&bytes);
         Ok(())
+    }
+
+    /// The first bytes of the shortest answer of a code that has so many.
+    fn beginning(&mut self, code: u8, into: &mut [u8]) -> Result<(), BusError> {
+        let longer = |&&(_, of, read): &&(Context, u8, usize)| of == code && read > into.len();
+        let key = self.series.keys().filter(longer).min_by_key(|&&(_, _, read)| read).copied();
+        let answer = key.and_then(|key| self.series.get_mut(&key)?.next());
+        answer.ok_or_else(|| self.lacks(code))?.map(|bytes| into.copy_from_slice(&bytes[..into.len()]))
     }
 
     /// A register that answered after other writes was not asked after these; a target may not have one that never did.
@@ -334,7 +373,8 @@ mod tests {
     fn replay(lines: &str) -> Replay {
         let recording = Recording::parse(&format!("{HEAD}{lines}")).expect("a recording");
         assert_eq!(recording.chip, "bq34z100-g1");
-        Replay::new(&recording, Seals { commands: [0x20, 0x41], status: None }, Box::new(touches))
+        let seals = Seals { commands: [0x20, 0x41], status: None };
+        Replay::new(&recording, First::Address, seals, Box::new(touches))
     }
 
     /// What a target with subcommands at 0 and a window of 32 bytes from 0x40 on is touched by.
@@ -371,6 +411,25 @@ mod tests {
         assert_eq!(ask(&mut bus, &[9], 1), Ok(vec![4]));
         assert_eq!(ask(&mut bus, &[9], 2), Err(BusError::NoAck));
         assert!(bus.covers(8, 2) && !bus.covers(8, 3));
+    }
+
+    #[test]
+    fn the_answer_of_a_command_code_is_its_own_and_may_be_read_shorter() {
+        let text = "; gaugefs: sbs on /dev/i2c-1 address 0x0c, 2026-01-01T00:00:00Z\n\
+                    R: 18 09 3\n; 1.0 -> 6B 2C CD\nR: 18 09 3\n; 2.0 -> 6C 2C D8\nR: 18 0B 2\n; 1.0 failed: not \
+                    acknowledged; is the gauge powered and connected?\n";
+        let recording = Recording::parse(text).expect("a recording");
+        let seals = Seals { commands: [0; 2], status: None };
+        let mut bus = Replay::new(&recording, First::Code, seals, Box::new(|_| Vec::new()));
+        assert_eq!(bus.address(), Some(0x0c));
+        assert!(bus.covers(0x09, 2) && bus.covers(0x09, 3) && !bus.covers(0x09, 4) && !bus.covers(0x0a, 1));
+        assert!(bus.covers(0x0b, 2), "it was asked for");
+        assert_eq!(ask(&mut bus, &[0x09], 2), Ok(vec![0x6b, 0x2c]));
+        assert_eq!(ask(&mut bus, &[0x09], 3), Ok(vec![0x6c, 0x2c, 0xd8]));
+        assert_eq!(ask(&mut bus, &[0x09], 4), Err(BusError::NotRecorded));
+        assert_eq!(ask(&mut bus, &[0x0a], 1), Err(BusError::NoAck), "it is no part of word 0x09");
+        assert_eq!(ask(&mut bus, &[0x0b], 2), Err(BusError::NoAck));
+        assert_eq!(ask(&mut bus, &[0x03, 0x00, 0x80], 0), Err(BusError::ReadOnly));
     }
 
     /// A recording of a version that did not ask for it.

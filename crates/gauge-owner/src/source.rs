@@ -20,7 +20,7 @@ use gauge_bus::{AdapterModel, Bus, BusError, GAUGE_ADDRESS, Reach};
 use gauge_sim::scenario::Scenario;
 use gauge_sim::{self, Level, Sim, SimBus};
 use gaugefs_client::mounts;
-use ti_gauge::chip::{self, Chip, Scheme, Tier};
+use ti_gauge::chip::{self, Chip, Tier};
 use ti_gauge::gauge::reads;
 use ti_gauge::probe::{self, ROM_ADDRESS, Target};
 use ti_gauge::rom::{self, Device};
@@ -233,7 +233,8 @@ impl Source {
             }
             Self::Recording(path) => {
                 let (chip, replay) = recorded(path)?;
-                Ok(Opened::new(chip, Box::new(replay), subject))
+                let address = replay.address().unwrap_or(chip.address);
+                Ok(Opened { address, ..Opened::new(chip, Box::new(replay), subject) })
             }
             &Self::Bus { ref bus, address, chip, reach } => {
                 let opened = match waits && chip.is_some() {
@@ -417,10 +418,6 @@ pub fn recorded(path: &Path) -> Result<(&'static Chip, Replay)> {
     let chip = Chip::by_name(&recording.chip).ok_or_else(|| {
         refuse(format!("unknown chip `{}`; `gaugefs chips` lists the known ones", recording.chip))
     })?;
-    if chip.access.scheme == Scheme::Smbus {
-        let why = "it is of a Smart Battery, whose command codes are no addresses: such a recording is not replayed";
-        return Err(refuse(why.into()));
-    }
     let replay = ti_gauge::gauge::replay(chip, &recording);
     for tier in [Tier::Poll, Tier::Static, Tier::Slow] {
         let mut read = reads(chip, tier).into_iter();

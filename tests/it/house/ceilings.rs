@@ -13,16 +13,16 @@ use super::{crates, files, without_tests};
 
 /// The most lines of each crate.
 const LINES: [(&str, usize); 10] = [
-    ("gauge-bus", 3_220),
+    ("gauge-bus", 3_260),
     ("gauge-owner", 7_690),
     ("gauge-sim", 11_470),
     ("gauge-station", 3_800),
-    ("gaugefs", 19_140),
+    ("gaugefs", 19_190),
     ("gaugefs-client", 2_850),
     ("gaugefs-host", 600),
     ("gaugefs-screen", 6_160),
     ("i2c-server", 1_280),
-    ("ti-gauge", 32_225),
+    ("ti-gauge", 32_310),
 ];
 
 /// The least lines of code to one of comment in each crate, in tenths. What others use has a line for each public item.

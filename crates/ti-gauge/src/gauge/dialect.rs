@@ -7,7 +7,7 @@ use super::state::{Answer, Rows, Shown};
 use crate::chip::{Chip, Register, Scheme, SealStatus, Source, Tier, bursts};
 use crate::error::Result;
 use gauge_bus::BusError;
-use gauge_bus::replay::{Recording, Replay, Seals, Touch};
+use gauge_bus::replay::{First, Recording, Replay, Seals, Touch};
 
 pub(in crate::gauge) mod map;
 mod smbus;
@@ -87,5 +87,6 @@ pub fn replay(chip: &Chip, recording: &Recording) -> Replay {
     };
     let dialect = of(chip);
     let seals = Seals { commands: [chip.security.seal, super::RESET], status };
-    Replay::new(recording, seals, Box::new(|write| dialect.touches(write)))
+    let first = if chip.access.scheme == Scheme::Smbus { First::Code } else { First::Address };
+    Replay::new(recording, first, seals, Box::new(|write| dialect.touches(write)))
 }
