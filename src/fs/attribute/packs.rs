@@ -162,3 +162,15 @@ fn flags_are_words_of_the_kernel() {
         assert_eq!(show(&rig, "health").as_deref(), Some(health), "{status}");
     }
 }
+
+/// Between two polls, and without a transfer that fails.
+#[test]
+fn a_pack_that_is_exchanged_shows_its_own_texts() {
+    let mut rig = open("sbs");
+    polled(&mut rig);
+    assert_eq!(show(&rig, "model_name").as_deref(), Some("SIM-4S2P"));
+    turn(&rig, "answers", "1c=3412 21=054f74686572");
+    polled(&mut rig);
+    let shown = ["model_name", "serial_number", "present"].map(|name| show(&rig, name));
+    assert_eq!(shown.each_ref().map(|text| text.as_deref()), [Some("Other"), Some("1234"), Some("1")]);
+}

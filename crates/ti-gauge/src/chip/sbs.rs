@@ -19,6 +19,7 @@ pub(crate) const ADDRESS: u8 = 0x0b;
 const BATTERY_MODE: u8 = 0x03;
 /// SpecificationInfo(), whose upper digits are the powers of ten of voltages, and of currents and capacities (SBS 1.1, 5.1.25).
 pub(crate) const SPECIFICATION_INFO: u8 = 0x1a;
+pub(crate) const SERIAL_NUMBER: u8 = 0x1c;
 const VOLTS: u8 = 8;
 const AMPERES: u8 = 12;
 /// Capacities are in 10 mWh (5.1.4).
@@ -113,7 +114,8 @@ static REGISTERS: &[Register] = &[
     Register::new(0x19, U(2), "DesignVoltage", "mV", Tier::Static),
     Register::new(SPECIFICATION_INFO, U(2), "SpecificationInfo", "", Tier::Static),
     Register::new(0x1b, U(2), "ManufactureDate", "", Tier::Static).role(Role::ManufactureDate),
-    Register::new(0x1c, U(2), "SerialNumber", "", Tier::Static).role(Role::SerialNumber),
+    // Another one is another pack, which may have taken its place between two polls.
+    word(SERIAL_NUMBER, U(2), "SerialNumber", "", Role::SerialNumber),
     Register::new(0x20, S(BLOCK), "ManufacturerName", "", Tier::Static).role(Role::Manufacturer),
     Register::new(0x21, S(BLOCK), "DeviceName", "", Tier::Static).role(Role::ModelName),
     Register::new(0x22, S(BLOCK), "DeviceChemistry", "", Tier::Static).role(Role::Technology),

@@ -80,11 +80,13 @@ pub(super) struct Packets {
     pub(super) pec: Pec,
     codes: BTreeMap<u8, Code>,
     last: Option<(u8, [u8; 2])>,
+    /// The serial number of the pack.
+    pub(super) serial: Option<Vec<u8>>,
 }
 
 impl Packets {
     pub(super) fn at(address: u8) -> Self {
-        Self { address, pec: Pec::Unasked, codes: BTreeMap::new(), last: None }
+        Self { address, pec: Pec::Unasked, codes: BTreeMap::new(), last: None, serial: None }
     }
 
     /// Another pack may be there.
@@ -135,22 +137,34 @@ pub(super) fn crc(bytes: &[u8]) -> u8 {
 mod tests {
     use super::*;
 
-    /// As a pack of 2004 has sent them to a laptop, and as a driver's tests have them.
+    /// As a driver's tests and a sealed pack have them.
     #[test]
-    fn sums_are_those_of_real_packs() {
+    fn sums_are_those_of_packs() {
         for (bytes, pec) in [
-            (&[0x16, 0x01, 0x17, 0xdb, 0x01][..], 0xf1),
-            (&[0x16, 0x08, 0x17, 0xa4, 0x0b], 0x00),
-            (&[0x16, 0x09, 0x17, 0x6b, 0x2c], 0xcd),
-            (&[0x16, 0x13, 0x17, 0xff, 0xff], 0xb4),
-            (b"\x16\x20\x17\x08SANYO\x0002", 0x83),
-            (b"\x16\x21\x17\x0bIBM-08K8193", 0xb1),
-            (&[0x16, 0x16, 0x17, 0x30, 0x30], 0xb7),
+            (&[0x16, 0x16, 0x17, 0x30, 0x30][..], 0xb7),
             // The second message alone, behind an adapter that puts a STOP before it.
             (&[0x17, 0x04, 0x21, 0x7b, 0x50, 0x00], 0x91),
+            (&[0x17, 0x04, 0xb5, 0xfe, 0xb2, 0xd5], 0x18),
+            (&[0x17, 0x02, 0x32, 0x28], 0xd8),
         ] {
             assert_eq!(crc(bytes), pec, "{bytes:02x?}");
         }
+    }
+
+    #[test]
+    fn each_answer_of_a_recorded_pack_has_the_sum_of_its_bytes() {
+        let lines = include_str!("../../tests/packs/t41.txt").lines().filter(|line| !line.starts_with('#'));
+        let (mut right, mut without) = (0, 0);
+        for line in lines {
+            let bytes: Vec<_> =
+                line.split(' ').map(|byte| u8::from_str_radix(byte, 16).expect("a byte")).collect();
+            let (pec, rest) = bytes.split_last().expect("a transfer");
+            match bytes[..] {
+                [0x16, 0x1a, 0x17, _, _] => without += 1,
+                _ => right += u32::from(crc(rest) == *pec),
+            }
+        }
+        assert_eq!((right, without), (26, 1));
     }
 
     #[test]

@@ -6,7 +6,7 @@
 //! acknowledged, the word before once more, the address byte (0x1717), the same word everywhere, a block without a text.
 
 use super::{Challenge, Dialect, Touches, Wanted};
-use crate::chip::sbs::{SPECIFICATION_INFO, is_specification};
+use crate::chip::sbs::{SERIAL_NUMBER, SPECIFICATION_INFO, is_specification};
 use crate::chip::{Register, Source, Tier};
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::packets::{Pec, crc};
@@ -179,7 +179,9 @@ fn greet(gauge: &mut Gauge) -> Result<()> {
         read = SMBUS.fetch(gauge, SPECIFICATION_INFO, &mut word);
     }
     let pec = match read {
-        Ok(()) if word[0] >> 4 == 3 => try_pec(gauge).map_err(|bus| of(gauge, SPECIFICATION_INFO, bus))?,
+        Ok(()) if says_pec(gauge, word)? => {
+            try_pec(gauge).map_err(|bus| of(gauge, SPECIFICATION_INFO, bus))?
+        }
         Ok(()) => Pec::None,
         Err(error) if error.may_be_no_ack() => Pec::None,
         Err(error) => return Err(of(gauge, SPECIFICATION_INFO, error)),
@@ -192,12 +194,23 @@ fn greet(gauge: &mut Gauge) -> Result<()> {
     Ok(())
 }
 
+/// Whether it has packet error codes by its version. Once it is taken for one without, no wrong bit is noticed any more.
+fn says_pec(gauge: &mut Gauge, info: [u8; 2]) -> Result<bool> {
+    let mut again = info;
+    if info[0] >> 4 != 3 {
+        let read = SMBUS.fetch(gauge, SPECIFICATION_INFO, &mut again);
+        read.map_err(|bus| of(gauge, SPECIFICATION_INFO, bus))?;
+    }
+    Ok(again[0] >> 4 == 3)
+}
+
 fn try_pec(gauge: &mut Gauge) -> Result<Pec, BusError> {
     if !gauge.reach().carries(1, 3) {
         return Ok(Pec::Unseen);
     }
     let (mut right, mut split) = (0, 0);
-    for code in [SPECIFICATION_INFO, VOLTAGE, SPECIFICATION_INFO] {
+    // The same byte behind an answer may be its sum by chance.
+    for code in [SPECIFICATION_INFO, VOLTAGE, BATTERY_STATUS] {
         let mut bytes = [0; 3];
         match gauge.again(|gauge| gauge.transfer(&[code], &mut bytes)) {
             Ok(()) => {}
@@ -240,6 +253,10 @@ impl Poll {
             Ok(bytes) => {
                 self.answered = Some(code);
                 gauge.wire.packets.answers(code);
+                let bytes = match bytes {
+                    Some(bytes) if code == SERIAL_NUMBER => Some(serial(gauge, row, bytes)?),
+                    bytes => bytes,
+                };
                 let word = bytes.as_ref().filter(|_| !row.text).and_then(|bytes| bytes.first_chunk());
                 self.words.extend(word);
                 self.strange += usize::from(word.is_none() && !row.text);
@@ -306,6 +323,26 @@ impl Poll {
             return Err(Error::new(gauge.chip.name, Cause::Protocol, why).at(Step::Read));
         }
         Ok(())
+    }
+}
+
+/// The serial number, if two readings agree; an error if it is not that of the pack before.
+fn serial(gauge: &mut Gauge, row: &Register, read: Vec<u8>) -> Result<Vec<u8>> {
+    let known = gauge.wire.packets.serial.clone();
+    if known.as_ref() == Some(&read) {
+        return Ok(read);
+    }
+    let mut again = vec![0; read.len()];
+    attempt(gauge, SERIAL_NUMBER, &mut again).map_err(|error| of(gauge, SERIAL_NUMBER, error))?;
+    match known {
+        Some(known) if known == again => Ok(again),
+        None if read == again => Ok(gauge.wire.packets.serial.insert(read).clone()),
+        Some(_) if read == again => {
+            gauge.wire.packets.forget();
+            let why = "another pack has taken its place, by its serial number; it is read anew";
+            Err(Error::new(row.name, Cause::Gone, why).at(Step::Read))
+        }
+        _ => Err(of(gauge, SERIAL_NUMBER, BusError::Unsteady)),
     }
 }
 
