@@ -21,11 +21,12 @@ use gauge_bus::{Bus, BusError, GAUGE_ADDRESS, Reach};
 use gauge_owner::GaugeOptions;
 use ti_gauge::chip::Role;
 use ti_gauge::probe::{self, ROM_ADDRESS, Reading, Target};
-use ti_gauge::rom::{self, Device};
+use ti_gauge::rom::{self, Beside, Device};
 
 const PROBE: &str = "\
-Without --address it only reads registers: at 0x55, and at 0x0b where a gauge in ROM mode answers.
-That is harmless to other devices. With --address, a device that reads like a gauge is also asked
+Without --address it only reads registers: at 0x55, at 0x0b where a Smart Battery or a gauge in ROM
+mode answers, and at 0x09 and 0x0a, where a charger or a manager of Smart Batteries does. That is
+harmless to other devices. With --address, a device that reads like a gauge is also asked
 for its type. An address that a kernel driver uses is not touched. Without --bus, the answer names
 each bus that was skipped, and why.
 
@@ -71,6 +72,10 @@ enum State {
     Rom,
     /// A Smart Battery.
     Pack,
+    /// The charger of a Smart Battery.
+    Charger,
+    /// A manager of Smart Batteries.
+    Manager,
     /// A kernel driver is bound to the address.
     Driver,
     /// Another gaugefs uses it.
@@ -153,14 +158,22 @@ impl Probe {
 
     fn look(&self, adapter: &Adapter) -> Result<Report> {
         let options = GaugeOptions { byte_writes: self.byte_writes, ..GaugeOptions::default() };
-        let found = match self.address {
+        let found = match self.address.map(|address| (address, Beside::at(address))) {
             // What a Smart Battery takes for a command is sent to no device there.
-            Some(ROM_ADDRESS) => vec![examine_rom(adapter)?],
-            Some(address) => vec![examine(adapter, address, true, options.reach())?],
-            None => side_by_side(vec![
-                (GAUGE_ADDRESS, examine(adapter, GAUGE_ADDRESS, false, Reach::FULL)),
-                (ROM_ADDRESS, examine_rom(adapter)),
-            ])?,
+            Some((ROM_ADDRESS, _)) => vec![examine_rom(adapter)?],
+            Some((address, Some(one))) => {
+                vec![examine_beside(adapter, one)?.unwrap_or_else(|| Found::none(address))]
+            }
+            Some((address, None)) => vec![examine(adapter, address, true, options.reach())?],
+            None => {
+                let mut found = side_by_side(vec![
+                    (GAUGE_ADDRESS, examine(adapter, GAUGE_ADDRESS, false, Reach::FULL)),
+                    (ROM_ADDRESS, examine_rom(adapter)),
+                ])?;
+                // Most buses have none of them.
+                found.extend(Beside::ALL.into_iter().filter_map(|one| examine_beside(adapter, one).ok()?));
+                found
+            }
         };
         let mux = described(adapter.number(), &adapter.muxes());
         Ok(Report { bus: adapter.to_string(), adapter: adapter.name().unwrap_or_default(), found, mux })
@@ -175,6 +188,8 @@ impl Probe {
                 State::Maybe => format!("maybe {}", found.chips.join(" or ")),
                 State::Rom => "maybe a gauge in ROM mode".to_string(),
                 State::Pack => "Smart Battery".to_string(),
+                State::Charger => "charger of a Smart Battery".to_string(),
+                State::Manager => "manager of Smart Batteries".to_string(),
                 State::Driver => "kernel driver".to_string(),
                 State::Busy => "in use".to_string(),
                 State::Other => "other device".to_string(),
@@ -192,11 +207,18 @@ impl Probe {
     }
 }
 
+impl Found {
+    fn none(address: u8) -> Self {
+        Self { address, state: State::Nothing, chips: Vec::new(), details: String::new() }
+    }
+}
+
 impl Report {
     /// Whether some device is, or may be, a gauge.
     fn any(&self) -> bool {
-        use State::{Failed, Nothing, Other, Silent};
-        self.found.iter().any(|found| !matches!(found.state, Other | Nothing | Silent | Failed))
+        use State::{Charger, Failed, Manager, Nothing, Other, Silent};
+        let is_none = |state| matches!(state, Other | Nothing | Silent | Failed | Charger | Manager);
+        self.found.iter().any(|found| !is_none(found.state))
     }
 }
 
@@ -267,8 +289,7 @@ fn examine(adapter: &Adapter, address: u8, named: bool, reach: Reach) -> Result<
         },
     };
     let Some(first) = plausible.first() else {
-        let details = "its registers do not read like a gauge's; nothing was written to it";
-        return found(State::Other, Vec::new(), details.into());
+        return found(State::Other, Vec::new(), stranger(address));
     };
     let reads = reads(first);
     if !named {
@@ -328,6 +349,37 @@ fn examine_rom(adapter: &Adapter) -> Result<Found> {
     }
 }
 
+/// A charger or a manager at its address; `None` without an answer there.
+fn examine_beside(adapter: &Adapter, one: Beside) -> Result<Option<Found>> {
+    let address = one.address();
+    let found = |state, details| Ok(Some(Found { address, state, chips: Vec::new(), details }));
+    if let Some(details) = driver(adapter, address) {
+        return found(State::Driver, details);
+    }
+    let clock = Arc::new(RealClock::new());
+    let mut bus = LinuxBus::open(adapter.clone(), address, clock.clone())?;
+    if !probe::answers_in_rom(&mut bus)? {
+        return Ok(None);
+    }
+    match (one.reads_like(&mut bus, &*clock), one) {
+        (Ok(true), Beside::Charger) => found(State::Charger, String::new()),
+        (Ok(true), Beside::Manager) => found(
+            State::Manager,
+            "with the kernel's sbs-manager each of its packs is a bus of its own".into(),
+        ),
+        _ => found(State::Other, stranger(address)),
+    }
+}
+
+/// What is said of a device that reads like none that is known.
+fn stranger(address: u8) -> String {
+    let whose = match address {
+        0x50..=0x57 => "an EEPROM has such an address; ",
+        _ => "",
+    };
+    format!("{whose}its registers do not read like a gauge's; nothing was written to it")
+}
+
 /// What a device at that address is, in words.
 fn at_rom(device: Device) -> (State, &'static str) {
     match device {
@@ -385,6 +437,12 @@ mod tests {
         let pack = advice(State::Nothing, at_rom(Device::SmartBattery).0);
         assert!(pack.contains("mount --bus /dev/i2c-1 --chip sbs"), "{pack}");
         assert!(!advice(State::Nothing, at_rom(Device::Unclear).0).is_empty());
+    }
+
+    #[test]
+    fn an_eeprom_is_named_by_its_address() {
+        assert!(stranger(0x50).starts_with("an EEPROM") && stranger(0x57).starts_with("an EEPROM"));
+        assert!(stranger(0x4f).starts_with("its registers") && stranger(0x58).starts_with("its registers"));
     }
 
     /// A CP2112 reports a missing acknowledge as it does a bus that is held low.

@@ -27,8 +27,10 @@ use gauge_bus::clock::Clock;
 use gauge_bus::{Bus, BusError};
 
 mod apart;
+mod beside;
 
 pub use apart::{Device, device, find};
+pub use beside::Beside;
 
 const ROWS: usize = 512;
 const ROW: usize = 96;

@@ -14,6 +14,7 @@ use ti_gauge::gauge::{Gauge, Pec, Seal, Statistics, reads};
 use ti_gauge::keys::Keys;
 use ti_gauge::probe;
 use ti_gauge::registers::Registers;
+use ti_gauge::rom::Beside;
 
 use crate::rig::Random;
 use crate::room::drawn;
@@ -539,6 +540,50 @@ fn a_recorded_pack_shows_what_it_sent() {
     assert_eq!(statistics.pec(), Pec::Right);
     let counts = [&statistics.pec_checked, &statistics.pec_wrong].map(Statistics::read);
     assert!(counts[0] > 25 && counts[1] == 0, "{counts:?}");
+}
+
+#[test]
+fn chargers_and_managers_are_told_by_words_that_are_read() {
+    /// Words by command code; a byte everywhere, if there are none.
+    struct Words(&'static [(u8, u16)], u8);
+    impl Bus for Words {
+        fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> std::result::Result<(), BusError> {
+            let ([code], 2) = (write, read.len()) else { panic!("it was sent {write:02x?}") };
+            let word = self.0.iter().find(|(of, _)| of == code).map(|(_, word)| word.to_le_bytes());
+            let bytes = if self.0.is_empty() { Some([self.1; 2]) } else { word };
+            read.copy_from_slice(&bytes.ok_or(BusError::NoAck)?);
+            Ok(())
+        }
+    }
+    let clock = SimClock::new();
+    let told = |bus: &mut dyn Bus| Beside::ALL.map(|one| one.reads_like(bus, &clock).unwrap_or(false));
+    for (words, expected) in [
+        (&[(0x11, 0x0012), (0x13, 0x4013)][..], [true, false]),
+        (&[(0x11, 0x0003), (0x13, 0x0000)], [true, false]),
+        (&[(0x04, 0x0003), (0x01, 0x1121)], [false, true]),
+        (&[(0x04, 0x008f), (0x01, 0x0000)], [false, true]),
+        // No version, reserved bits, a pack that the manager does not take, no pack at all.
+        (&[(0x11, 0x0010), (0x13, 0x4013)], [false; 2]),
+        (&[(0x11, 0x0022), (0x13, 0x4013)], [false; 2]),
+        (&[(0x04, 0x0003), (0x01, 0x0004)], [false; 2]),
+        (&[(0x04, 0x0010), (0x01, 0x0000)], [false; 2]),
+        (&[(0x04, 0x0103), (0x01, 0x0001)], [false; 2]),
+        (&[(0x00, 0x0000)], [false; 2]),
+    ] {
+        assert_eq!(told(&mut Words(words, 0)), expected, "{words:04x?}");
+    }
+    for byte in 0..=u8::MAX {
+        assert_eq!(told(&mut Words(&[], byte)), [false; 2], "{byte:#04x} everywhere");
+    }
+    for chip in Chip::all() {
+        let clock = Arc::new(SimClock::new());
+        let sim = Sim::new(chip.name, &Options::default(), clock.clone()).expect("it is simulated");
+        clock.sleep(Duration::from_secs(1));
+        assert_eq!(told(&mut sim.bus()), [false; 2], "{}", chip.name);
+    }
+    let addresses = Beside::ALL.map(Beside::address);
+    assert_eq!((addresses, addresses.map(Beside::at)), ([0x09, 0x0a], Beside::ALL.map(Some)));
+    assert_eq!(Beside::at(0x0b), None);
 }
 
 /// Another one with the same words, but its serial number.
