@@ -104,8 +104,8 @@ impl Options for GaugeOptions {
         Opt {
             name: "scenario",
             effect: Effect::NameOrFile("NAME|FILE", |to| &mut to.scenario),
-            doc: "Let this happen to the simulated gauge: ebike-ride, failing-bus, power-cut, robot-day, solar-week, \
-                  swapped-pack, or a file, whose path has a slash",
+            doc: "Let this happen to the simulated gauge: drone-flight, ebike-ride, failed-pack, failing-bus, laptop-year, \
+                  power-cut, robot-day, solar-week, swapped-pack, or a file, whose path has a slash",
             heading: GAUGE,
             at: ONE_GAUGE,
             not_with: &["bus", "replay"],

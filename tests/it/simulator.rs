@@ -176,6 +176,7 @@ const KNOBS: &[(&str, &str, Option<&str>)] = &[
     ("pec", "Smart Battery", Some("split")),
     ("answers", "Smart Battery", Some("0d=6400 1b=-")),
     ("sleeps", "Smart Battery", Some("on")),
+    ("failed", "Smart Battery", Some("on")),
     ("written", "Smart Battery", None),
     ("mode", "all", None),
     ("wear", "data flash", None),

@@ -195,6 +195,7 @@ pub(super) static KNOBS: &[Knob] = &[
          and `all=1717`",
     ),
     Of::Smart.set("sleeps", "`on`: after 10 s of silence it answers only 1 s after it was addressed; `off`"),
+    Of::Smart.set("failed", "`on`: a permanent failure, after which its switches stay open for good; `off`"),
     Of::Smart.show("written", "messages that were more than a command and a read"),
     Of::Gauge.set("key_quiet_ms", "silence on the bus without which a key is refused"),
     Of::Gauge.set("full_access_quiet_ms", "the same for the key to FULL ACCESS"),

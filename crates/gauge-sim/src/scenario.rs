@@ -17,8 +17,11 @@ use toml::Value;
 use super::random::Random;
 
 const SHIPPED: &[(&str, &str)] = &[
+    ("drone-flight", include_str!("scenarios/drone-flight.toml")),
     ("ebike-ride", include_str!("scenarios/ebike-ride.toml")),
+    ("failed-pack", include_str!("scenarios/failed-pack.toml")),
     ("failing-bus", include_str!("scenarios/failing-bus.toml")),
+    ("laptop-year", include_str!("scenarios/laptop-year.toml")),
     ("power-cut", include_str!("scenarios/power-cut.toml")),
     ("robot-day", include_str!("scenarios/robot-day.toml")),
     ("solar-week", include_str!("scenarios/solar-week.toml")),
@@ -719,7 +722,7 @@ mod tests {
             );
             assert!(least > 5.0, "{name}: {least}");
         }
-        assert_eq!(names().count(), 6);
+        assert_eq!(names().count(), 9);
         assert!(names().is_sorted());
     }
 }

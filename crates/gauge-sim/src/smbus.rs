@@ -263,6 +263,7 @@ impl Wire for SmartBattery {
             "pec" => self.pec.show(),
             "answers" => self.answers.show(),
             "sleeps" => self.sleeps.show(),
+            "failed" => self.pack.has_failed.show(),
             "written" => self.written.to_string(),
             _ => return None,
         })
@@ -280,6 +281,11 @@ impl Wire for SmartBattery {
             "battery_mode" => self.pack.set(BATTERY_MODE, word(text)?),
             "pec" => self.pec.turn(name, text)?,
             "sleeps" => self.sleeps.turn(name, text)?,
+            "failed" if self.pack.has_failed && text != "on" => {
+                let why = "it has failed for good; put another pack in its place";
+                return Err(Error::new(name, ErrorKind::NotPermitted, why));
+            }
+            "failed" => self.pack.has_failed.turn(name, text)?,
             _ => self.answers.turn(name, text)?,
         }
         Ok(())

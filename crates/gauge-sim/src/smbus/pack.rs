@@ -44,6 +44,8 @@ pub(super) struct Pack {
     discharged_mah: f64,
     is_full: bool,
     is_empty: bool,
+    /// Its switches are open for good.
+    pub(super) has_failed: bool,
 }
 
 impl Pack {
@@ -59,6 +61,7 @@ impl Pack {
             discharged_mah: 0.0,
             is_full: false,
             is_empty: false,
+            has_failed: false,
         }
     }
 
@@ -77,6 +80,10 @@ impl Pack {
     /// Version 3 in SpecificationInfo().
     pub(super) fn says_pec(&self) -> bool {
         self.specification >> 4 & 0xF == 3
+    }
+
+    fn current_ma(&self) -> f64 {
+        if self.has_failed { 0.0 } else { self.battery.current_ma() }
     }
 
     fn scaled(&self, value: f64, shifts: &[u16]) -> f64 {
@@ -109,13 +116,13 @@ impl Pack {
     }
 
     fn status(&self) -> u16 {
-        let (battery, current) = (&self.battery, self.battery.current_ma());
+        let (battery, current) = (&self.battery, self.current_ma());
         let is_low = battery.charge_mah < f64::from(self.words[1]);
         let is_late = self.to_empty(self.average_ma) < self.words[2];
         crate::model::bits(&[
             (OVER_TEMPERATURE, battery.temperature() > 60.0),
-            (TERMINATE_CHARGE, self.is_full),
-            (TERMINATE_DISCHARGE, self.is_empty),
+            (TERMINATE_CHARGE, self.is_full || self.has_failed),
+            (TERMINATE_DISCHARGE, self.is_empty || self.has_failed),
             (REMAINING_CAPACITY, is_low),
             (REMAINING_TIME, is_late),
             (INITIALIZED, true),
@@ -133,8 +140,8 @@ impl Pack {
     /// The word of a command code; `None` where the pack has no word.
     pub(super) fn word(&self, code: u8) -> Option<u16> {
         let battery = &self.battery;
-        let (current, charge) = (battery.current_ma(), battery.charge_mah);
-        let charges = if self.is_full { 0.0 } else { 1.0 };
+        let (current, charge) = (self.current_ma(), battery.charge_mah);
+        let charges = if self.is_full || self.has_failed { 0.0 } else { 1.0 };
         let at_rate = f64::from(self.words[4] as i16);
         Some(match code {
             0x00 => OPERATION_STATUS,
@@ -209,8 +216,13 @@ impl Model for Pack {
 
     fn step(&mut self, seconds: f64) -> Vec<Kept> {
         let before = self.battery.charge_mah;
-        let current = self.battery.current_ma();
+        let current = self.current_ma();
+        let load_ma = self.battery.load_ma;
+        if self.has_failed {
+            self.battery.load_ma = 0.0;
+        }
         self.battery.step(seconds);
+        self.battery.load_ma = load_ma;
         self.average_ma += (current - self.average_ma) * (1.0 - libm::exp(-seconds / AVERAGE_S));
         if self.average_ma.abs() < 0.5 {
             self.average_ma = 0.0;
@@ -226,6 +238,6 @@ impl Model for Pack {
 
     /// Its average current still moves.
     fn at_rest(&self) -> bool {
-        self.battery.current_ma() == 0.0 && self.average_ma == 0.0
+        self.current_ma() == 0.0 && self.average_ma == 0.0
     }
 }

@@ -143,3 +143,56 @@ fn answers_are_given_in_place_of_its_own() {
     set(&pack, "power", "off");
     assert_eq!(pack.bus().transfer(&[0x0d], &mut [0; 2]), Err(BusError::NoAck));
 }
+
+fn played(name: &str) -> (Sim, Arc<SimClock>) {
+    let clock = Arc::new(SimClock::new());
+    let sim = Sim::new("sbs", &Options::default(), clock.clone()).expect("a simulated part");
+    let scenario = gauge_sim::scenario::Scenario::read(name.as_ref(), None).expect("it is shipped");
+    sim.play(scenario).expect("a pack can do it");
+    (sim, clock)
+}
+
+#[test]
+fn a_drone_lands_with_a_quarter_left_and_is_charged() {
+    let (pack, clock) = played("drone-flight");
+    clock.sleep(Duration::from_secs(5 * 60));
+    let current = word(&pack, 0x0a) as i16;
+    assert!((-25000..=-17000).contains(&current), "{current}");
+    assert!(word(&pack, 0x11) < 20, "minutes to empty");
+    clock.sleep(Duration::from_secs(7 * 60 + 30));
+    let left = word(&pack, 0x0d);
+    assert!((15..=35).contains(&left), "{left} %");
+    clock.sleep(Duration::from_secs(30 * 60));
+    assert_eq!(pack.bus().transfer(&[0x0d], &mut [0; 2]), Err(BusError::NoAck), "it is switched off");
+    clock.sleep(Duration::from_secs(4 * 3600));
+    assert_eq!(word(&pack, 0x0d), 100);
+}
+
+#[test]
+fn a_laptop_counts_the_cycles_of_a_year() {
+    let (pack, clock) = played("laptop-year");
+    let before = word(&pack, 0x17);
+    for _ in 0..365 {
+        clock.sleep(Duration::from_secs(24 * 3600));
+    }
+    let cycles = word(&pack, 0x17) - before;
+    assert!((180..=300).contains(&cycles), "{cycles}");
+    assert_eq!(word(&pack, 0x0d), 100);
+}
+
+#[test]
+fn a_pack_that_has_failed_lets_no_current_through_and_asks_for_none() {
+    let (pack, clock) = played("failed-pack");
+    clock.sleep(Duration::from_secs(29 * 60));
+    assert_eq!((word(&pack, 0x0a) as i16, word(&pack, 0x16) & 0x4800), (-900, 0));
+    assert!(word(&pack, 0x15) > 0);
+    for _ in 0..3 {
+        clock.sleep(Duration::from_secs(600));
+        assert_eq!((word(&pack, 0x0a), word(&pack, 0x16) & 0x4800), (0, 0x4800));
+        assert_eq!([0x14, 0x15].map(|code| word(&pack, code)), [0; 2]);
+    }
+    let left = word(&pack, 0x0d);
+    clock.sleep(Duration::from_secs(3600));
+    assert_eq!(word(&pack, 0x0d), left);
+    pack.set("failed", "off").expect_err("for good");
+}
