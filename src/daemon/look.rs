@@ -30,7 +30,7 @@ use gaugefs_client::{Gauge, check, mounts};
 const LIMIT: u32 = 20;
 /// Interval between looks at the process.
 const STEP: Duration = Duration::from_millis(250);
-/// Limit for a process that goes on. A busy machine may need most of it to start one.
+/// Limit for a process that goes on but says nothing. A busy machine may need most of it to start one.
 const PATIENCE: Duration = Duration::from_secs(60);
 /// Longest output of a child, even with very many gauges.
 const LONGEST: usize = 4 << 20;
@@ -177,6 +177,11 @@ impl Pulse {
         Self { process, begun: Instant::now(), seen: None, again: 0 }
     }
 
+    /// It has said something: of very many gauges, each is told by itself.
+    fn beats(&mut self) {
+        self.begun = Instant::now();
+    }
+
     /// Whether it has waited in one call for too long. Time does not count while it could run and a busy machine does
     /// not let it.
     fn is_stuck(&mut self) -> bool {
@@ -286,7 +291,10 @@ fn read(mut pipe: impl Read + AsFd, process: u32) -> (Vec<u8>, bool) {
             Ok(_) => match pipe.read(&mut piece) {
                 Ok(0) => return (bytes, false),
                 Ok(_) if bytes.len() > LONGEST => return (bytes, true),
-                Ok(length) => bytes.extend_from_slice(&piece[..length]),
+                Ok(length) => {
+                    bytes.extend_from_slice(&piece[..length]);
+                    pulse.beats();
+                }
                 Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
                 Err(_) => return (bytes, false),
             },
@@ -364,6 +372,16 @@ mod tests {
             thread::sleep(Duration::from_millis(1));
         }
         stop(&mut waits, true);
+    }
+
+    /// `list` said on a busy machine that the daemon of 512 gauges does not answer, while it told one after the other.
+    #[test]
+    fn regression_what_goes_on_to_speak_was_taken_for_silent() {
+        let long_ago = Instant::now().checked_sub(PATIENCE * 2).expect("up for minutes");
+        let mut pulse = Pulse { begun: long_ago, ..Pulse::new(std::process::id()) };
+        assert!(pulse.is_stuck());
+        pulse.beats();
+        assert!(!pulse.is_stuck());
     }
 
     #[test]
