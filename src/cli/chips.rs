@@ -120,6 +120,10 @@ fn details(chip: &'static Chip) -> String {
     let row = Row::new(chip);
     let flash = match chip.has_table() {
         false => "none: it is only read".to_string(),
+        true if chip.has_only_names() => format!(
+            "{} parameters in {} are read by their names; not one is proven, so nothing is written, whatever is allowed",
+            row.readable, row.data_flash
+        ),
         true => format!(
             "{} parameters in {}, {} can be written; {} are uncertain and read-only without --allow-unproven",
             row.readable,

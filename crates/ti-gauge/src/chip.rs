@@ -33,6 +33,7 @@ mod identity;
 mod names;
 mod parameter;
 mod preflight;
+mod proof;
 mod recognise;
 mod source;
 mod values;

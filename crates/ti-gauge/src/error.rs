@@ -344,6 +344,10 @@ reasons! {
         "data flash can only be read: the adapter carries writes of {greatest} bytes, a block has {bytes} with its register, \
          and this part is not known to take its bytes one by one; connect it to another adapter, or mount it with \
          --byte-writes if it does";
+    /// No row of the part's data flash is proven.
+    OnlyNames { rows: i64 } "only-names", NotPermitted,
+        "nothing is written to its data flash, not even with --allow-unproven: {rows} rows are known by name, and not one is \
+         proven; to have them proven, send the file that `gaugefs report` writes";
     /// The gauge shows no sign of a command.
     NoEffect { command: Cow<'static, str>, times: i64 } "no-effect", TimedOut,
         "the gauge was sent {command}{} and shows no sign of it",

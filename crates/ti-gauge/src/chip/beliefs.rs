@@ -172,6 +172,16 @@ pub static BELIEFS: &[Belief] = &[
         of: |chip| chip.access.scheme == Scheme::Mac,
         rows: none,
     },
+    Belief {
+        name: "places of the rows",
+        parts: "parts of whose data flash only names are known",
+        holds: "each row is where one source, or a sibling's, has it",
+        decided_by: "a report: all blocks without texts are in it, and all numbers (`Value`), to be compared with the \
+                     printed defaults and with what the pack is made for",
+        otherwise: "a name is shown beside the value of another one; nothing is ever written",
+        of: Chip::has_only_names,
+        rows: |chip| chip.rows().filter(|(subclass, _)| !subclass.is_makers()).collect(),
+    },
 ];
 
 impl Chip {

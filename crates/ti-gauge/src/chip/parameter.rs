@@ -38,6 +38,11 @@ impl Subclass {
         self.parameters.is_empty()
     }
 
+    /// Whether a pack's maker keeps there what it likes.
+    pub fn is_makers(&self) -> bool {
+        self.name.starts_with("Manufacturer")
+    }
+
     /// Whether it contains the chemistry.
     pub fn is_chemistry(&self) -> bool {
         self.class == "Chemistry" || self.name == "Chem Data"

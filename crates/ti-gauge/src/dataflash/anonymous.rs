@@ -35,14 +35,18 @@ const DECIDING: [u8; 3] = [64, 68, 104];
 /// Where addresses begin that owners have found lower than printed.
 const DOUBTED: u16 = 0x4100;
 
-/// The subclasses of a report: the sample and what could confirm beliefs, without keys, serial numbers or texts.
+/// The subclasses of a report: the sample and what could confirm beliefs, without keys, serial numbers or texts. Where only
+/// names are known every block could confirm them.
 pub fn samples(chip: &Chip) -> Vec<usize> {
     let is_open = |subclass: &Subclass| {
         let places = windows(subclass);
-        subclass.kind != Kind::Security && !places.iter().any(|&place| is_private(chip, place))
+        let is_anyones = !(chip.has_only_names() && subclass.is_makers());
+        let is_shared = subclass.kind != Kind::Security && is_anyones;
+        is_shared && !places.iter().any(|&place| is_private(chip, place))
     };
     let rows = || chip.subclasses.iter().enumerate().filter(|(_, row)| is_open(row));
-    let deciding = rows().filter(|(_, row)| DECIDING.contains(&row.id) && !row.parameters.is_empty());
+    let decides = |row: &Subclass| DECIDING.contains(&row.id) || chip.has_only_names();
+    let deciding = rows().filter(|(_, row)| decides(row) && !row.parameters.is_empty());
     let is_doubted = |row: &Subclass| chip.access.scheme == Scheme::Mac && row.start() >= DOUBTED;
     let doubted = rows().find(|(_, row)| is_doubted(row));
     let mut all: Vec<_> = sample(chip).into_iter().collect();

@@ -39,7 +39,7 @@ pub struct Change {
 impl Change {
     /// A new value as its file takes it; `also_unproven` allows rows that no second source confirms (EACCES otherwise).
     pub fn parse(chip: &Chip, row: Row, text: &[u8], also_unproven: bool) -> Result<Self> {
-        let value = check_row(row, also_unproven).and_then(|()| notation::parse(row.1, text));
+        let value = check_row(chip, row, also_unproven).and_then(|()| notation::parse(row.1, text));
         let value = value.map_err(|error| error.at_place(Place::of(row).into()))?;
         Self::of_value(chip, row, &value, also_unproven)
     }
@@ -51,7 +51,7 @@ impl Change {
 
     fn checked(chip: &Chip, row: Row, value: &Value, also_unproven: bool) -> Result<Self> {
         let parameter = row.1;
-        check_row(row, also_unproven)?;
+        check_row(chip, row, also_unproven)?;
         notation::check(parameter, value)?;
         let bytes = chip.layout.encode(parameter.kind, value).ok_or_else(|| {
             Error::new(parameter.name, Cause::Invalid, format!("does not fit type {}", parameter.kind))
@@ -181,11 +181,12 @@ impl Change {
     }
 }
 
-fn check_row((subclass, parameter): Row, also_unproven: bool) -> Result<()> {
+fn check_row(chip: &Chip, (subclass, parameter): Row, also_unproven: bool) -> Result<()> {
     if subclass.kind == Kind::Security {
         let why = "keys cannot be changed like other parameters";
         return Err(Error::new(parameter.name, Cause::NotPermitted, why));
     }
+    chip.check_proven()?;
     if parameter.unproven && !also_unproven {
         let why = "its address or range is not sure; mount with --allow-unproven to write it";
         return Err(Error::new(parameter.name, Cause::Io(ErrorKind::PermissionDenied), why));
@@ -194,6 +195,7 @@ fn check_row((subclass, parameter): Row, also_unproven: bool) -> Result<()> {
 }
 
 fn check_raw(chip: &Chip, Place { subclass: id, offset }: Place, length: usize) -> Result<()> {
+    chip.check_proven()?;
     if chip.access.scheme.is_flat() || id == FLAT {
         return Err(invalid("bytes without a parameter are written in subclasses only".into()));
     }

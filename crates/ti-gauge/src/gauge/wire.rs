@@ -294,8 +294,10 @@ impl Gauge {
         self.wire.takes.write <= Reach::ONE_BYTE_A_WRITE.write
     }
 
-    /// Refuses a change of data flash if no block of it can be written: one message carries it, or single bytes do.
+    /// Refuses a change of data flash if only its names are known, or if no block of it can be written: one message carries
+    /// it, or single bytes do.
     pub fn check_writes(&mut self) -> Result<()> {
+        self.chip.check_proven()?;
         let (reach, bytes) = (self.reach(), 1 + WINDOW as u16);
         if reach.write >= bytes || self.takes_bytes() || self.chip.byte_writes_above_hz.is_some() {
             return Ok(());

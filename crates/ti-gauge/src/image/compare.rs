@@ -145,6 +145,7 @@ impl Image {
         exclude: &[Group],
         also_unproven: bool,
     ) -> Result<Changes<'a>> {
+        self.chip.check_proven()?;
         if let (Some(here), Some(there)) = (self.firmware, file.firmware)
             && here != there
         {

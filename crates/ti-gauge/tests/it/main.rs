@@ -23,6 +23,7 @@ mod kept_open;
 mod keychange;
 mod layout;
 mod learning;
+mod only_names;
 mod packs;
 mod places;
 mod power;
