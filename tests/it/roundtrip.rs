@@ -97,7 +97,8 @@ fn an_export_that_is_imported_into_another_gauge_is_exported_the_same() {
     if !can_mount() {
         return;
     }
-    assert_eq!(CHIPS.len(), 13);
+    let chips = || CHIPS.iter().filter(|chip| chip.is_proven());
+    assert_eq!(chips().count(), 13);
     let check = |chip: &'static Chip, format, end| {
         let folder = Folder::new();
         let mounts = ["m", "n"].map(|name| folder.file(name));
@@ -114,7 +115,7 @@ fn an_export_that_is_imported_into_another_gauge_is_exported_the_same() {
         }
     };
     // Each waits for its gauges. With one in two every format has some parts, as their number is odd.
-    let turns = CHIPS.iter().flat_map(|chip| TURNS.map(|turn| (chip, turn)));
+    let turns = chips().flat_map(|chip| TURNS.map(|turn| (chip, turn)));
     std::thread::scope(|scope| {
         for (chip, (format, end)) in one_in(2, turns) {
             scope.spawn(move || check(chip, format, end));

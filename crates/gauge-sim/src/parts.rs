@@ -12,6 +12,8 @@ mod bq27427;
 mod bq27441_g1;
 mod bq27500;
 mod bq27520_g3;
+mod bq27541_g1;
+mod bq27542_g1;
 mod bq27621_g1;
 mod bq34110;
 mod bq34z100_g1;
@@ -26,6 +28,9 @@ static PARTS: &[&Part] = &[
     &bq27520_g3::PART,
     &bq27500::PART,
     &bq27500::V130,
+    &bq27541_g1::PART,
+    &bq27542_g1::PART,
+    &bq27541_g1::BQ27545,
     &bq27441_g1::PART,
     &bq27441_g1::BQ27421,
     &bq27426::PART,

@@ -18,6 +18,8 @@ pub mod bq27427;
 pub mod bq27441_g1;
 pub mod bq27500;
 pub mod bq27520_g3;
+pub mod bq27541_g1;
+pub mod bq27542_g1;
 pub mod bq27621_g1;
 pub mod bq34110;
 pub mod bq34z100_g1;
@@ -56,6 +58,9 @@ pub static CHIPS: &[&Chip] = &[
     &bq27520_g3::CHIP,
     &bq27500::CHIP,
     &bq27500::V130,
+    &bq27541_g1::CHIP,
+    &bq27542_g1::CHIP,
+    &bq27541_g1::BQ27545_G1,
     &bq27441_g1::CHIP,
     &bq27421_g1::CHIP,
     &bq27426::CHIP,

@@ -92,6 +92,8 @@ pub(super) fn check_identity(chip: &'static Chip, answers: &Answers) -> Result<O
     let is_it = |found: &Chip| found.name == chip.name;
     let found = match recognise(answers) {
         Recognised::Chip(found) if is_it(found) => return Ok(None),
+        // It answers as is inferred, and the user has named it.
+        Recognised::Unknown if chip.is_inferred() && chip.identity.fits(answers) => return Ok(None),
         // The answers fit several chips, and the user has named this one.
         Recognised::Ambiguous(found) if found.iter().any(|found| is_it(found)) => return Ok(None),
         Recognised::Sibling(sibling) if sibling.like.is_some_and(is_it) => {

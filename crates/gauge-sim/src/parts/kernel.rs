@@ -46,7 +46,7 @@ pub(super) static PARTS: &[&Part] = &[
     &const { named("bq27521", const { &of(BQ27521, &[], 0x0521, 0x0100) }) },
     &const { named("bq27530", const { &of(BQ27530, UTOT, 0x0530, 0x0100) }) },
     &const { named("bq27531", const { &of(BQ27530, UTOT, 0x0531, 0x0100) }) },
-    &const { named("bq27541", const { &of(BQ27541, OTDC, 0x0541, 0x0224) }) },
+    &const { named("bq27541", const { &of(BQ27541, OTDC, 0x0541, 0x0200) }) },
     &const { named("bq27542", const { &of(BQ27546, OTDC, 0x0542, 0x0200) }) },
     &const { named("bq27546", const { &of(BQ27546, OTDC, 0x0541, 0x0100) }) },
     &const { named("bq27742", const { &of(BQ27742, OTDC, 0x0742, 0x0100) }) },

@@ -25,7 +25,8 @@ impl Identity {
     pub(super) const NONE: Self =
         Self { device_type: 0, firmware: &[], hardware: None, dm_codes: &[], answer: 0 };
 
-    pub(super) fn fits(&self, answers: &Answers) -> bool {
+    /// Whether a part of this identity gives these answers.
+    pub fn fits(&self, answers: &Answers) -> bool {
         self.is_of_type(answers)
             && known(self.firmware, answers.firmware_version)
             && self.hardware.is_none_or(|hardware| hardware == answers.hardware_version)
@@ -128,10 +129,9 @@ pub static SIBLINGS: &[Sibling] = &[
     Sibling::new("bq27510-G1", 0x0510, &[], &[], Some(&kernel::BQ27510_G1)),
     Sibling::new("bq27510-G2", 0x0510, &[], &[], Some(&kernel::BQ27510_G2)),
     Sibling::new("bq27510-G3", 0x0510, &[], &[], Some(&kernel::BQ27510_G3)),
-    // Four parts have one type. The firmware is printed for the bq27541-G1 (SLUSAL6C), in the name of the bq27541-V200
-    // (SLUSA11), and not for the first bq27541 and the bq27546-G1 (SLUSC53), which has a threshold in the place of the
-    // others' AveragePower().
-    Sibling::new("bq27541-G1", 0x0541, &[0x0224], &[], Some(&kernel::BQ27541)),
+    // Four parts have one type. The firmware is printed for the bq27541-G1 (SLUSAL6C), which has a table, in the name of
+    // the bq27541-V200 (SLUSA11), and not for the first bq27541 and the bq27546-G1 (SLUSC53), which has a threshold in
+    // the place of the others' AveragePower().
     Sibling::new("bq27541-V200", 0x0541, &[0x0200], &[], Some(&kernel::BQ27541)),
     Sibling::new("bq27541", 0x0541, &[], &[], Some(&kernel::BQ27541)),
     Sibling::new("bq27546", 0x0541, &[], &[], Some(&kernel::BQ27546)),

@@ -1,9 +1,11 @@
 // SPDX-License-Identifier: MIT
 
-//! Whether enough of a table is proven for anything to be written by it.
+//! What may be done to a part at all: whether enough of its table is proven to be written, and whether it is reset.
 
-use super::{Chip, Kind};
+use super::{Chip, Effect, Kind};
 use crate::error::{Error, Reason, Result, Step};
+
+const RESET: u16 = 0x0041;
 
 impl Chip {
     /// Whether a row of its data flash, keys apart, is proven. Without one its layout is in doubt as a whole.
@@ -17,7 +19,17 @@ impl Chip {
         self.has_table() && !self.is_proven()
     }
 
-    /// Refuses every write to data flash of which only names are known, whatever a user allows.
+    /// Whether RESET is never sent: to a part that is only read, or to which it does harm.
+    pub fn is_never_reset(&self) -> bool {
+        self.subcommands.iter().any(|one| one.code == RESET && one.effect == Effect::Never)
+    }
+
+    /// Whether no source prints what it answers, so that only the user can say that it is this part.
+    pub fn is_inferred(&self) -> bool {
+        self.has_only_names() && self.identity.firmware.is_empty()
+    }
+
+    /// Refuses every write where only names are known, whatever a user allows.
     pub fn check_proven(&self) -> Result<()> {
         match self.has_only_names() {
             true => {

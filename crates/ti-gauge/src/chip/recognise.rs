@@ -90,7 +90,8 @@ impl Limited {
 pub fn recognise(answers: &Answers) -> Recognised {
     let names_hardware = |one: &Identity| one.hardware.is_some();
     let names_dm_code = |one: &Identity| answers.dm_code.is_some_and(|code| one.dm_codes.contains(&code));
-    let mut chips: Vec<_> = CHIPS.iter().copied().filter(|chip| chip.identity.fits(answers)).collect();
+    let fits = |chip: &&Chip| chip.identity.fits(answers) && !chip.is_inferred();
+    let mut chips: Vec<_> = CHIPS.iter().copied().filter(fits).collect();
     let mut siblings: Vec<_> = SIBLINGS.iter().filter(|sibling| sibling.identity.fits(answers)).collect();
     let names_firmware = |one: &Identity| one.firmware.contains(&answers.firmware_version);
     let choices: &[&dyn Fn(&Identity) -> bool] = &[&names_hardware, &names_dm_code, &names_firmware];
@@ -114,7 +115,7 @@ pub fn recognise(answers: &Answers) -> Recognised {
 
 /// Judges answers that no part gives exactly. A hardware version narrows down the chips of a device type.
 fn unproven(answers: &Answers) -> Recognised {
-    let fits = |chip: &&Chip| chip.identity.is_of_type(answers);
+    let fits = |chip: &&Chip| chip.identity.is_of_type(answers) && !chip.is_inferred();
     let mut chips: Vec<_> = CHIPS.iter().copied().filter(fits).collect();
     let is_hardware = |chip: &&Chip| chip.identity.hardware == Some(answers.hardware_version);
     if chips.iter().any(is_hardware) {
@@ -166,7 +167,7 @@ mod tests {
 
     #[test]
     fn a_type_of_several_maps_is_for_the_user_to_decide() {
-        assert_eq!(seen(0x0541, 0x0224, 0, None), "bq27541-G1 like bq27541");
+        assert_eq!(seen(0x0541, 0x0224, 0, None), "bq27541-g1");
         assert_eq!(seen(0x0541, 0x0200, 0, None), "bq27541-V200 like bq27541");
         assert_eq!(seen(0x0541, 0x0117, 0, None), "bq27541 or bq27546");
         assert_eq!(seen(0x0510, 0x0400, 0, None), "bq27510-g1 or bq27510-g2 or bq27510-g3");

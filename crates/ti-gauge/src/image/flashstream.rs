@@ -275,7 +275,7 @@ fn check_addresses(
 ) -> Option<()> {
     let of_file = || {
         let (_, code) = identity(commands).0?;
-        let own = CHIPS.iter().copied().find(|chip| chip.identity.device_type == code);
+        let own = CHIPS.iter().copied().find(|chip| chip.identity.device_type == code && chip.is_proven());
         own.or_else(|| SIBLINGS.iter().find(|sibling| sibling.identity.device_type == code)?.like)
     };
     let mut is_for_gauge = false;
@@ -843,9 +843,11 @@ pub fn write(image: &Image, raw: impl Fn(u8) -> Result<Vec<u8>>) -> Result<Strin
             }
         }
     }
-    let reset = update.and_then(|(_, leave)| leave.first()).unwrap_or(&RESET);
-    text += &row('W', CONTROL, &reset.to_le_bytes());
-    text += &wait(access.reset_limit);
+    if !chip.is_never_reset() {
+        let reset = update.and_then(|(_, leave)| leave.first()).unwrap_or(&RESET);
+        text += &row('W', CONTROL, &reset.to_le_bytes());
+        text += &wait(access.reset_limit);
+    }
     let count = text.lines().filter(|line| !line.starts_with(';')).count();
     let (model, name) = (chip.model, chip.name);
     let before = match access.scheme {

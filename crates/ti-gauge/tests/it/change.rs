@@ -11,7 +11,7 @@ use crate::rig::cause;
 #[test]
 fn a_change_is_what_may_be_written() {
     let (mut refused, mut unproven, mut raw) = (0, 0, 0);
-    for chip in CHIPS {
+    for chip in CHIPS.iter().copied().filter(|chip| chip.is_proven()) {
         for subclass in chip.subclasses {
             for parameter in subclass.parameters {
                 let row = (subclass, parameter);

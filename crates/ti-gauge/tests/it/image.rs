@@ -274,7 +274,7 @@ fn clone_by(chip: &'static Chip, format: Format) {
 
 #[test]
 fn a_clone_has_every_byte_that_its_format_has() {
-    for chip in CHIPS {
+    for chip in CHIPS.iter().copied().filter(|chip| chip.is_proven()) {
         for format in [Format::Toml, Format::GgCsv, Format::FlashStream] {
             clone_by(chip, format);
         }

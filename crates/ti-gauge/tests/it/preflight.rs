@@ -459,7 +459,7 @@ fn a_write_to_a_pack_in_service_needs_no_more_transfers() {
 /// Properties of the tables on which the engine relies.
 #[test]
 fn the_tables_have_what_the_checks_need() {
-    for chip in CHIPS {
+    for chip in CHIPS.iter().copied().filter(|chip| chip.is_proven()) {
         let name = chip.name;
         let within = |last: u8, code: u8| {
             assert!((0x02..=last).contains(&code), "{name}: 0x{code:02x} is far from Control()");

@@ -455,7 +455,7 @@ fn flat_parts_go_to_full_access_and_back() {
 /// which write(2) must return. Time is simulated, with the waits of each part.
 #[test]
 fn a_whole_image_is_written_within_30_s() {
-    for chip in ti_gauge::chip::CHIPS {
+    for chip in ti_gauge::chip::CHIPS.iter().filter(|chip| chip.is_proven()) {
         for reversed in [false, true] {
             let mut rig = Rig::new(chip.name);
             let mut changes = Vec::new();

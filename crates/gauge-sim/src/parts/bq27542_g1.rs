@@ -1,0 +1,83 @@
+// SPDX-License-Identifier: MIT
+
+//! The bq27542-G1, of whose data flash public sources have some classes; the others do not exist here.
+//!
+//! Classes 48 and 81 are the blocks of a fresh part (E2E 909149). Of the others no default is public: a cell of
+//! 1000 mAh that ends at 3000 mV, with 0 elsewhere. Keys are the family's.
+
+use super::bq27541_g1::{CODES, Subcommands, cell, scheme, subcommands};
+use super::flash::{Flash, Image};
+use super::gauging::Quantity as Q;
+use super::gauging::Settings;
+use super::part::{Part, Scheme};
+use super::timing::Timing;
+
+pub(super) static PART: Part = Part {
+    name: "bq27542-g1",
+    image: IMAGE,
+    timing: Timing::USUAL,
+    scheme: Scheme::Block(&const { scheme(settings, REGISTERS, SUBCOMMANDS) }),
+    rewrites: &[(82, 0, 2)],
+};
+
+const SUBCOMMANDS: Subcommands = &subcommands(0x0542, 0x0201, 0x0000);
+
+/// At 0x24 is a threshold that the host sets.
+#[rustfmt::skip]
+static REGISTERS: &[(u8, usize, Q)] = &[
+    (0x06, 2, Q::Temperature), (0x08, 2, Q::Voltage), (0x0A, 2, Q::Flags), (0x0C, 2, Q::NominalRemaining),
+    (0x10, 2, Q::Remaining), (0x12, 2, Q::Full), (0x14, 2, Q::AverageCurrent), (0x16, 2, Q::TimeToEmpty),
+    (0x24, 2, Q::DesignCapacity), (0x2A, 2, Q::CycleCount), (0x2C, 2, Q::Percent), (0x2E, 1, Q::Health),
+    (0x2F, 1, Q::HealthStatus), (0x3C, 2, Q::DesignCapacity),
+];
+
+fn settings(flash: &Flash) -> Settings {
+    let i16 = |id, offset| f64::from(flash.i16(id, offset));
+    Settings {
+        cycle_mah: i16(48, 10).max(1.0),
+        cycles: flash.u16(48, 8),
+        design_mah: flash.u16(48, 12),
+        discharge_ma: i16(81, 0),
+        charge_ma: i16(81, 2),
+        quit_ma: i16(81, 4),
+        relax_s: (f64::from(flash.u16(81, 6)), f64::from(flash.u8(81, 8))),
+        qmax_mah: i16(82, 0).max(1.0),
+        ..cell()
+    }
+}
+
+#[rustfmt::skip]
+const IMAGE: Image = &[
+    // Data
+    (48, &[0x0E, 0xD8, 0x00, 0x31, 0x00, 0x00, 0x00, 0x01, 0x00, 0x05, 0x03, 0x84, 0x03, 0xE8, 0x0E, 0xD8,
+           0xFE, 0x70, 0x50, 0x00, 0x0A, 0x7F, 0x07, 0x01]),
+    // Registers
+    (64, &[0x00; 5]),
+    // IT Cfg
+    (80, &[0x01, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00,
+           0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00,
+           0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00,
+           0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00,
+           0x0B, 0xB8, 0x00, 0xC8, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00,
+           0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00]),
+    // Current Thresholds
+    (81, &[0x00, 0x3C, 0x00, 0x4B, 0x00, 0x28, 0x00, 0x3C, 0x3C, 0x01, 0x90]),
+    // State
+    (82, &[0x03, 0xE8, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00]),
+    // Ra tables
+    (88, &[0x00; 32]),
+    (89, &[0x00; 32]),
+    CODES,
+];
+
+#[cfg(test)]
+mod tests {
+    use super::super::check_sums;
+    use super::*;
+
+    /// Calculated by hand.
+    #[test]
+    fn blocks_have_the_checksums_of_parts() {
+        check_sums(IMAGE, &[(48, 0, 0x3B), (81, 0, 0x47)]);
+    }
+}
