@@ -297,7 +297,7 @@ impl Mac {
                     if let Some(version) = device.envelope.version(word) {
                         set_version(word, &mut bytes, version);
                     }
-                    self.answer(device, word, &bytes, Duration::ZERO);
+                    self.answer(device, word, &bytes, device.envelope.delay(DATA_FLASH, usize::from(word)));
                 }
                 Some(Reply::Keep(kept)) => device.keep(self, kept),
                 Some(Reply::Done) => {}

@@ -33,6 +33,8 @@ const APART: Duration = Duration::from_millis(5);
 /// Time between two looks that must agree, where the first two did not.
 const NEXT_LOOK: Duration = Duration::from_millis(25);
 const LOOKS: u32 = 4;
+/// Bytes that are not wrong in the same way in two looks which agree.
+const APART_BYTES: usize = 3;
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) enum Care {
@@ -87,12 +89,18 @@ struct Before {
     /// `None` where only its content was read.
     place: Option<Window>,
     content: [u8; WINDOW],
+    /// Bytes before it may be those of an answer that is on its way.
+    from: usize,
 }
 
 impl Before {
+    fn of(place: Option<Window>, content: [u8; WINDOW]) -> Self {
+        Self { place, content, from: 0 }
+    }
+
     fn shown(gauge: &Gauge) -> Option<Self> {
         let ((subclass, base), content) = gauge.shown()?;
-        Some(Self { place: Some(Window { subclass, base }), content })
+        Some(Self::of(Some(Window { subclass, base }), content))
     }
 
     /// The bytes of it that a window may show otherwise as soon as the gauge has rewritten them.
@@ -111,7 +119,7 @@ impl Before {
     /// Whether the block at that place is not told from it: it is the same one, or it may show anything.
     fn hides(&self, chip: &Chip, place: Window) -> bool {
         let moving = self.moving(chip);
-        self.place == Some(place) || (0..WINDOW).all(|at| moving.has(at))
+        self.from > 0 || self.place == Some(place) || (0..WINDOW).all(|at| moving.has(at))
     }
 
     /// The sums of these: only bit errors in three places turn a look at them into one at another block.
@@ -122,11 +130,21 @@ impl Before {
 
     /// Whether a look shows neither, nor with wrong bits: no disturbance changes so many bytes and the sum to fit.
     fn is_far(&self, chip: &Chip, now: &[u8; WINDOW]) -> bool {
+        self.distance(chip, now) >= Landmark::STEADY
+    }
+
+    fn is_apart(&self, chip: &Chip, now: &[u8; WINDOW]) -> bool {
+        self.distance(chip, now) >= APART_BYTES
+    }
+
+    /// In how many bytes a look differs from what the window may show until the block is loaded.
+    fn distance(&self, chip: &Chip, now: &[u8; WINDOW]) -> usize {
         let moving = self.moving(chip);
         let contents = [&self.content, &[0; WINDOW], &[0xff; WINDOW]];
-        contents.iter().all(|content| {
-            (0..WINDOW).filter(|&at| !moving.has(at) && now[at] != content[at]).count() >= Landmark::STEADY
-        })
+        let differs = |content: &[u8; WINDOW]| {
+            (0..WINDOW).filter(|&at| !moving.has(at) && now[at] != content[at]).count()
+        };
+        contents.into_iter().map(differs).min().unwrap_or_default()
     }
 
     /// What the window shows before the block at `place` is loaded: this one, or where that is not told from it a known block,
@@ -146,13 +164,14 @@ impl Before {
             return None;
         };
         note_shown(gauge, other, content);
-        Some(Self { place: Some(other), content })
+        Some(Self::of(Some(other), content))
     }
 
     /// A known block that is told from this one and from that at `place`, to be loaded between them.
     fn landmark(&self, gauge: &Gauge, place: Window) -> Option<(Window, Landmark)> {
         let others = [Some(place), self.place].map(|at| at.map(|at| (at.subclass, at.base)));
-        let landmark = gauge.landmark(others).filter(|landmark| landmark.differs_from(&self.content))?;
+        let landmark =
+            gauge.landmark(others).filter(|landmark| landmark.differs_from(&self.content, self.from))?;
         let (subclass, base) = landmark.place;
         Some((Window { subclass, base }, landmark))
     }
@@ -164,6 +183,8 @@ struct Early<'a, T> {
     is_new: &'a dyn Fn(&T) -> bool,
     /// The same by many bytes.
     is_far: &'a dyn Fn(&T) -> bool,
+    /// The same by so many that two looks which agree are at a new block, although its sum is that of the one before.
+    is_apart: &'a dyn Fn(&T) -> bool,
 }
 
 /// The early looks that are worth their transfers. A gauge that has shown how long it takes is looked at once.
@@ -228,13 +249,13 @@ fn look_twice<T: PartialEq>(
     if let Some(seen) = seen {
         return Ok(seen);
     }
-    let first = if first.is_some() {
-        first
+    let (first, first_at) = if first.is_some() {
+        (first, gauge.load_time().unwrap_or(FIRST_LOOK))
     } else {
         wait_until(gauge, selected, FIRST_LOOK);
-        sum(gauge).ok()
+        (sum(gauge).ok(), FIRST_LOOK)
     };
-    wait_until(gauge, selected, SECOND_LOOK.max(FIRST_LOOK + gauge.chip.access.select));
+    wait_until(gauge, selected, SECOND_LOOK.max(first_at + gauge.chip.access.select));
     let mut before = whole(gauge);
     if let (Some(Early { stale, is_new, .. }), Ok((now, sum))) = (early.filter(|_| !is_ram), &before)
         && !stale.contains(sum)
@@ -268,9 +289,9 @@ fn later_than(usual: Option<Duration>) -> Duration {
 
 /// Looks at the checksum, and at the whole as soon as it is another one. If nothing shows that the window was loaded, the
 /// latest checksum is the first of two looks that must agree.
-fn look_quickly<T>(
+fn look_quickly<T: PartialEq>(
     gauge: &mut Gauge,
-    Early { stale, is_new, .. }: &Early<'_, T>,
+    Early { stale, is_new, is_apart, .. }: &Early<'_, T>,
     sum: impl Fn(&mut Gauge) -> Result<u8>,
     whole: impl Fn(&mut Gauge) -> Result<(T, u8)>,
 ) -> (Option<T>, Option<u8>) {
@@ -291,6 +312,16 @@ fn look_quickly<T>(
             gauge.note_load_time(time);
             // If not, it cannot be told from the block before, however long it is looked at.
             return (Some(now).filter(|now| is_new(now)), first);
+        }
+        // The sum of a blank block says that the window is blank.
+        if usual.is_some()
+            && first == Some(stale[0])
+            && !stale[1..3].contains(&stale[0])
+            && let Ok((now, _)) = whole(gauge)
+            && is_apart(&now)
+            && is_same_again(gauge, &now, &whole)
+        {
+            return (Some(now), first);
         }
     }
     (None, first)
@@ -337,7 +368,7 @@ mod tests {
         let far = |content: [u8; WINDOW], changed: usize| {
             let mut now = content;
             now[..changed].iter_mut().for_each(|byte| *byte ^= 1);
-            Before { place: None, content }.is_far(chip, &now)
+            Before::of(None, content).is_far(chip, &now)
         };
         for content in [[7; WINDOW], [0; WINDOW], [0xff; WINDOW]] {
             assert!(!far(content, 0) && !far(content, 3) && far(content, 4), "{content:?}");
@@ -346,7 +377,7 @@ mod tests {
         for blank in [0, 0xff] {
             let mut now = [blank; WINDOW];
             now[..2].fill(5);
-            assert!(!Before { place: None, content: [7; WINDOW] }.is_far(chip, &now));
+            assert!(!Before::of(None, [7; WINDOW]).is_far(chip, &now));
         }
     }
 }

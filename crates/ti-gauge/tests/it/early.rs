@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use gauge_bus::Bus as _;
 use gauge_bus::clock::Clock as _;
-use ti_gauge::chip::{Chip, FLAT, Kind, Subclass};
+use ti_gauge::chip::{CHIPS, Chip, FLAT, Kind, Subclass};
 use ti_gauge::codec::WINDOW;
 
 use ti_gauge::gauge::Seal;
@@ -178,6 +178,113 @@ fn a_stale_window_with_wrong_bits_is_not_what_a_write_changes() {
     // With the checksum of another block the gauge would refuse the first commit.
     let commits = rig.sim.log().iter().filter(|record| matches!(record.write[..], [0x60, _])).count();
     assert_eq!(commits, 1);
+}
+
+/// From here on each answer in MACData() is late by that time, which shows something stale until then.
+fn delay_answers(rig: &mut Rig, late: Duration, stale: Stale) {
+    let (clock, chip) = (rig.clock.clone(), rig.gauge.chip);
+    let (mut asked, mut shown) = (Duration::ZERO, [0; WINDOW]);
+    rig.through(move |bus, write, read| {
+        let is_loaded = |asked| clock.now() >= asked + late;
+        match (write, read.len()) {
+            (&[0, _, _], 0) => {
+                if is_loaded(asked) {
+                    bus.transfer(&[0x40], &mut shown)?;
+                }
+                stale(chip, [0; 2], &mut shown);
+                asked = clock.now();
+                bus.transfer(write, read)
+            }
+            (&[register @ 0x40..0x60], length) if !is_loaded(asked) => {
+                let at = usize::from(register - 0x40);
+                read.copy_from_slice(&shown[at..at + length]);
+                Ok(())
+            }
+            _ => bus.transfer(write, read),
+        }
+    });
+}
+
+fn answering_there() -> impl Iterator<Item = &'static str> {
+    CHIPS.iter().filter(|chip| chip.identity.answer == 0x40).map(|chip| chip.name)
+}
+
+#[test]
+fn no_stale_answer_is_believed_however_late_it_is() {
+    assert!(answering_there().count() >= 3);
+    for part in answering_there() {
+        let expected = Rig::new(part).gauge.identify().expect("it answers");
+        for stale in [same as Stale, zeros, erased] {
+            for late in [1, 4, 6, 9, 15, 29, 31, 49] {
+                let mut rig = Rig::new(part);
+                delay_answers(&mut rig, Duration::from_millis(late), stale);
+                for time in 0..3 {
+                    let found = rig.gauge.identify().expect("it answers");
+                    assert_eq!(found, expected, "{part}, late by {late} ms, time {time}");
+                }
+            }
+        }
+    }
+}
+
+/// Nor one that was asked for a moment ago, and has not come when the next one is.
+#[test]
+fn an_answer_that_is_on_its_way_is_not_taken_for_the_next_one() {
+    for part in answering_there() {
+        let mut rig = Rig::new(part);
+        let expected = rig.gauge.ask(0x0003).expect("it answers");
+        for late in [1, 9, 29, 49] {
+            let mut rig = Rig::new(part);
+            rig.sim.set("block_ms", "50").expect("a knob");
+            delay_answers(&mut rig, Duration::from_millis(late), same);
+            rig.clock.sleep(Duration::from_secs(1));
+            rig.gauge.command(0x0001).expect("it is sent");
+            assert_eq!(rig.gauge.ask(0x0003).expect("it answers"), expected, "{part}, late by {late} ms");
+        }
+    }
+}
+
+/// What MACData() held before, and the answer, are each read twice.
+#[test]
+fn a_wrong_bit_makes_no_answer_of_what_was_there_before() {
+    for part in answering_there() {
+        let expected = Rig::new(part).gauge.identify().expect("it answers");
+        for forged in 1..=30 {
+            for late in [0, 3, 49] {
+                let mut rig = Rig::new(part);
+                delay_answers(&mut rig, Duration::from_millis(late), same);
+                let mut looks = 0;
+                rig.through(move |bus, write, read| {
+                    let done = bus.transfer(write, read);
+                    looks += usize::from(write == [0x40]);
+                    if write == [0x40] && looks == forged {
+                        read[1] ^= 0x10;
+                    }
+                    done
+                });
+                let found = rig.gauge.identify();
+                // The last look of all is one: what has read wrong there is read again by who compares it.
+                assert!(
+                    found.is_ok_and(|found| found == expected) || late == 49,
+                    "{part}, look {forged}, {late} ms"
+                );
+            }
+        }
+    }
+}
+
+/// Three answers took 165 ms.
+#[test]
+fn a_gauge_that_answers_at_once_is_identified_in_a_moment() {
+    for part in answering_there() {
+        let mut rig = Rig::new(part);
+        rig.gauge.identify().expect("it answers");
+        rig.clock.sleep(Duration::from_secs(1));
+        let begun = rig.clock.now();
+        rig.gauge.identify().expect("it answers");
+        let taken = rig.clock.now() - begun;
+        assert!(taken < Duration::from_millis(45), "{part}: {taken:?}");
+    }
 }
 
 /// How many blocks are selected when all are read.

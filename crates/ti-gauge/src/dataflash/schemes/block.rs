@@ -72,7 +72,7 @@ impl Sequence for Block {
 
     fn glance(&self, gauge: &mut Gauge, place: Window, sent: Option<&[u8; WINDOW]>) -> Result<[u8; WINDOW]> {
         if gauge.chip.volatile.is_none() && !holds_keys(gauge.chip, place) {
-            let sent = sent.map(|content| Before { place: Some(place), content: *content });
+            let sent = sent.map(|content| Before::of(Some(place), *content));
             if let Some(window) = glance_early(gauge, place, sent) {
                 return Ok(window);
             }
@@ -213,7 +213,7 @@ fn glance_early(gauge: &mut Gauge, place: Window, sent: Option<Before>) -> Optio
 fn read_before(gauge: &mut Gauge, place: Window) -> Option<Before> {
     let (Shown { echo: [subclass, block], window }, _) = read_window(gauge, place).ok()?;
     let base = u16::from(block) * WINDOW as u16;
-    Some(Before { place: Some(Window { subclass, base }), content: window })
+    Some(Before::of(Some(Window { subclass, base }), window))
 }
 
 /// Of RAM it is read where it is not known. If that is the block already, another one goes first, so that the load shows.
@@ -227,7 +227,7 @@ fn before_ram(gauge: &mut Gauge, place: Window) -> Result<Option<Before>> {
     let other = Window { subclass: other.id, base: 0 };
     let loaded = load_once(gauge, other, Some(&before), Care::Quick).ok();
     let loaded = loaded.filter(|loaded| loaded.echo == [other.subclass, 0]);
-    Ok(loaded.map(|loaded| Before { place: Some(other), content: loaded.window }))
+    Ok(loaded.map(|loaded| Before::of(Some(other), loaded.window)))
 }
 
 fn load_once(gauge: &mut Gauge, place: Window, before: Option<&Before>, care: Care) -> Result<Shown> {
@@ -244,7 +244,8 @@ fn load_once(gauge: &mut Gauge, place: Window, before: Option<&Before>, care: Ca
             let stale = before.sums(|_, content| checksum(content));
             let is_new = |now: &Shown| now.echo == selection && !before.is_shown(chip, &now.window);
             let is_far = |now: &Shown| now.echo == selection && before.is_far(chip, &now.window);
-            let early = Early { stale, is_new: &is_new, is_far: &is_far };
+            let is_apart = |now: &Shown| now.echo == selection && before.is_apart(chip, &now.window);
+            let early = Early { stale, is_new: &is_new, is_far: &is_far, is_apart: &is_apart };
             look_twice(gauge, care, Some(&early), sum, whole)
         }
     };

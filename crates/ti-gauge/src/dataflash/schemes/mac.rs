@@ -17,6 +17,8 @@ const MAC_DATA: u8 = 0x40;
 const MAC_DATA_SUM: u8 = 0x60;
 /// Bytes that MACDataLen() counts besides the data: the address, the sum and itself.
 const OVERHEAD: usize = 4;
+/// No subcommand has a longer answer.
+const LONGEST_ANSWER: usize = 12;
 
 pub(super) struct Mac;
 
@@ -119,12 +121,20 @@ fn before(gauge: &mut Gauge, place: Window, care: Care) -> Option<Before> {
 
 fn read_before(gauge: &mut Gauge) -> Option<Before> {
     let mut content = [0; WINDOW];
-    gauge.read(MAC_DATA, &mut content).ok().map(|()| Before { place: None, content })
+    gauge.read(MAC_DATA, &mut content).ok().map(|()| Before::of(None, content))
 }
 
-/// What the window shows before a load. A block that is not told from it comes after another one.
+/// What the window shows before a load. A block that is not told from it comes after another one, and so does one that is
+/// selected while an answer may be on its way.
 fn before_flash(gauge: &mut Gauge, place: Window) -> Option<Before> {
-    Before::shown(gauge)?.or_landmark(gauge, place, |gauge, other, landmark| {
+    let known = Before::shown(gauge).or_else(|| {
+        let from = if gauge.window_rests() { 0 } else { LONGEST_ANSWER };
+        let before = read_before(gauge)?;
+        // No sum of it is known: with a wrong bit it would be told from itself. A landmark differs in more.
+        let is_certain = from > 0 || read_before(gauge)?.content == before.content;
+        is_certain.then_some(Before { from, ..before })
+    });
+    known?.or_landmark(gauge, place, |gauge, other, landmark| {
         request(gauge, other)?;
         let is_there = |now: &[u8; WINDOW]| landmark.is(now);
         Ok(look_early(gauge, is_there, |gauge: &mut Gauge| read_answer(gauge, other)))
@@ -145,7 +155,8 @@ fn load_once(gauge: &mut Gauge, place: Window, before: Option<&Before>, care: Ca
             let stale = before.sums(|at, content| sum(at.unwrap_or(place).base, content));
             let is_new = |now: &[u8; WINDOW]| !before.is_shown(chip, now);
             let is_far = |now: &[u8; WINDOW]| before.is_far(chip, now);
-            let early = Early { stale, is_new: &is_new, is_far: &is_far };
+            let is_apart = |now: &[u8; WINDOW]| before.is_apart(chip, now);
+            let early = Early { stale, is_new: &is_new, is_far: &is_far, is_apart: &is_apart };
             look_twice(gauge, care, Some(&early), read_sum, whole)
         }
     };

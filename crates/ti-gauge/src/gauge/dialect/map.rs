@@ -32,6 +32,11 @@ const MAC_OVERHEAD: usize = 4;
 const LONGEST_VERSION: usize = 12;
 /// From a subcommand until MACData() must show its answer; the blocks of data flash take as long.
 const ANSWER: Duration = Duration::from_millis(55);
+/// From a subcommand until looks at MACData() are worth their transfers that show by themselves that the answer has come.
+const EARLY_LOOKS: [Duration; 3] =
+    [Duration::from_millis(1), Duration::from_millis(4), Duration::from_millis(10)];
+/// Time between two such looks: no disturbance makes both wrong in the same way.
+const APART: Duration = Duration::from_millis(5);
 /// Control() of a part with answers in MACData() reads this once after DEVICE_TYPE or FW_VERSION, not CONTROL_STATUS.
 const ANSWERED_ELSEWHERE: u16 = 0xffa5;
 
@@ -91,18 +96,17 @@ impl Dialect for Map {
         if code == FW_VERSION && at != CONTROL {
             return firmware(gauge, at);
         }
-        gauge.command(code)?;
         // CONTROL_STATUS answers at Control() itself on every part.
         if code != CONTROL_STATUS {
-            return answer(gauge, code, at, &mut []);
+            return ask(gauge, code, at, &mut []);
         }
+        gauge.command(code)?;
         status(gauge, &mut [])
     }
 
     fn answer_bytes(&self, gauge: &mut Gauge, code: u16, into: &mut [u8]) -> Result<()> {
-        gauge.command(code)?;
         let (word, behind) = into.split_at_mut(2);
-        let first = answer(gauge, code, gauge.chip.identity.answer, behind)?;
+        let first = ask(gauge, code, gauge.chip.identity.answer, behind)?;
         word.copy_from_slice(&first.to_le_bytes());
         Ok(())
     }
@@ -244,8 +248,7 @@ fn firmware(gauge: &mut Gauge, at: u8) -> Result<u16> {
     // MACData() may still show an older answer.
     for _ in 0..TRIES {
         let mut version = [0; 2];
-        gauge.command(FW_VERSION)?;
-        word = answer(gauge, FW_VERSION, at, &mut version)?;
+        word = ask(gauge, FW_VERSION, at, &mut version)?;
         if word.swap_bytes() == gauge.chip.identity.device_type {
             return Ok(u16::from_be_bytes(version));
         }
@@ -255,19 +258,57 @@ fn firmware(gauge: &mut Gauge, at: u8) -> Result<u16> {
 }
 
 fn status(gauge: &mut Gauge, behind: &mut [u8]) -> Result<u16> {
-    match answer(gauge, CONTROL_STATUS, CONTROL, behind)? {
+    match read_answer(gauge, CONTROL_STATUS, CONTROL, behind)? {
         ANSWERED_ELSEWHERE if gauge.chip.identity.answer != CONTROL => {
-            answer(gauge, CONTROL_STATUS, CONTROL, behind)
+            read_answer(gauge, CONTROL_STATUS, CONTROL, behind)
         }
         status => Ok(status),
     }
 }
 
-fn answer(gauge: &mut Gauge, code: u16, at: u8, behind: &mut [u8]) -> Result<u16> {
-    // MACData() shows the previous answer until the gauge has stored the new one.
-    if at != CONTROL {
-        gauge.wait(ANSWER.max(gauge.chip.access.select));
+/// Sends a subcommand and reads its answer. MACData() shows what it held before, or is blank, until the gauge has stored that.
+fn ask(gauge: &mut Gauge, code: u16, at: u8, behind: &mut [u8]) -> Result<u16> {
+    if at == CONTROL {
+        gauge.command(code)?;
+        return read_answer(gauge, code, at, behind);
     }
+    // Where something else is on its way into it, no look shows which of both has come.
+    let before = if gauge.window_rests() { held(gauge, at, 2 + behind.len()) } else { None };
+    gauge.command(code)?;
+    let sent = gauge.clock.now();
+    let wait_until = |gauge: &Gauge, time| gauge.wait((sent + time).saturating_sub(gauge.clock.now()));
+    for (time, before) in EARLY_LOOKS.into_iter().zip(before.iter().cycle()) {
+        wait_until(gauge, time);
+        let mut look =
+            |gauge: &mut Gauge| Some((read_answer(gauge, code, at, behind).ok()?, behind.to_vec()));
+        let Some(now) = look(gauge).filter(|now| is_another(now, before)) else { continue };
+        gauge.wait(APART);
+        if look(gauge).as_ref() == Some(&now) {
+            gauge.note_answered();
+            return Ok(now.0);
+        }
+    }
+    wait_until(gauge, ANSWER.max(gauge.chip.access.select));
+    read_answer(gauge, code, at, behind)
+}
+
+/// What MACData() holds, read twice: with a wrong bit it would be told from itself.
+fn held(gauge: &mut Gauge, at: u8, length: usize) -> Option<Vec<u8>> {
+    let mut read = |_| {
+        let mut bytes = vec![0; length];
+        gauge.read(at, &mut bytes).ok().map(|()| bytes)
+    };
+    let [first, again] = [0, 1].map(&mut read);
+    first.filter(|first| again.as_ref() == Some(first))
+}
+
+/// Whether an answer is neither what MACData() held before nor blank.
+fn is_another((word, behind): &(u16, Vec<u8>), before: &[u8]) -> bool {
+    let now: Vec<u8> = word.to_le_bytes().into_iter().chain(behind.iter().copied()).collect();
+    now != before && [0, 0xff].iter().all(|blank| now.iter().any(|byte| byte != blank))
+}
+
+fn read_answer(gauge: &mut Gauge, code: u16, at: u8, behind: &mut [u8]) -> Result<u16> {
     let mut bytes = vec![0; 2 + behind.len()];
     let read = gauge.read(at, &mut bytes);
     read.map_err(|error| error.about(gauge.subcommand_name(code)).at(Step::Control))?;

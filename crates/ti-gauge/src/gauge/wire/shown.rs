@@ -55,9 +55,10 @@ impl Landmark {
         self.steady.iter().all(|at| now[at] == self.content[at])
     }
 
-    /// Whether it is told from that content, whatever of it moves.
-    pub(crate) fn differs_from(&self, other: &[u8; WINDOW]) -> bool {
-        self.steady.iter().filter(|&at| other[at] != self.content[at]).count() >= Self::STEADY
+    /// Whether it is told from that content, whatever of it moves, by bytes from there on.
+    pub(crate) fn differs_from(&self, other: &[u8; WINDOW], from: usize) -> bool {
+        let differs = |at: &usize| *at >= from && other[*at] != self.content[*at];
+        self.steady.iter().filter(differs).count() >= Self::STEADY
     }
 }
 
@@ -118,6 +119,11 @@ impl Gauge {
     /// Whether the window shows the same until something is selected: all that was selected is there by now.
     pub(crate) fn window_rests(&self) -> bool {
         self.wire.shown.rests(self.clock.now())
+    }
+
+    /// The answer to a subcommand has come: nothing is on its way into the window.
+    pub(in crate::gauge) fn note_answered(&mut self) {
+        self.wire.shown.selected = None;
     }
 
     /// A look at the block was believed. The gauge may rewrite its `moving` bytes.
