@@ -178,7 +178,9 @@ impl Device {
     ) -> std::result::Result<Vec<u8>, Stall> {
         /// I2C_M_DMA_SAFE, set by i2c-dev, concerns the kernel's own memory.
         const DMA_SAFE: u16 = 0x0200;
-        let (is_read, flags) = (setup.value & 1 != 0, setup.value & !DMA_SAFE);
+        /// I2C_CLIENT_PEC, which the kernel leaves in the messages of SMBus. The code is one of their bytes.
+        const CLIENT_PEC: u16 = 0x0004;
+        let (is_read, flags) = (setup.value & 1 != 0, setup.value & !(DMA_SAFE | CLIENT_PEC));
         let data = if is_read { vec![0; setup.length] } else { data.to_vec() };
         // At most 42 messages; a kernel driver may send longer ones than a program.
         if data.len() > MAX_LENGTH || self.waiting.len() > MAX_MESSAGES {
@@ -368,6 +370,9 @@ mod tests {
         // As i2c-dev marks its buffers.
         assert_eq!(kernel.put(5, 0x0200, 0x55, &[0x09]), 0);
         assert_eq!(kernel.get(0xc0, 6, 0x0201, 0x55, 2), (0, vec![0x09, 0x09]));
+        // As the drivers of clients with packet error codes do.
+        assert_eq!(kernel.put(5, 0x0004, 0x55, &[0x0a]), 0);
+        assert_eq!(kernel.get(0xc0, 6, 0x0005, 0x55, 3), (0, vec![0x0a; 3]));
         // Without a target.
         assert_eq!(kernel.put(5, 0, 0x54, &[0x08]), 0);
         assert_eq!(kernel.get(0xc0, 6, 1, 0x54, 2), (0, vec![0, 0]));
@@ -376,7 +381,7 @@ mod tests {
         assert_eq!(kernel.status(), 2);
         // A transfer without an end is not sent with the next one.
         assert_eq!(kernel.put(5, 0, 0x55, &[0x66]), 0);
-        assert_eq!(kernel.get(0xc0, 7, 1, 0x55, 1), (0, vec![0x09]));
+        assert_eq!(kernel.get(0xc0, 7, 1, 0x55, 1), (0, vec![0x0a]));
         // Unsupported flags, and more than a message holds.
         assert_eq!(kernel.put(7, 0x10, 0x55, &[1]), -Errno::PIPE.raw_os_error());
         assert_eq!(kernel.put(7, 0, 0x55, &[1; MAX_LENGTH + 1]), -Errno::PIPE.raw_os_error());
