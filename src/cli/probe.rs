@@ -260,7 +260,7 @@ fn advice(found: &[Found], bus: &str) -> String {
         format!(
             "If it is a gauge, it answers at 0x0b only because its firmware is not whole. Switch its power off and on; if that\n\
              does not help: gaugefs rescue FILE.bq.fs --bus {bus} --chip CHIP\n\
-             CHIP is {}; no other part can be brought back.\n",
+             CHIP is {}; other parts take TI's tools.\n",
             rom::supported()
         )
     } else {

@@ -12,6 +12,7 @@ use clap::builder::PossibleValuesParser;
 use clap::{ArgGroup, Args};
 use nix::errno::Errno;
 
+use crate::config::values::chip_values;
 use crate::error::{Cause, Error, Result};
 use crate::output::{print, say};
 use gauge_bus::adapters::certain;
@@ -22,7 +23,7 @@ use gauge_bus::{Bus, BusError, GAUGE_ADDRESS};
 use gauge_owner::lock::Lock;
 use gauge_sim::Sim;
 use gaugefs_host::input;
-use ti_gauge::chip::{CHIPS, Chip};
+use ti_gauge::chip::Chip;
 use ti_gauge::gauge::Gauge;
 use ti_gauge::image;
 use ti_gauge::keys::Keys;
@@ -71,14 +72,17 @@ pub(super) struct Rescue {
     yes: bool,
 }
 
+/// All parts: one that is not brought back is refused with what else to do.
 fn chips() -> PossibleValuesParser {
-    PossibleValuesParser::new(CHIPS.iter().filter(|chip| chip.firmware_file.is_some()).map(|chip| chip.name))
+    let values = chip_values().map(|(chip, value)| value.hide(chip.firmware_file.is_none()));
+    PossibleValuesParser::new(values)
 }
 
 impl Rescue {
     pub(super) fn run(self) -> Result<ExitCode> {
         let chip = self.chip.as_ref().or(self.sim.as_ref()).and_then(|chip| Chip::by_name(chip));
         let chip = chip.expect("clap demands one, and accepts only names of chips");
+        rom::check_part(chip)?;
         let name = input::name(&self.file);
         if self.file.as_os_str() == "-" && !self.yes {
             let why = "it has the file, so the question cannot be answered there; pass --yes";

@@ -109,7 +109,8 @@ fn explain(argument: &Arg) -> String {
     let mut text = argument.get_help().map(ToString::to_string).unwrap_or_default();
     let values = argument.get_possible_values();
     if argument.get_action().takes_values() && !values.is_empty() && !argument.is_hide_possible_values_set() {
-        let names = values.iter().map(|value| value.get_name()).collect::<Vec<_>>();
+        let shown = values.iter().filter(|value| !value.is_hide_set());
+        let names = shown.map(|value| value.get_name()).collect::<Vec<_>>();
         text += &format!(" [possible values: {}]", names.join(", "));
     }
     if let [default] = argument.get_default_values()

@@ -19,10 +19,13 @@ use ti_gauge::keys::{self, Name, Secret};
 use ti_gauge::{text, unit};
 
 pub(crate) fn chip_names() -> PossibleValuesParser {
-    PossibleValuesParser::new(
-        Chip::all()
-            .map(|chip| kernel::aliases(chip).fold(PossibleValue::new(chip.name), PossibleValue::alias)),
-    )
+    PossibleValuesParser::new(chip_values().map(|(_, value)| value))
+}
+
+/// All chips, with their other names.
+pub(crate) fn chip_values() -> impl Iterator<Item = (&'static Chip, PossibleValue)> {
+    let value = |chip: &Chip| kernel::aliases(chip).fold(PossibleValue::new(chip.name), PossibleValue::alias);
+    Chip::all().map(move |chip: &'static Chip| (chip, value(chip)))
 }
 
 /// The chips for clap, which lists them in errors and completes them in shells.

@@ -873,6 +873,17 @@ impl Chip {
         !matches!(self.access.scheme, Scheme::None | Scheme::Smbus)
     }
 
+    /// What brings the part back from ROM mode.
+    pub fn way_out_of_rom(&self) -> &'static str {
+        match self.firmware_file {
+            Some(_) => "`gaugefs rescue` brings it back",
+            None => {
+                "gaugefs does not bring it back, because no whole firmware file of the part is known with which one could be \
+                 compared before flash is erased; TI's tools do, with the .bq.fs of its firmware"
+            }
+        }
+    }
+
     /// Why nothing is written to it, if it has no table.
     pub fn only_read(&self) -> &'static str {
         match self.access.scheme {

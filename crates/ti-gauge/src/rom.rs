@@ -55,6 +55,17 @@ const FETCHING: Duration = Duration::from_millis(20);
 const TRIES: usize = 5;
 const PAUSE: Duration = Duration::from_millis(20);
 
+/// How a part's firmware files are recognised; an error that says what else brings it back if that is not known.
+pub fn check_part(chip: &Chip) -> Result<&FirmwareFile> {
+    chip.firmware_file.as_ref().ok_or_else(|| {
+        let why = format!(
+            "in ROM mode {}. First switch its power off and on: whole firmware then starts by itself",
+            chip.way_out_of_rom()
+        );
+        Error::new(chip.model, Cause::NotPermitted, why)
+    })
+}
+
 /// The chips that a firmware file can restore, in words.
 pub fn supported() -> String {
     let chips = CHIPS.iter().filter(|chip| chip.firmware_file.is_some());
@@ -96,12 +107,7 @@ impl Firmware {
     /// Checks that a file is a chip's whole firmware, and can be interrupted anywhere.
     pub fn parse(text: &str, chip: &'static Chip) -> Result<Self> {
         let refuse = |why: String| Error::new("", Cause::Invalid, why);
-        let Some(known) = &chip.firmware_file else {
-            return Err(refuse(format!(
-                "it is not known how a firmware file of the {} is recognised",
-                chip.model
-            )));
-        };
+        let known = check_part(chip)?;
         let commands = flashstream::commands(text)?;
         let (device_type, firmware) = flashstream::identity(&commands);
         if let Some((line, found)) = device_type.filter(|(_, found)| *found != chip.identity.device_type) {

@@ -75,7 +75,7 @@ fn finding(bus: &str, gauge: Answer<()>, rom: Answer<Device>) -> Finding {
             let says = format!("no device answers at 0x55, and one at 0x0b: {}", which(device));
             let remedy = format!(
                 "If it is a gauge: switch its power off and on; if that does not help: gaugefs rescue FILE.bq.fs \
-                 --bus {bus} --chip CHIP, which is {}; no other part can be brought back",
+                 --bus {bus} --chip CHIP, which is {}; other parts take TI's tools",
                 rom::supported()
             );
             problem(what, says, remedy)

@@ -11,7 +11,7 @@ use super::gauging::{CHG, CHG_INH, DSG, FC, Map, OCVTAKEN, OTC, OTD, SOC1, SOCF,
 use super::model::Host;
 use super::part::Action::*;
 use super::part::{Action, BlockPart, Detection, Gate, Own, Part, Scheme, Status};
-use super::seal::Level::{self, Sealed as Anyone, Unsealed};
+use super::seal::Level::{self, FullAccess, Sealed as Anyone, Unsealed};
 use super::timing::Timing;
 
 pub(super) static PART: Part = part("bq27500", IMAGE, &const { scheme(settings, SUBCOMMANDS) });
@@ -72,9 +72,10 @@ type Subcommands = &'static [(u16, Level, Action)];
 const SUBCOMMANDS: Subcommands = &subcommands(0x0120);
 const SUBCOMMANDS_V130: Subcommands = &subcommands(0x0130);
 
-/// SLUS914A, Table 4-2, without those of the BAT_LOW pin and CAL_MODE.
+/// SLUS914A, Table 4-2, without those of the BAT_LOW pin and CAL_MODE. The last one is in no table:
+/// github.com/buglabs/bq27500-update finds the gauge at 0x0B then.
 #[rustfmt::skip]
-const fn subcommands(firmware: u16) -> [(u16, Level, Action); 14] {
+const fn subcommands(firmware: u16) -> [(u16, Level, Action); 15] {
     [
         (0x0000, Anyone, ControlStatus),
         (0x0001, Anyone, Answer(0x0500)),
@@ -90,6 +91,7 @@ const fn subcommands(firmware: u16) -> [(u16, Level, Action); 14] {
         (0x0020, Unsealed, Seal),
         (0x0021, Unsealed, ItEnable),
         (0x0041, Unsealed, Reset),
+        (0x0F00, FullAccess, Rom),
     ]
 }
 

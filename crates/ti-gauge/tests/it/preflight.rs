@@ -178,14 +178,20 @@ fn a_mode_left_by_our_own_failed_write_is_cleared() {
 
 #[test]
 fn a_gauge_in_rom_mode_is_reported() {
-    let mut rig = Rig::new("bq34z100-g1");
+    for (chip, remedy) in [("bq34z100-g1", "`gaugefs rescue` brings it back"), ("bq27500", "TI's tools do")] {
+        assert_rom_mode_is_reported(chip, remedy);
+    }
+}
+
+fn assert_rom_mode_is_reported(chip: &str, remedy: &str) {
+    let mut rig = Rig::new(chip);
     rig.dataflash.go_to(&mut rig.gauge, Seal::FullAccess, Duration::ZERO).expect("the default keys");
     rig.gauge.command(0x0F00).expect("it is sent");
     assert_eq!(rig.sim.get("mode").as_deref(), Some("rom"));
     let flash = rig.sim.flash();
     let error = write(&mut rig).expect_err("nobody answers");
     assert_eq!(cause(&error), "no-answer", "{error}");
-    assert!(error.to_string().contains("0x0b"), "{error}");
+    assert!(error.to_string().contains("0x0b") && error.to_string().contains(remedy), "{error}");
     assert!(rig.sim.flash() == flash);
 }
 

@@ -317,6 +317,27 @@ fn nothing_is_written_to_what_may_be_a_smart_battery() {
     }
 }
 
+/// Whether `gaugefs rescue` takes the part or not, what it has become is told, and what brings it back.
+#[test]
+fn every_part_that_is_left_in_rom_mode_is_recognised() {
+    let mut left = Vec::new();
+    for chip in CHIPS {
+        let clock = Arc::new(SimClock::new());
+        let sim = Sim::new(chip.name, &Options::default(), clock.clone()).expect("a simulated gauge");
+        clock.sleep(Duration::from_secs(1));
+        if !sim.leave_in_rom() {
+            continue;
+        }
+        left.push(chip.name);
+        assert_eq!(sim.bus().transfer(&[], &mut [0]), Err(BusError::NoAck), "{}", chip.name);
+        let found = rom::find(&mut sim.bus_at(ROM_ADDRESS), &*clock);
+        // What the boot loader of the newer parts reads like is not known.
+        let newer = chip.access.scheme.is_flat() && found == Ok(Some(Device::Unclear));
+        assert!(newer || found == Ok(Some(Device::BootLoader)), "{}: {found:?}", chip.name);
+    }
+    assert!(["bq27500", "bq27500-v130", "bq34z100-g1"].iter().all(|name| left.contains(name)), "{left:?}");
+}
+
 #[test]
 fn a_boot_loader_is_told_from_a_smart_battery_whatever_its_buffer_holds() {
     let chip = CHIPS[0];
@@ -368,8 +389,14 @@ fn the_file_of_another_part_is_refused() {
     let head = "W: AA 00 01 00\nC: AA 00 20 05\n";
     assert!(refused(&(head.to_string() + &file(chip, Style::Row)), chip).contains("0x0520"));
     // Parts of which no whole file is known.
-    let none = CHIPS.iter().find(|chip| chip.firmware_file.is_none()).expect("most");
-    assert!(refused(&file(chip, Style::Row), none).contains("not known"));
+    for none in CHIPS.iter().filter(|chip| chip.firmware_file.is_none()) {
+        let why = refused(&file(chip, Style::Row), none);
+        assert!(
+            why.starts_with(&format!("{}: in ROM mode gaugefs does not bring it back", none.model)),
+            "{why}"
+        );
+        assert!(why.contains("TI's tools do, with the .bq.fs"), "{why}");
+    }
 }
 
 #[test]

@@ -482,13 +482,10 @@ fn in_rom(chip: &Chip, error: Error) -> Error {
     if !has_rom || error.cause() != Cause::Bus(gauge_bus::BusError::NoAck) {
         return error;
     }
-    let remedy = match chip.firmware_file {
-        Some(_) => "`gaugefs rescue` brings it back",
-        None => "only TI's tools bring it back",
-    };
     let why = format!(
         "not acknowledged; is the gauge powered and connected? One that a flash programmer left in ROM mode answers at \
-         0x0b only: {remedy}"
+         0x0b only: {}",
+        chip.way_out_of_rom()
     );
     Error::new(chip.model, Cause::NoAnswer, why).at(Step::Identify)
 }
