@@ -173,10 +173,10 @@ mod tests {
             text,
             &[
                 "line 2: Firmware Version: not two or three numbers",
-                "line 4: Cell Terminate Voltage: the value is not a whole number",
+                "line 4, column D: Cell Terminate Voltage: the value is not a whole number",
                 "line 5: 6 fields, but the header names 4",
                 "line 6: no field `subclass-name`",
-                "line 8: Device Name: 19 characters",
+                "line 8, column D: Device Name: 19 characters",
             ],
         );
         let image = Image::examine_text(text, Chip::by_name("bq34z100-g1")).image.expect("the other lines");

@@ -153,12 +153,7 @@ impl Header {
             self.device_type = word(code.trim());
             need(self.device_type.is_some(), "Device Number: not a hexadecimal word");
         } else if let Some(version) = head.strip_prefix("Firmware Version") {
-            let parts: Option<Vec<u8>> =
-                version.trim().split('.').map(|part| u8::from_str_radix(part, 16).ok()).collect();
-            let word = match parts.as_deref() {
-                Some([high, low] | [high, low, _]) => Some(u16::from_be_bytes([*high, *low])),
-                _ => None,
-            };
+            let word = self::version(version);
             need(word.is_some(), "Firmware Version: not two or three numbers");
             self.firmware = word.or(self.firmware);
         } else if let Some(first) = head.strip_prefix(ORDER_LINE) {
@@ -175,6 +170,16 @@ impl Header {
             self.order = Some(names);
         }
         Ok(())
+    }
+}
+
+/// A firmware's version: two numbers, and perhaps that of a build.
+fn version(text: &str) -> Option<u16> {
+    let parts: Option<Vec<u8>> =
+        text.trim().split('.').map(|part| u8::from_str_radix(part, 16).ok()).collect();
+    match parts.as_deref() {
+        Some([high, low] | [high, low, _]) => Some(u16::from_be_bytes([*high, *low])),
+        _ => None,
     }
 }
 
@@ -230,6 +235,30 @@ pub(super) fn read(text: &str, told: Option<&'static Chip>, faults: &mut Faults)
     Some(image)
 }
 
+/// A row, with the columns of the file.
+struct Row<'a> {
+    number: usize,
+    order: &'a [String],
+    fields: &'a [String],
+}
+
+impl<'a> Row<'a> {
+    fn field(&self, name: &str) -> Option<&'a str> {
+        let at = self.order.iter().position(|column| column == name)?;
+        self.fields.get(at).map(String::as_str)
+    }
+
+    /// Where a field is, as a spreadsheet names its columns.
+    fn place(&self, name: &str) -> String {
+        let line = format!("line {}", self.number);
+        let at = self.order.iter().position(|column| column == name);
+        match at.and_then(|at| ('A'..='Z').nth(at)) {
+            Some(letter) => format!("{line}, column {letter}"),
+            None => line,
+        }
+    }
+}
+
 fn add_rows(image: &mut Image, order: &[String], rows: Vec<(usize, Vec<String>)>, faults: &mut Faults) {
     let mut unknown = Vec::new();
     for (number, fields) in rows {
@@ -238,17 +267,18 @@ fn add_rows(image: &mut Image, order: &[String], rows: Vec<(usize, Vec<String>)>
             faults.at(number, why);
             continue;
         }
-        let field = |name: &str| {
-            let at = order.iter().position(|column| column == name)?;
-            fields.get(at).map(String::as_str)
-        };
-        match add_row(image, number, &field) {
+        match add_row(image, &Row { number, order, fields: &fields }) {
             Ok(None) => {}
             Ok(Some(name)) if unknown.len() < NAMED => unknown.push((image.left_out.len() - 1, name)),
             Ok(Some(_)) => {}
             Err(error) => faults.add(number, error),
         }
     }
+    add_hints(image, unknown);
+}
+
+/// Names what those rows may mean that the table does not have, each by its place in what is left out.
+fn add_hints(image: &mut Image, unknown: Vec<(usize, String)>) {
     // A parameter with its own row is not meant by another one.
     let meant = |(at, name): (usize, String)| {
         let (subclass, parameter) = image.chip.nearest(&name)?;
@@ -261,43 +291,58 @@ fn add_rows(image: &mut Image, order: &[String], rows: Vec<(usize, Vec<String>)>
     }
 }
 
-/// Adds a row's parameter. Returns class and name if there is no such parameter.
-fn add_row<'a>(
-    image: &mut Image,
-    number: usize,
-    field: &dyn Fn(&str) -> Option<&'a str>,
-) -> Result<Option<String>> {
-    let need = |name: &str| field(name).ok_or_else(|| at_line(number, format!("no field `{name}`")));
-    let (class, name, parameter) = (need("class-name")?, need("subclass-name")?, need("parameter-name")?);
-    let shown = need("parameter-value")?;
+/// The row of the table that has these names, in whatever manner they are written.
+fn named(chip: &'static Chip, [class, subclass, parameter]: [&str; 3]) -> Option<crate::chip::Row> {
     let alike = |one: &str, other: &str| kebab_case(one) == kebab_case(other);
-    let of_name = |subclass: &&Subclass| alike(subclass.name, name) && alike(subclass.class, class);
-    let row = image.chip.subclasses.iter().filter(of_name).find_map(|subclass| {
+    let of_name = |row: &&Subclass| alike(row.name, subclass) && alike(row.class, class);
+    chip.subclasses.iter().filter(of_name).find_map(|subclass| {
         let parameter = subclass.parameters.iter().find(|row| alike(row.name, parameter))?;
         Some((subclass, parameter))
-    });
-    let Some((subclass, parameter)) = row else {
+    })
+}
+
+/// The parameter of a row. An unknown one and a key are left out; returns class and name of an unknown one.
+fn wanted(
+    image: &mut Image,
+    number: usize,
+    [class, name, parameter]: [&str; 3],
+) -> std::result::Result<crate::chip::Row, Option<String>> {
+    let Some((subclass, parameter)) = named(image.chip, [class, name, parameter]) else {
         image.leave_out(number, format_args!("{class}/{name}/{parameter}: not in the table; left out"), None);
-        return Ok(Some(format!("{name}/{parameter}")));
+        return Err(Some(format!("{name}/{parameter}")));
     };
     if subclass.kind == Kind::Security {
         image.leave_out(number, format_args!("{}: a key; left out", parameter.name), Some(Group::Keys));
-        return Ok(None);
+        return Err(None);
     }
+    Ok((subclass, parameter))
+}
+
+/// Adds a row's parameter. Returns class and name if there is no such parameter.
+fn add_row(image: &mut Image, row: &Row<'_>) -> Result<Option<String>> {
+    let number = row.number;
+    let need = |name: &str| row.field(name).ok_or_else(|| at_line(number, format!("no field `{name}`")));
+    let names = [need("class-name")?, need("subclass-name")?, need("parameter-name")?];
+    let shown = need("parameter-value")?;
+    let (subclass, parameter) = match wanted(image, number, names) {
+        Ok(found) => found,
+        Err(unknown) => return Ok(unknown),
+    };
     let is_string = matches!(parameter.kind, Type::S(_));
     if shown.trim().is_empty() && !is_string {
         return Ok(None);
     }
-    let bad = |why: String| at_line(number, format!("{}: {why}", parameter.name));
-    let formula = field("write-formula").map(str::trim);
+    let bad = |column: &str, why: String| {
+        Err(Error::new(parameter.name, Cause::Invalid, why).within(&row.place(column)))
+    };
+    let formula = row.field("write-formula").map(str::trim);
     if let Some(formula) = formula.filter(|formula| !matches!(*formula, "" | "x" | "X")) {
-        return Err(bad(format!(
-            "its value is converted by the formula {formula}, which gaugefs does not support"
-        )));
+        let why = format!("its value is converted by the formula {formula}, which gaugefs does not support");
+        return bad("write-formula", why);
     }
-    let format = field("display-format").unwrap_or_default().trim();
-    let unit = field("display-units").or(field("units")).map(str::trim);
-    let unit = unit.filter(|_| field("display-format").is_none());
+    let format = row.field("display-format").unwrap_or_default().trim();
+    let unit = row.field("display-units").or(row.field("units")).map(str::trim);
+    let unit = unit.filter(|_| row.field("display-format").is_none());
     let Some(decimals) = unit.map_or_else(|| Some(decimals(format)), |unit| short_form(parameter, unit))
     else {
         let (name, unit, stored) = (parameter.name, unit.unwrap_or_default(), parameter.unit);
@@ -307,83 +352,131 @@ fn add_row<'a>(
         image.leave_out(number, format_args!("{name}: {why}"), None);
         return Ok(None);
     };
-    let bytes = field("data-flash-raw-value").unwrap_or_default().trim();
-    let raw = text::unhex(bytes.as_bytes()).filter(|raw| raw.len() == parameter.kind.size());
+    let bytes = row.field("data-flash-raw-value").unwrap_or_default().trim();
+    let raw = spreadsheet::bytes(bytes, parameter.kind.size());
     let raw = raw.map(|raw| image.chip.layout.decode(parameter.kind, &raw));
-    if is_string {
-        if shown.contains('_') && raw.is_none() && !bytes.is_empty() {
-            let why = "its bytes in Data Flash Raw Value are damaged, and _ may stand for any of them";
-            return Err(bad(why.into()));
-        }
-        let value = string(parameter, shown, raw);
-        let value = value.map_err(|error| error.within(&format!("line {number}")))?;
-        image.add(subclass, parameter, value, number);
-        return Ok(None);
+    if is_string && shown.contains('_') && raw.is_none() && !bytes.is_empty() {
+        let why = "its bytes in Data Flash Raw Value are damaged, and _ may stand for any of them";
+        return bad("data-flash-raw-value", why.into());
     }
-    let value = numeric(parameter, shown.trim(), raw, (format, decimals, unit), number)?;
+    let read = match is_string {
+        true => string(parameter, shown, raw),
+        false => numeric(parameter, shown.trim(), raw, &Shown { format, decimals, unit }),
+    };
+    let (value, note) = read.map_err(|error| error.within(&row.place("parameter-value")))?;
+    image.notes.extend(note.map(|note| format!("{}: {note}", row.place("parameter-value"))));
     image.add(subclass, parameter, value, number);
     Ok(None)
 }
 
+/// How a row shows its number.
+struct Shown<'a> {
+    format: &'a str,
+    decimals: usize,
+    unit: Option<&'a str>,
+}
+
+impl Shown<'_> {
+    fn is_hexadecimal(&self, kind: Type) -> bool {
+        match kind {
+            Type::H(_) => !self.format.starts_with(['d', 'D']),
+            _ => self.format.starts_with(['h', 'H']),
+        }
+    }
+
+    /// A stored number as the file has it.
+    fn text(&self, kind: Type, stored: &Value) -> String {
+        match stored {
+            Value::Float(number) => format!("{number:.*}", self.decimals),
+            Value::Int(number) if self.is_hexadecimal(kind) => format!("{number:x}"),
+            Value::Int(number) => {
+                format!("{:.*}", self.decimals, *number as f64 / 10_f64.powi(self.decimals as i32))
+            }
+            Value::Text(_) => String::new(),
+        }
+    }
+
+    /// The text as a number of the table, or why it cannot be; `None` if it does not match the format.
+    fn plain(&self, kind: Type, shown: &str) -> Result<String, Option<&'static str>> {
+        if let Some(why) = spreadsheet::trace(shown) {
+            return Err(Some(why));
+        }
+        if shown.contains(',') {
+            return Err(Some("a comma in a number; write a decimal point, and nothing between thousands"));
+        }
+        match kind {
+            Type::F4 => Ok(shown.to_string()),
+            _ if self.is_hexadecimal(kind) => Ok(format!("0x{}", shown.strip_prefix("0x").unwrap_or(shown))),
+            _ => unscaled(shown, self.decimals).ok_or(None),
+        }
+    }
+}
+
+/// A row's number, and a note if its bytes say what stood there before a spreadsheet.
 fn numeric(
     parameter: &Parameter,
     shown: &str,
     raw: Option<Value>,
-    (format, decimals, unit): (&str, usize, Option<&str>),
-    number: usize,
-) -> Result<Value> {
-    let bad = |why: String| at_line(number, format!("{}: {why}", parameter.name));
-    let is_raw = |value: &Value| raw.as_ref() == Some(value);
-    let value = match raw {
+    how: &Shown<'_>,
+) -> Result<(Value, Option<String>)> {
+    let kind = parameter.kind;
+    let bad = |why: String| Error::new(parameter.name, Cause::Invalid, why);
+    let read = |shown: &str| {
+        let text = how.plain(kind, shown).map_err(|why| match why {
+            Some(why) => bad(why.into()),
+            None => {
+                let format = if how.format.is_empty() { how.unit.unwrap_or_default() } else { how.format };
+                bad(format!("`{shown}` does not match the format {format}"))
+            }
+        })?;
+        notation::parse_stored(parameter, text.as_bytes())
+    };
+    let stood = raw.as_ref().map(|stored| how.text(kind, stored));
+    let value = match (raw.clone(), read(shown)) {
         // The format shows fewer digits than are stored.
-        Some(Value::Float(stored)) if format!("{stored:.decimals$}") == shown => Value::Float(stored),
-        _ => {
-            let text = plain_number(parameter.kind, shown, format, decimals).map_err(|why| {
-                bad(why.unwrap_or_else(|| {
-                    let format = if format.is_empty() { unit.unwrap_or_default() } else { format };
-                    format!("`{shown}` does not match the format {format}")
-                }))
-            })?;
-            let value = notation::parse_stored(parameter, text.as_bytes());
-            value.map_err(|error| error.within(&format!("line {number}")))?
+        (Some(stored @ Value::Float(_)), _) if stood.as_deref() == Some(shown) => stored,
+        (_, Ok(value)) => value,
+        (Some(stored), Err(_)) if stood.as_ref().is_some_and(|text| spreadsheet::shows(shown, text)) => {
+            return Ok((stored, stood.map(|text| from_bytes(parameter, shown, &text))));
+        }
+        (_, Err(error)) => {
+            let may_be_read = !how.is_hexadecimal(kind)
+                && spreadsheet::trace(shown).is_none()
+                && shown.contains(|letter: char| !letter.is_ascii_digit() && !matches!(letter, '.' | '-'));
+            let readings = if may_be_read { spreadsheet::readings(shown) } else { Vec::new() };
+            match &readings.iter().filter_map(|reading| read(reading).ok()).collect::<Vec<_>>()[..] {
+                [one] => one.clone(),
+                _ => return Err(error),
+            }
         }
     };
-    let has_point = decimals > 0 || parameter.kind == Type::F4;
-    if let Some(stored) = raw.as_ref().filter(|_| has_point && !is_raw(&value))
-        && spreadsheet::has_lost_its_point(shown, &notation::render(parameter.kind, stored))
+    let has_point = how.decimals > 0 || kind == Type::F4;
+    if let Some(stored) = raw.filter(|stored| has_point && *stored != value)
+        && spreadsheet::has_lost_its_point(shown, &notation::render(kind, &stored))
     {
         let why =
             "a spreadsheet has removed the point from it; empty its Data Flash Raw Value if it is right";
         return Err(bad(why.into()));
     }
-    Ok(value)
+    Ok((value, None))
 }
 
-fn plain_number(kind: Type, shown: &str, format: &str, decimals: usize) -> Result<String, Option<String>> {
-    if let Some(why) = spreadsheet::trace(shown) {
-        return Err(Some(why.into()));
-    }
-    if shown.contains(',') {
-        return Err(Some("a comma in a number; write a decimal point, and nothing between thousands".into()));
-    }
-    let hexadecimal = match kind {
-        Type::H(_) => !format.starts_with(['d', 'D']),
-        _ => format.starts_with(['h', 'H']),
-    };
-    match kind {
-        Type::F4 => Ok(shown.to_string()),
-        _ if hexadecimal => Ok(format!("0x{}", shown.strip_prefix("0x").unwrap_or(shown))),
-        _ => unscaled(shown, decimals).ok_or(None),
-    }
+fn from_bytes(parameter: &Parameter, shown: &str, stood: &str) -> String {
+    format!("{}: its bytes are those of {stood}, which a spreadsheet shows as {shown}", parameter.name)
 }
 
 /// A string from the row's bytes if they match the shown text, else the text, edited by somebody but a spreadsheet.
-fn string(parameter: &Parameter, shown: &str, raw: Option<Value>) -> Result<Value> {
+fn string(parameter: &Parameter, shown: &str, raw: Option<Value>) -> Result<(Value, Option<String>)> {
     let bad = |why: &'static str| Err(Error::new(parameter.name, Cause::Invalid, why));
+    let trace = spreadsheet::trace(shown);
     if let Some(Value::Text(stored)) = raw {
         let text = notation::shown(&stored);
         if text.trim() == shown.trim() {
-            return Ok(Value::Text(stored));
+            return Ok((Value::Text(stored), None));
+        }
+        if trace.is_some() && spreadsheet::shows(shown, text.trim()) {
+            let note = from_bytes(parameter, shown, &text);
+            return Ok((Value::Text(stored), Some(note)));
         }
         if spreadsheet::is_number_of(shown, &text) {
             return bad(
@@ -391,14 +484,14 @@ fn string(parameter: &Parameter, shown: &str, raw: Option<Value>) -> Result<Valu
             );
         }
     }
-    if let Some(why) = spreadsheet::trace(shown) {
+    if let Some(why) = trace {
         return bad(why);
     }
     if !shown.bytes().all(|byte| (b' '..=b'~').contains(&byte)) {
         let why = "only printable ASCII is accepted here; other bytes are in the column Data Flash Raw Value";
         return bad(why);
     }
-    notation::string(parameter, shown.into())
+    Ok((notation::string(parameter, shown.into())?, None))
 }
 
 fn decimals(format: &str) -> usize {
@@ -474,11 +567,14 @@ mod tests {
                     Gas Gauging\tIT Cfg\tCell Terminate Voltage\t31.1\tdd.dd\tx\n";
         assert_eq!(entries(text).expect("an image").0[0].1, "3110");
         let error = entries(&text.replace("31.1", "31.111")).expect_err("too many decimals").to_string();
-        assert_eq!(error, "line 2: Cell Terminate Voltage: `31.111` does not match the format dd.dd");
-        let error = entries(&text.replace("\tx\n", "\tx/10\n")).expect_err("a formula").to_string();
-        assert!(
-            error.starts_with("line 2: Cell Terminate Voltage: its value is converted by the formula x/10")
+        assert_eq!(
+            error,
+            "line 2, column D: Cell Terminate Voltage: `31.111` does not match the format dd.dd"
         );
+        let error = entries(&text.replace("\tx\n", "\tx/10\n")).expect_err("a formula").to_string();
+        assert!(error.starts_with(
+            "line 2, column F: Cell Terminate Voltage: its value is converted by the formula x/10"
+        ));
     }
 
     /// bqStudio shows temperatures in degrees where tenths are stored, and a resistance where a gain is stored;
@@ -511,9 +607,6 @@ mod tests {
             let why = "shown in mOhm, stored in Num, and the file does not give the conversion; left out";
             assert_eq!(notes, [format!("line 5: CC Gain: {why}")]);
         }
-        let text = "* Device Number 100\n* Firmware Version 0.16\n*\n[Voltage(Calibration)]\nCell Gain = 0\n";
-        let error = entries(text).expect_err("sections").to_string();
-        assert!(error.starts_with("line 4: a .gg file in sections"), "{error}");
     }
 
     /// Whether a file says that a voltage is a cell's or not, the number is the same.
@@ -620,15 +713,21 @@ mod tests {
             ("Configuration,Data,Device Name,1.00E+10,S,s,x,", "rounded it"),
             ("Configuration,Data,Device Name,7,S,s,x,033030370000000000000000", "made a number of it"),
             ("Configuration,Data,Device Name,_CME,S,s,x,4.41E+10", "_ may stand for any of them"),
-            ("Configuration,Registers,Pack Configuration,1.20E+04,H,hhhh,x,12e3", "rounded it"),
+            ("Configuration,Registers,Pack Configuration,1.20E+04,H,hhhh,x,12f3", "rounded it"),
+            ("Configuration,Registers,Pack Configuration,1.20E+04,H,hhhh,x,", "rounded it"),
             ("Configuration,Registers,Pack Configuration,####,H,hhhh,x,12e3", "column is too narrow"),
-            ("Gas Gauging,IT Cfg,Cell Terminate Voltage,\"3,100\",I,dddd,x,", "a comma in a number"),
+            ("Gas Gauging,IT Cfg,Cell Terminate Voltage,\"3,10\",I,dddd,x,", "a comma in a number"),
+            ("Gas Gauging,IT Cfg,Cell Terminate Voltage,3.100,I,dddd,x,", "not a whole number"),
+            ("Gas Gauging,IT Cfg,Cell Terminate Voltage,3.Nov,I,d.dd,x,", "made a date of it"),
+            ("Calibration,Data,CC Gain,\"5,006\",F,f.fff,x,", "a comma in a number"),
             ("Gas Gauging,IT Cfg,Cell Terminate Voltage,311,I,dd.d,x,0137", "removed the point"),
             (&gain, "removed the point"),
             ("Calibration,Data,CC Delta,5.60E+05,F,f.fff,x,", "rounded it"),
         ] {
             let told = value_of(row);
-            assert!(told.contains(says) && told.starts_with("line 2: "), "{row}: {told}");
+            // The cell, except in a row that has none.
+            let at = if says.starts_with("line 2") { says } else { "line 2, column " };
+            assert!(told.contains(says) && told.starts_with(at), "{row}: {told}");
         }
         // A person has edited these.
         for (row, value) in [
@@ -642,6 +741,54 @@ mod tests {
         let whole = format!("\"{ORDER}\"\n\"Gas Gauging,IT Cfg,Cell Terminate Voltage,3100\"\n");
         let error = entries(&whole).expect_err("a line in one field").to_string();
         assert!(error.starts_with("line 1: no column `class-name`; `* Field Order:` names"), "{error}");
+    }
+
+    /// The bytes beside a value tell what stood there, or no other number can be meant.
+    #[test]
+    fn what_a_spreadsheet_has_changed_is_read_where_it_is_certain() {
+        let gain = |shown: &str| {
+            let bytes = Layout::TI.encode(Type::F4, &Value::Float(5.006)).expect("it fits");
+            value_of(&format!("Calibration,Data,CC Gain,{shown},F,f.fff,x,{}", text::hex(&bytes)))
+        };
+        let exact = gain("5.006");
+        for shown in ["\"5,006\"", "5.006"] {
+            assert_eq!(gain(shown), exact, "{shown}");
+        }
+        for (row, value) in [
+            ("Configuration,Registers,Pack Configuration,1.20E+04,H,hhhh,x,12e3", "0x12e3"),
+            ("Configuration,Registers,Pack Configuration,161,H,hhhh,x,161", "0x0161"),
+            ("Gas Gauging,IT Cfg,Cell Terminate Voltage,\"3,100\",I,dddd,x,", "3100"),
+            ("Gas Gauging,IT Cfg,Cell Terminate Voltage,3.100,I,dddd,x,0c1c", "3100"),
+            // Three thousand volts do not fit.
+            ("Gas Gauging,IT Cfg,Cell Terminate Voltage,\"3,100\",I,d.ddd,x,", "3100"),
+            ("Gas Gauging,IT Cfg,Cell Terminate Voltage,\"31,1\",I,dd.dd,x,", "3110"),
+            ("Gas Gauging,IT Cfg,Cell Terminate Voltage,\"1 234,5\",I,d.d,x,", "12345"),
+            ("Gas Gauging,IT Cfg,Cell Terminate Voltage,03.11.2026,I,d.dd,x,137", "311"),
+            ("Gas Gauging,IT Cfg,Ra Filter,\"0,5\",I,d.ddd,x,", "500"),
+            ("Configuration,Data,Device Name,3-Jan,S,s,x,03312d330000000000000000", "1-3"),
+            ("Calibration,Data,CC Delta,\"559,5\",F,f.fff,x,", "559.5"),
+        ] {
+            assert_eq!(value_of(row), value, "{row}");
+        }
+        let row = "Configuration,Registers,Pack Configuration,1.20E+04,H,hhhh,x,12e3";
+        let image = parse(&format!("{ORDER}\n{row}\n"), Chip::by_name("bq34z100-g1")).expect("an image");
+        let note = "line 2, column D: Pack Configuration: its bytes are those of 12e3, which a spreadsheet shows as 1.20E+04";
+        assert_eq!(image.notes, [note]);
+    }
+
+    /// What a country writes for a point, with its separator of columns.
+    #[test]
+    fn a_file_with_decimal_commas_is_read() {
+        let order = ORDER.replace(", ", ";");
+        let rows = [
+            "Gas Gauging;IT Cfg;Cell Terminate Voltage;31,1;I;dd.dd;x;0C26;;;",
+            "Configuration;Safety;OT Chg;55,5;I;dd.d;x;;;;",
+            "Configuration;Data;Device Name;Pack, 7;S;s;x;;;;",
+        ];
+        let text = format!("\u{feff}{order};;;\r\n{}\r\n", rows.join("\r\n"));
+        let image = Image::parse(&text, Chip::by_name("bq34z100-g1")).expect("an image");
+        let values: Vec<_> = image.entries.iter().map(Entry::text).collect();
+        assert_eq!(values, ["555", "Pack, 7", "3110"]);
     }
 
     /// A format shows three decimals, and the gauge stores more.
@@ -668,7 +815,7 @@ mod tests {
             (&format!("{order}a,b,c,d,e\n"), "line 2: 5 fields, but the header names 4"),
             (
                 &format!("{order}Gas Gauging,IT Cfg,Cell Terminate Voltage,low\n"),
-                "line 2: Cell Terminate Voltage: the value is not a whole number",
+                "line 2, column D: Cell Terminate Voltage: the value is not a whole number",
             ),
         ] {
             let error = entries(text).expect_err(text).to_string();
