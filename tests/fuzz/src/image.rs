@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 
-//! Images in three formats: `ti_gauge::image`.
+//! Images in their formats: `ti_gauge::image`.
 
 use std::collections::BTreeMap;
 
@@ -24,6 +24,11 @@ pub(crate) fn ggcsv(input: &[u8]) {
             "quotes are in an image"
         );
     }
+}
+
+/// The older form, in sections.
+pub(crate) fn gg(input: &[u8]) {
+    check(input, Format::GgCsv);
 }
 
 pub(crate) fn flashstream(input: &[u8]) {

@@ -39,6 +39,7 @@ pub struct Target {
 pub const TARGETS: &[Target] = &[
     Target { name: "image-toml", run: image::toml, slice: 2000 },
     Target { name: "image-ggcsv", run: image::ggcsv, slice: 2000 },
+    Target { name: "image-gg", run: image::gg, slice: 2000 },
     Target { name: "image-flashstream", run: image::flashstream, slice: 2000 },
     Target { name: "value", run: value::run, slice: 2000 },
     Target { name: "name", run: name::run, slice: 1000 },

@@ -232,6 +232,7 @@ macro_rules! targets {
 targets! {
     image_toml "image-toml"
     image_ggcsv "image-ggcsv"
+    image_gg "image-gg"
     image_flashstream "image-flashstream"
     value "value"
     name "name"

@@ -41,6 +41,14 @@ fn inputs(target: &Target) -> Vec<Vec<u8>> {
                 lines("* gaugefs chip bq27441-g1\n* Field Order: ", |number| format!("C{number},")),
             ]
         }
+        "image-gg" => {
+            let head = "[Header]\nDeviceName = bq27500 v1.20\n[Safety(Configuration)]\n";
+            vec![
+                lines(head, |number| format!("OT Chg{number} = 1\n")),
+                lines(head, |number| format!("[S{number}(Configuration)]\n")),
+                lines("[Header]\nDeviceName = ", |_| "bq".into()),
+            ]
+        }
         "image-flashstream" => vec![
             lines("; gaugefs chip bq34z100-g1\n", |number| {
                 format!(

@@ -1,8 +1,10 @@
 // SPDX-License-Identifier: MIT
 
-//! An image as bqStudio's gg.csv: header lines with `*`, the last one with columns, then a line per parameter.
+//! An image as bqStudio's gg.csv: header lines with `*`, the last one with columns, then a line per parameter. The older
+//! `.gg` has sections instead of columns.
 
 mod rows;
+pub(super) mod sections;
 mod spreadsheet;
 
 use super::{Entry, Faults, Group, Image, NAMED, Reading, at_line, check_count, chip_of, cut_short, word};
@@ -184,6 +186,9 @@ fn version(text: &str) -> Option<u16> {
 }
 
 pub(super) fn read(text: &str, told: Option<&'static Chip>, faults: &mut Faults) -> Option<Image> {
+    if sections::is_one(text) {
+        return sections::read(text, told, faults);
+    }
     let mut header = Header::default();
     let mut rows = Vec::new();
     let comma = rows::separator(text.split_once(ORDER_LINE).map_or("", |(_, names)| names));
@@ -200,9 +205,6 @@ pub(super) fn read(text: &str, told: Option<&'static Chip>, faults: &mut Faults)
             if let Err(why) = header.take(head, &fields, number, faults) {
                 return faults.stop(number, at_line(number, why));
             }
-        } else if header.order.is_none() && fields[0].starts_with('[') {
-            let why = "a .gg file in sections has neither units nor formats; export it as .gg.csv";
-            return faults.stop(number, at_line(number, why));
         } else {
             rows.push((number, fields));
         }

@@ -114,6 +114,7 @@ fn format_of(text: &str) -> Format {
     let mut letters = first.chars();
     match (letters.next(), letters.next()) {
         _ if flashstream::is_meant(first) => Format::FlashStream,
+        _ if ggcsv::sections::is_one(text) => Format::GgCsv,
         (Some('*'), _) | (Some('"'), Some('*')) => Format::GgCsv,
         (Some(';' | ':'), _) | (Some('A'..='Z' | 'a'..='z'), Some(':')) => Format::FlashStream,
         _ => Format::Toml,
