@@ -383,6 +383,11 @@ impl Cycle {
         self.limits = limits;
     }
 
+    /// What has been learned by the last reading.
+    pub fn learned(&self) -> Learned {
+        self.learned
+    }
+
     /// Takes a reading. Readings come in order of time.
     pub fn update(&mut self, reading: &Reading) -> State {
         let before = self.before.replace(*reading);

@@ -14,10 +14,16 @@ pub(super) const FOR_GOOD: u32 = 5;
 /// A resistance shows in a step of the current of a tenth of the design capacity per hour and of so many mV.
 const STEP: f64 = 0.1;
 const STEP_MV: f64 = 10.0;
+/// A step says nothing where the voltage does not move by so many times what it moves without one, on the average of so many
+/// polls. Only so many of the last steps are kept.
+const LOUDER: f64 = 3.0;
+const QUIET: u32 = 5;
+const KEPT_STEPS: usize = 64;
 /// A jump of the state of charge in percent between two polls that are at most so many seconds apart.
 const JUMP: f64 = 20.0;
 const JUMP_S: f64 = 300.0;
-/// Between two polls that measure a resistance: so many seconds at most, that warm, and so full, in 0.1 K and percent.
+/// Between two polls that measure a resistance, or how the voltage moves by itself: so many seconds at most, that warm, and so
+/// full, in 0.1 K and percent.
 const LOSS_S: f64 = 60.0;
 const WARM: f64 = 2831.0;
 const HALF_FULL: std::ops::RangeInclusive<f64> = 20.0..=90.0;
@@ -58,6 +64,10 @@ pub struct History {
     /// Until when nothing of [`NEEDS`] was seen: its last time, or the first poll.
     met: Option<[f64; 4]>,
     losses: VecDeque<f64>,
+    /// By how many mV the voltage went with the last steps of the current; negative against them.
+    steps: VecDeque<f64>,
+    /// By how many mV it went without one, in all, and between how many polls.
+    quiet: (f64, u32),
     resets: Vec<f64>,
     summary: Summary,
 }
@@ -103,6 +113,8 @@ pub struct Summary {
     /// Steps of the current with which the voltage has gone, and against which.
     pub(super) agreeing: u32,
     pub(super) opposed: u32,
+    /// Whether it is known how the voltage moves without a step.
+    pub(super) knows_quiet: bool,
     /// Since when the current is 0, until when, and the least and greatest voltage in that time.
     pub(super) still: Option<(f64, f64, f64, f64)>,
     /// The last jump: from and to.
@@ -111,6 +123,8 @@ pub struct Summary {
     pub(super) redesigned: Option<(f64, f64)>,
     /// A change of the configuration within an hour, of this program or another one.
     pub(super) configured: Option<Configured>,
+    /// The last change of Design Capacity, as long as the gauge has learned nothing since.
+    pub(super) redesign: Option<Configured>,
     /// Whether the gauge was SEALED and was opened by somebody else.
     pub(super) opened: bool,
     /// What disturbs a learning cycle, and for how many seconds.
@@ -190,9 +204,13 @@ impl History {
                 now: last.remaining.or(configured.and_then(|before| before.now)),
             });
         }
-        *configured = configured
-            .map(|before| Configured { seconds: now.time - before.since, ..before })
-            .filter(|before| before.seconds < CONFIGURED_S);
+        if design.is_some() {
+            self.summary.redesign = *configured;
+        }
+        for before in [&mut self.summary.redesign, configured].into_iter().flatten() {
+            before.seconds = now.time - before.since;
+        }
+        *configured = configured.filter(|before| before.seconds < CONFIGURED_S);
         if is_changed {
             // They were measured with another design capacity, or another gain.
             self.losses.clear();
@@ -215,7 +233,9 @@ impl History {
             summary.redesigned = Some((before, after));
         }
         if last.own != now.own {
-            (summary.redesigned, summary.agreeing, summary.opposed) = (None, 0, 0);
+            summary.redesigned = None;
+            self.steps.clear();
+            self.quiet = (0.0, 0);
         }
         let volts = last.voltage.zip(now.voltage).map(|(before, after)| after - before);
         let steps = last.current.zip(now.current).map(|(before, after)| after - before);
@@ -223,16 +243,28 @@ impl History {
             * (now.time - last.time)
             / 3600.0;
         let Some(design) = now.size.or(last.size) else { return };
+        let is_short = now.time - last.time <= LOSS_S;
+        if let Some((volts, step)) = volts.zip(steps) {
+            if step.abs() >= STEP * design {
+                self.steps.push_back(volts * step.signum());
+                self.steps.drain(..self.steps.len().saturating_sub(KEPT_STEPS));
+            } else if is_short {
+                self.quiet = (self.quiet.0 + volts.abs(), self.quiet.1.saturating_add(1));
+            }
+        }
+        // A voltage that moves by itself, as of a large pack, goes against some steps by chance.
+        let (moved, polls) = self.quiet;
+        let least = STEP_MV.max(LOUDER * moved / f64::from(polls.max(1)));
+        let count = |sign: f64| self.steps.iter().filter(|volts| **volts * sign >= least).count() as u32;
+        (summary.agreeing, summary.opposed) = (count(1.0), count(-1.0));
+        summary.knows_quiet = polls >= QUIET;
         if let Some((volts, step)) = volts.zip(steps)
             && step.abs() >= STEP * design
             && volts.abs() >= STEP_MV
         {
-            let count =
-                if (volts > 0.0) == (step > 0.0) { &mut summary.agreeing } else { &mut summary.opposed };
-            *count = count.saturating_add(1);
             let is_usual = now.tenths.is_some_and(|tenths| tenths >= WARM)
                 && now.percent.is_some_and(|percent| HALF_FULL.contains(&percent));
-            if volts / step > 0.0 && is_usual && now.time - last.time <= LOSS_S {
+            if volts / step > 0.0 && is_usual && is_short {
                 self.losses.push_back(volts / step * design);
                 self.losses.drain(..self.losses.len().saturating_sub(LOSSES));
                 let least = self.losses.iter().copied().reduce(f64::min);
@@ -293,7 +325,11 @@ impl History {
             has_learned_status: learned_status(chip).is_some_and(|at| poll.registers.value(at).is_some()),
         };
         let cycle = self.cycle.get_or_insert_with(|| Cycle::new(learns, Limits::default()));
+        let had_learned = cycle.learned();
         let state = cycle.update(&reading);
+        if state.learned > had_learned {
+            self.summary.redesign = None;
+        }
         let spoiled = state.spoiled.filter(|_| state.learned != Learned::All);
         self.summary.spoiled = spoiled.map(|why| (why, state.time - state.since.time));
         if learns == Learns::ImpedanceTrack && reading.has_learned_status {

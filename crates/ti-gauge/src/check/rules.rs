@@ -40,8 +40,10 @@ const NOMINAL_V: (f64, f64) = (1.0, 4.6);
 /// of drivers and of new parts differ by 0.5 %.
 const GAIN_MOHM: f64 = 4.768;
 const SAME: f64 = 0.02;
-/// Steps of the current from which its sign is certain.
+/// Steps of the current from which its sign is certain: where it is known how the voltage moves without them, and where only
+/// their number tells them from chance.
 const STEPS: u32 = 5;
+const STEPS_ALONE: u32 = 20;
 /// A current of 0 for so long in seconds, while the voltage of a cell changes by so many mV.
 const STILL_S: f64 = 2.0 * 86_400.0;
 const STILL_MV: f64 = 150.0;
@@ -144,7 +146,7 @@ pub static RULES: &[Rule] = &[
         "SLUSBZ5D 7.3.8",
     ]),
     rule((Impossible, Wrong), "current-sign", current_sign, [
-        "the voltage falls when the current rises: charge and discharge are exchanged",
+        "the voltage falls when the current rises, by three times what it moves without that: charge and discharge are exchanged",
         "exchange the lines of the sense resistor, or write CC Gain with the other sign",
         "github.com/usetrmnl/trmnl-firmware pull requests 540 and 542",
     ]),
@@ -445,7 +447,8 @@ fn current_always_0(facts: &Facts<'_>) -> Verdict {
 
 fn current_sign(facts: &Facts<'_>) -> Verdict {
     let (against, with) = (facts.history.opposed, facts.history.agreeing);
-    found_if(against >= STEPS && against >= 9 * with, || {
+    let needed = if facts.history.knows_quiet { STEPS } else { STEPS_ALONE };
+    found_if(against >= needed && against >= 9 * with, || {
         format!("in {against} of {} steps of the current the voltage went the other way", against + with)
     })
 }

@@ -151,7 +151,20 @@ impl Bench {
 
     /// Shows another value than the simulated gauge has.
     fn show(&self, role: Role, value: i64) {
-        let register = self.register(role);
+        self.show_register(self.register(role), value);
+    }
+
+    /// Shows what the simulated gauge has, but for capacities.
+    fn shows_itself(&self) {
+        let roles = [Role::ChargeFull, Role::ChargeFullDesign];
+        let codes: Vec<u8> = roles.iter().filter_map(|role| self.register(*role).source.command()).collect();
+        self.bytes
+            .lock()
+            .expect("no panic")
+            .retain(|at, _| codes.iter().any(|code| *at == *code || *at == code + 1));
+    }
+
+    fn show_register(&self, register: &Register, value: i64) {
         let code = register.source.command().expect("a standard command");
         let all = value.to_le_bytes();
         self.bytes.lock().expect("no panic").extend((code..).zip(all).take(register.size.into()));
@@ -236,11 +249,31 @@ impl Bench {
         checked.findings.into_iter().find(|finding| finding.rule.name == rule).map(|finding| finding.values)
     }
 
-    /// Lets charge and discharge alternate so often, with a poll in each.
+    /// Lets charge and discharge alternate so often, with two polls in each.
     fn alternate(&mut self, steps: usize) {
         for step in 0..=steps {
             self.set("load_ma", if step % 2 == 0 { 500 } else { -500 });
             self.poll_after(60);
+            self.poll_after(30);
+        }
+    }
+
+    /// The same with one poll in each, so that nothing shows how the voltage moves by itself.
+    fn alternate_fast(&mut self, steps: usize) {
+        for step in 0..=steps {
+            self.set("load_ma", if step % 2 == 0 { 500 } else { -500 });
+            self.poll_after(60);
+        }
+    }
+
+    /// The same with a voltage that goes the other way by chance, and moves by so many mV without a step.
+    fn alternate_restless(&mut self, steps: usize, by_itself: i64) {
+        for step in 0..=steps {
+            self.set("load_ma", if step % 2 == 0 { 500 } else { -500 });
+            self.show(Role::VoltageNow, if step % 2 == 0 { 3920 } else { 3880 });
+            self.poll_after(60);
+            self.show(Role::VoltageNow, if step % 2 == 0 { 3920 - by_itself } else { 3880 + by_itself });
+            self.poll_after(30);
         }
     }
 
@@ -317,6 +350,15 @@ const CASES: &[(&str, &str, Make, Make, &str)] = &[
     ("full-capacity-stale", "bq34z100-g1", |b| { b.store("Design Capacity", 3001.0); b.poll() }, |b| { b.store("Design Capacity", 2999.0); b.poll() }, "3001 mAh"),
     ("full-capacity-stale", "bq27426", |b| resize(b, 6000.0), |b| { b.poll(); b.size(6000.0); b.own += 1; b.poll_after(3) }, "since data flash was written 0 min ago"),
     ("full-capacity-stale", "bq27441-g1", |b| { resize(b, 6000.0); b.poll_after(120) }, |b| { b.poll(); b.size(6000.0); b.own += 1; b.poll_after(3) }, "since it went from 1340 to 6000 mAh 2 min ago"),
+    ("full-capacity-stale", "bq27441-g1", |b| { redesign(b, 5000, 2000, 6000) }, |b| { redesign(b, 5000, 2000, 2900) }, "still of the battery before, since it went from 5000 to 2000 mAh"),
+    ("full-capacity-stale", "bq27441-g1", |b| { redesign(b, 1340, 6000, 1340); b.show(Role::ChargeFullDesign, 6100); b.poll_after(3) },
+        |b| { redesign(b, 1340, 6000, 1340); b.show(Role::ChargeFullDesign, 6100); b.show(Role::ChargeFull, 1100); b.poll_after(3) }, "from 6000 to 6100 mAh"),
+    ("full-capacity", "bq27441-g1", |b| { redesign(b, 5000, 2000, 7501) }, |b| { redesign(b, 5000, 2000, 7499) }, "7501 mAh"),
+    ("full-capacity-stale", "bq34110", |b| { redesign(b, 1000, 7000, 1000); b.poll_after(86_400) }, |b| { redesign(b, 1000, 7000, 1000); b.show(Role::ChargeFull, 1101); b.poll_after(86_400) }, "has not changed since it went from 1000 to 7000 mAh 1440 min ago"),
+    ("full-capacity", "bq34110", |b| { redesign(b, 1000, 7000, 1000); b.show(Role::ChargeFull, 1101); b.poll_after(86_400) }, |b| { redesign(b, 1000, 7000, 1000); b.poll_after(86_400) }, "1101 mAh"),
+    ("full-capacity", "bq27441-g1", |b| { redesign(b, 1000, 7000, 1000); b.poll_after(3601) }, |b| { redesign(b, 1000, 7000, 1000); b.poll_after(3590) }, "1000 mAh"),
+    ("full-capacity", "bq34z100-g1", |b| { b.store("Update Status", 6.0); redesign(b, 1000, 7000, 1000); b.poll_after(3601) }, |b| { redesign(b, 1000, 7000, 1000); b.poll_after(3601) }, "1000 mAh"),
+    ("full-capacity", "bq34110", |b| { redesign(b, 1000, 7000, 1000); learn_full(b); b.poll_after(3601) }, |b| { redesign(b, 1000, 7000, 1000); b.poll_after(3601) }, "1000 mAh"),
     ("remaining-above-full", "bq34z100-g1", |b| { b.poll(); b.show(Role::ChargeNow, 1101); b.own += 1; b.poll() },
         |b| { b.poll(); b.show(Role::ChargeFull, 500); b.own += 1; b.poll_after(2) }, "1101 mAh"),
     ("remaining-above-full", "bq34z100-g1", |b| { b.show(Role::ChargeNow, 1101); b.poll() }, |b| { b.show(Role::ChargeNow, 1099); b.poll() }, "1101 mAh"),
@@ -339,6 +381,8 @@ const CASES: &[(&str, &str, Make, Make, &str)] = &[
         |b| { b.poll(); b.show(Role::VoltageNow, 3720); b.poll_after(49 * 3600) }, "3690"),
     ("current-sign", "bq27427", |b| { b.set("cc_gain_inverted", "on"); b.alternate(5) }, |b| { b.set("cc_gain_inverted", "on"); b.alternate(4) }, "in 5 of 5"),
     ("current-sign", "bq27427", |b| { b.set("cc_gain_inverted", "on"); b.alternate(9) }, |b| b.alternate(9), "in 9 of 9"),
+    ("current-sign", "bq27427", |b| { b.set("cc_gain_inverted", "on"); b.alternate_fast(20) }, |b| { b.set("cc_gain_inverted", "on"); b.alternate_fast(19) }, "in 20 of 20"),
+    ("current-sign", "bq34z100-g1", |b| b.alternate_restless(6, 5), |b| b.alternate_restless(6, 20), "in 6 of 6"),
     ("end-of-scale", "bq34z100-g1", |b| { b.show(Role::CurrentNow, 32767); b.poll() }, |b| { b.show(Role::CurrentNow, 32766); b.poll() }, "Current() is 32767 mA"),
     ("end-of-scale", "bq34z100-g1", |b| { b.show(Role::ChargeNow, 65535); b.poll() }, |b| { b.show(Role::ChargeNow, 65534); b.poll() }, "65535 mAh"),
     ("defect", "bq27427", |b| { b.set("cc_gain_inverted", "on"); b.poll() }, |b| b.poll(), "CC Gain is negative"),
@@ -454,6 +498,36 @@ fn resize(bench: &mut Bench, mah: f64) {
     bench.size(mah);
     bench.own += 1;
     bench.poll_after(3);
+}
+
+/// Shows another design capacity, and the full charge capacity after that.
+fn redesign(bench: &mut Bench, from: i64, to: i64, full: i64) {
+    bench.show(Role::ChargeFullDesign, from);
+    bench.show(Role::ChargeFull, if full == from { full } else { from });
+    bench.poll();
+    bench.show(Role::ChargeFullDesign, to);
+    bench.show(Role::ChargeFull, full);
+    bench.own += 1;
+    bench.poll_after(3);
+}
+
+/// Shows a discharge from full to EDV2, after which a CEDV gauge has learned its full charge capacity.
+fn learn_full(bench: &mut Bench) {
+    for names in [&["VDQ"][..], &["EDV2"]] {
+        for register in bench.chip.registers {
+            let known = register.bits.iter().filter(|bit| ["VDQ", "EDV2"].contains(&bit.name));
+            let word = |bits: &mut dyn Iterator<Item = u32>| bits.fold(0, |word, bit| word | bit);
+            let of_both = word(&mut known.clone().map(|bit| bit.mask));
+            let set = word(&mut known.filter(|bit| names.contains(&bit.name)).map(|bit| bit.mask));
+            if of_both != 0 {
+                let value = bench.registers.value(register).expect("it was read") as u32 & !of_both | set;
+                bench.show_register(register, value.into());
+            }
+        }
+        bench.poll_after(3);
+    }
+    // The same register shows whether the gauge is open.
+    bench.shows_itself();
 }
 
 /// Writes a design capacity, and the full charge capacity that a gauge believes, without taking its power.
@@ -714,49 +788,63 @@ fn configure_anew(bench: &mut Bench, random: &mut Random, told: &mut Vec<String>
     found
 }
 
-#[test]
-fn nothing_is_wrong_with_drawn_gauges_that_are_well() {
+/// Draws a gauge that is well, and tells what it is; fails if something is wrong with it.
+fn draw(seed: u64) -> Result<Vec<String>, String> {
     // Rules need a table; a Smart Battery has knobs of its own.
     let chips: Vec<&Chip> = Chip::all().filter(|chip| Sim::knows(chip.name) && chip.has_table()).collect();
-    drawn("drawn gauges that are well", 10_000, |seed| {
-        let random = &mut Random(seed);
-        let chip = chips[(seed % chips.len() as u64) as usize];
-        let mut told = vec![chip.name.to_string()];
-        let mut bench = Bench::new(chip.name);
-        let rows = configure(&mut bench, random, &mut told);
-        bench.set("soc", [0, 1, 5, 30, 60, 90, 99, 100][random.below(8) as usize]);
-        bench.set("temperature", random.below(900) as i64 - 350);
-        if chip.volatile.is_none() && random.below(3) == 0 {
-            bench.lose_power();
-            told.push("after a reset".into());
-        }
-        bench.poll_after(random.below(2));
-        let mut found = bench.check().findings;
-        while bench.history.summary() == History::default().summary() && bench.registers.are_all_ones() {
-            bench.poll_after(1);
-        }
-        bench.poll_after(5);
-        if random.below(3) == 0 {
-            found.extend(resets(&mut bench, random, &rows));
-            told.push("resets of ours".into());
-        }
-        live(&mut bench, random, &mut told);
-        vary(&mut bench, random, &mut told);
-        bench.with_flash = random.below(2) == 0;
-        found.extend(bench.check().findings);
-        bench.bytes.lock().expect("no panic").retain(|at, _| *at == 0x20);
-        if random.below(3) == 0 {
-            found.extend(configure_anew(&mut bench, random, &mut told));
-        }
-        let wrong: Vec<_> = found.iter().filter(|found| found.rule.severity == Severity::Wrong).collect();
-        told.extend(
-            found.iter().map(|found| format!("{} {}", found.rule.severity.as_str(), found.rule.name)),
-        );
-        told.sort();
-        told.dedup();
-        match wrong.is_empty() {
-            true => Ok(told),
-            false => Err(format!("{wrong:?} <- {}", told.join(", "))),
-        }
-    });
+    let random = &mut Random(seed);
+    let chip = chips[(seed % chips.len() as u64) as usize];
+    let mut told = vec![chip.name.to_string()];
+    let mut bench = Bench::new(chip.name);
+    let rows = configure(&mut bench, random, &mut told);
+    bench.set("soc", [0, 1, 5, 30, 60, 90, 99, 100][random.below(8) as usize]);
+    bench.set("temperature", random.below(900) as i64 - 350);
+    if chip.volatile.is_none() && random.below(3) == 0 {
+        bench.lose_power();
+        told.push("after a reset".into());
+    }
+    bench.poll_after(random.below(2));
+    let mut found = bench.check().findings;
+    while bench.history.summary() == History::default().summary() && bench.registers.are_all_ones() {
+        bench.poll_after(1);
+    }
+    bench.poll_after(5);
+    if random.below(3) == 0 {
+        found.extend(resets(&mut bench, random, &rows));
+        told.push("resets of ours".into());
+    }
+    live(&mut bench, random, &mut told);
+    vary(&mut bench, random, &mut told);
+    bench.with_flash = random.below(2) == 0;
+    found.extend(bench.check().findings);
+    bench.bytes.lock().expect("no panic").retain(|at, _| *at == 0x20);
+    if random.below(3) == 0 {
+        found.extend(configure_anew(&mut bench, random, &mut told));
+    }
+    let wrong: Vec<_> = found.iter().filter(|found| found.rule.severity == Severity::Wrong).collect();
+    told.extend(found.iter().map(|found| format!("{} {}", found.rule.severity.as_str(), found.rule.name)));
+    told.sort();
+    told.dedup();
+    match wrong.is_empty() {
+        true => Ok(told),
+        false => Err(format!("{wrong:?} <- {}", told.join(", "))),
+    }
+}
+
+#[test]
+fn nothing_is_wrong_with_drawn_gauges_that_are_well() {
+    drawn("drawn gauges that are well", 10_000, draw);
+}
+
+#[test]
+fn regression_gauges_that_were_told_wrong_are_well() {
+    // A full charge capacity that was predicted anew just before a write; and a voltage whose noise went against the current.
+    let predicted = [2_003_149, 2_007_522, 2_010_820, 2_011_833, 2_024_353, 2_026_887];
+    let restless = [2_009_164, 2_018_134, 2_032_005];
+    let wrong: Vec<_> = predicted
+        .into_iter()
+        .chain(restless)
+        .filter_map(|seed| draw(seed).err().map(|why| format!("seed {seed}: {why}")))
+        .collect();
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }

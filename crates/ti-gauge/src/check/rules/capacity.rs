@@ -17,23 +17,29 @@ const REMAINING: f64 = 1.1;
 const SAME: f64 = 0.1;
 /// The full charge capacity in mAh that a gauge believes before it has learned.
 const QMAX: &[&str] = &["Qmax Cell 0"];
+/// The unit of a Qmax that is a share of the design capacity.
+const SHARE: &str = "Num";
 
 /// FullChargeCapacity() and Design Capacity, if no battery has the one with the other.
 fn impossible(facts: &Facts<'_>) -> Result<Option<(f64, f64)>, Lacking> {
     let (full, design) = (facts.predicted(Role::ChargeFull)?, facts.design()?);
+    Ok(Some((full, design)).filter(|_| design > 0.0 && !can_have(facts, full, design)))
+}
+
+/// Whether a battery of that design capacity can have that full charge capacity.
+fn can_have(facts: &Facts<'_>, full: f64, design: f64) -> bool {
     let is_cold = facts.polled(Role::Temp).is_ok_and(|tenths| tenths < FREEZING);
-    let is_low = full == 0.0 || full < design * FULL.0 && !is_cold;
-    Ok(Some((full, design)).filter(|_| design > 0.0 && (is_low || full > design * FULL.1)))
+    full > 0.0 && (full >= design * FULL.0 || is_cold) && full <= design * FULL.1
 }
 
 pub(super) fn full_capacity(facts: &Facts<'_>) -> Verdict {
-    let found = impossible(facts)?.filter(|_| stale(facts).is_none());
+    let found = impossible(facts)?.filter(|_| waits(facts).is_none());
     Ok(found
         .map(|(full, design)| format!("FullChargeCapacity() is {full} mAh, Design Capacity {design} mAh")))
 }
 
 pub(super) fn full_capacity_stale(facts: &Facts<'_>) -> Verdict {
-    let found = impossible(facts)?.zip(stale(facts));
+    let found = impossible(facts)?.zip(waits(facts));
     Ok(found.map(|((full, design), why)| {
         format!("FullChargeCapacity() is {full} mAh, Design Capacity {design} mAh; {why}")
     }))
@@ -53,18 +59,43 @@ fn stale(facts: &Facts<'_>) -> Option<String> {
     since_write(facts, full).or_else(|| of_default(facts, full))
 }
 
-/// It is as it was before Design Capacity was changed.
+/// The same, for as long as it takes. A worn pack may have had that capacity before the write as well, so it is told again.
+fn waits(facts: &Facts<'_>) -> Option<String> {
+    stale(facts).or_else(|| until_learned(facts))
+}
+
+/// It is of the battery that was configured before. A gauge may predict or learn it anew just before it takes the other design
+/// capacity, so for an hour it may be any that the former battery can have.
 fn since_write(facts: &Facts<'_>, full: f64) -> Option<String> {
     let Configured { seconds, design, full: before, .. } = facts.history.configured?;
-    let change = match design {
-        Some((from, to)) => format!("since it went from {from} to {to} mAh"),
+    let (former, change) = match design {
+        Some((from, to)) => (from, went(from, to)),
         None if facts.chip.register(Role::ChargeFullDesign).is_none() => {
-            "since data flash was written".into()
+            (before?, "since data flash was written".into())
         }
         None => return None,
     };
-    is_same(full, before?)
-        .then(|| format!("the first has not changed {change} {:.0} min ago", seconds / 60.0))
+    let is_old = can_have(facts, full, former) || before.is_some_and(|before| is_same(full, before));
+    is_old.then(|| format!("the first is still of the battery before, {change} {}", ago(seconds)))
+}
+
+/// A part whose Qmax is no share of Design Capacity has the old one until it learns. One that had learned had measured it.
+fn until_learned(facts: &Facts<'_>) -> Option<String> {
+    let Configured { seconds, design, full: before, .. } = facts.history.redesign?;
+    let ((from, to), before) = design.zip(before)?;
+    let follows = facts.named(QMAX).is_ok_and(|row| row.1.unit == SHARE);
+    let is_measured = learned(facts).is_ok_and(|learned| learned > Learned::Nothing);
+    let full = facts.predicted(Role::ChargeFull).ok()?;
+    (full > 0.0 && !follows && !is_measured && is_same(full, before))
+        .then(|| format!("the first has not changed {} {}", went(from, to), ago(seconds)))
+}
+
+fn went(from: f64, to: f64) -> String {
+    format!("since it went from {from} to {to} mAh")
+}
+
+fn ago(seconds: f64) -> String {
+    format!("{:.0} min ago", seconds / 60.0)
 }
 
 /// It is the Qmax of the part as shipped: nothing has been learned, and Design Capacity is another one.
