@@ -17,7 +17,7 @@ use gaugefs_client::{Gauge, Wanted};
 use gaugefs_host::chemistry;
 use gaugefs_host::input::Source;
 use ti_gauge::chip::Chip;
-use ti_gauge::image::{Changes, Group, Image};
+use ti_gauge::image::{Changes, Chemistry, Group, Image};
 
 mod progress;
 
@@ -120,8 +120,8 @@ impl Import {
         let presence = gauge.presence()?;
         let (image, path) = (gauge.configuration()?, gauge.folder().display());
         report.identify(gauge);
-        if let Some(sum) = file.chemistry_sum.filter(|_| !self.same_chemistry) {
-            let same = check_chemistry(gauge, chip, sum)?;
+        if let Some(chemistry) = file.chemistry.filter(|_| !self.same_chemistry) {
+            let same = check_chemistry(gauge, chip, chemistry)?;
             say(format_args!("{path}: {same}"));
         }
         file.keep_reserved(&image);
@@ -183,7 +183,7 @@ impl Import {
 
 /// Checks that the gauge has the chemistry of an image for ROM mode, which an import cannot write. Returns a line that
 /// says so.
-fn check_chemistry(gauge: &Gauge, chip: &Chip, expected: u16) -> Result<String> {
+fn check_chemistry(gauge: &Gauge, chip: &Chip, expected: Chemistry) -> Result<String> {
     let chem_id = gauge.text("gauge/chem_id").unwrap_or_default();
     let name = gauge.folder().display().to_string();
     let told = (chem_id.trim(), "pass --same-chemistry");

@@ -109,6 +109,49 @@ fn all_parts(check: fn(Part)) {
     }
 }
 
+/// Where nothing shows the chemistry of an image, a person vouches for it.
+#[test]
+fn an_image_of_a_bq27500_is_imported_if_somebody_knows_its_chemistry() {
+    if !can_mount() {
+        return;
+    }
+    // As the stock images have it (github.com/buglabs/bq27500-update).
+    let part: Part = (
+        "bq27500",
+        0x0120,
+        &[
+            (104, 0x1e, 14),
+            (82, 0x74, 20),
+            (80, 0x8c, 61),
+            (32, 0x1f7, 6),
+            (34, 0x1fd, 10),
+            (36, 0x207, 13),
+            (64, 0x214, 2),
+            (68, 0x21e, 20),
+            (81, 0x232, 10),
+            (2, 0x268, 10),
+            (48, 0x27c, 20),
+            (49, 0x290, 4),
+        ],
+        0,
+    );
+    let folder = Folder::new();
+    let (at, image) = (folder.file("m"), folder.file("golden.dffs"));
+    gaugefs(&["mount", "--sim", part.0, &at]).done();
+    let gauge = format!("{at}/BAT0");
+    let mut flash = data_flash(&gauge, part);
+    flash[0x27c + 10..][..2].copy_from_slice(&1340u16.to_be_bytes());
+    fs::write(&image, file(&flash, part.1, 2)).expect("a file");
+    let groups = "undocumented,keys,learned,calibration";
+    let ran = gaugefs(&["import", "--exclude", groups, &gauge, &image]);
+    let says = ["whether it has the image's chemistry is unknown (CHEM_ID 0x0107)", "--same-chemistry"];
+    assert!(ran.code == Some(1) && says.iter().all(|says| ran.err.contains(says)), "{}", ran.err);
+    let ran = gaugefs(&["import", "--exclude", groups, "--same-chemistry", &gauge, &image]);
+    assert!(ran.code == Some(0) && ran.out.lines().count() == 1, "{}{}", ran.out, ran.err);
+    assert_eq!(read(&gauge, "df/48/10"), "1340");
+    gaugefs(&["umount", &at]).done();
+}
+
 #[test]
 fn an_image_for_rom_mode_is_imported_in_normal_mode() {
     all_parts(|part| {

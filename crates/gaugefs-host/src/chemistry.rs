@@ -4,12 +4,13 @@
 
 use crate::error::{Cause, Error, Result};
 use ti_gauge::chip::Chip;
+use ti_gauge::image::Chemistry;
 
 /// Checks that a gauge has the chemistry of an image, which an import cannot write. With `told` a person vouches for it.
 pub fn check(
     name: &str,
     chip: &Chip,
-    expected: u16,
+    expected: Chemistry,
     (chem_id, told): (&str, &str),
     ask: impl FnOnce(u16) -> Result<u16>,
 ) -> Result<String> {
@@ -26,7 +27,8 @@ pub fn check(
         );
         Err(Error::new(name, Cause::Invalid, why))
     };
-    let Some(sum) = chip.subcommands.iter().find(|row| row.name == "STATIC_CHEM_DF_CHKSUM") else {
+    let sum = chip.subcommands.iter().find(|row| row.name == "STATIC_CHEM_DF_CHKSUM");
+    let (Some(sum), Chemistry::Sum(expected)) = (sum, expected) else {
         return refuse(format!("whether it has the image's chemistry is unknown ({chem_id})"));
     };
     match ask(sum.code)? {

@@ -185,12 +185,14 @@ impl Evidence {
 /// Data flash in images for ROM mode: 32 rows of 32 bytes, in which subclasses cross the blocks of normal mode.
 #[derive(Clone, Debug)]
 pub struct RomImage {
-    /// The subclasses whose place is known, by id, and the index of their first byte. All of their length is there.
-    pub subclasses: &'static [(u8, u16)],
+    /// For each firmware: the subclasses whose place is known, by id, and the index of their first byte. All of their length
+    /// is there.
+    pub layouts: &'static [(u16, &'static [(u8, u16)])],
     /// The data of the chemistry and private data around them: the first byte, and one behind the last.
     pub chemistry: (u16, u16),
-    /// Index of the big-endian checksum of the chemistry. It is inferred, so it never proves that two of them differ.
-    pub chemistry_sum: u16,
+    /// Index of the big-endian checksum of the chemistry. It is inferred, so it never proves that two of them differ. `None`
+    /// where nothing shows it.
+    pub chemistry_sum: Option<u16>,
 }
 
 /// A file with the whole firmware. Only the Device Name in its data flash and the firmware's version show its part.

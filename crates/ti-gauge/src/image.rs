@@ -58,10 +58,19 @@ pub struct Image {
     pub left_out: Vec<LeftOut>,
     /// Whether the file names its chip or device type.
     pub names_chip: bool,
-    /// The chemistry's checksum, from an image for ROM mode.
-    pub chemistry_sum: Option<u16>,
+    /// The chemistry in an image for ROM mode, which an import does not write.
+    pub chemistry: Option<Chemistry>,
     /// The first line that writes the gauge's whole firmware; `None` for an image of data flash only.
     pub firmware_line: Option<usize>,
+}
+
+/// What an image for ROM mode tells of its chemistry.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Chemistry {
+    /// Its checksum.
+    Sum(u16),
+    /// Nothing by which a gauge's could be compared.
+    Unknown,
 }
 
 /// Something in a file or a gauge that the image leaves out.
@@ -229,7 +238,7 @@ impl Image {
             notes: Vec::new(),
             left_out: Vec::new(),
             names_chip: false,
-            chemistry_sum: None,
+            chemistry: None,
             firmware_line: None,
         }
     }

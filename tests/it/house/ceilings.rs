@@ -22,7 +22,7 @@ const LINES: [(&str, usize); 10] = [
     ("gaugefs-host", 600),
     ("gaugefs-screen", 6_160),
     ("i2c-server", 1_280),
-    ("ti-gauge", 33_480),
+    ("ti-gauge", 33_520),
 ];
 
 /// The least lines of code to one of comment in each crate, in tenths. What others use has a line for each public item.

@@ -439,14 +439,14 @@ impl Task<'_> {
             }
         }
         drop(record);
-        if let Some(sum) =
-            self.station.plan.image.chemistry_sum.filter(|_| !self.station.plan.setup.options.same_chemistry)
+        if let Some(chemistry) =
+            self.station.plan.image.chemistry.filter(|_| !self.station.plan.setup.options.same_chemistry)
         {
             let id = self.gauge.handle.published().answers.chem_id;
             let id = id.map_or(String::new(), |id| format!("0x{id:04x}"));
             let gauge = &mut self.gauge;
             let told = "set same-chemistry = true in the station's file";
-            chemistry::check("chemistry", flash.chip, sum, (&id, told), |code| {
+            chemistry::check("chemistry", flash.chip, chemistry, (&id, told), |code| {
                 gauge.ask(&op::CONTROL, code)?;
                 let answer = gauge.handle.published().control().filter(|(asked, _)| *asked == code);
                 answer.map(|(_, answer)| answer).ok_or_else(|| refuse("chemistry", "no answer".into()))

@@ -921,7 +921,7 @@ fn a_wrong_part_and_another_chemistry_are_refused() {
     let folder = Folder::new("wrong");
     let clock = Arc::new(SimClock::new());
     let mut plan = folder.plan(PLAIN);
-    plan.image.chemistry_sum = Some(0x1234);
+    plan.image.chemistry = Some(ti_gauge::image::Chemistry::Sum(0x1234));
     let line = Line::start(plan, &[], None).expect("a record");
     for (part, says) in
         [("bq27441-g1", "BAT0"), ("bq34z100-r2", "this is a bq34z100-R2"), (CHIP, "another chemistry")]

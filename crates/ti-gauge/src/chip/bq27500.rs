@@ -19,8 +19,8 @@ use super::Kind::{Plain, Reset, Security as Keys};
 use super::Tier::{Poll, Slow, Static, Window};
 use super::{
     Access, Bit, Chip, Condition, Evidence, Gate, Identity, KeyBlock, KeyOrder, KeyStorage, Mode, Pack,
-    Parameter as P, Preflight, Register, Role, Safe, Scaling, Scheme, SealStatus, Security, Signature,
-    Source, Subclass, Subcommand,
+    Parameter as P, Preflight, Register, Role, RomImage, Safe, Scaling, Scheme, SealStatus, Security,
+    Signature, Source, Subclass, Subcommand,
 };
 use crate::codec::Layout;
 use crate::value::Type::U;
@@ -34,6 +34,7 @@ pub static CHIP: Chip = chip(
     &[Evidence::Sibling, Evidence::Drivers, Evidence::Transcript, Evidence::Image, Evidence::Kernel],
     &[0x0106, 0x0120],
     SUBCLASSES,
+    Some(ROM_IMAGE),
 );
 
 /// The bq27500 with firmware 1.30, which has a data sheet of its own.
@@ -43,6 +44,7 @@ pub static V130: Chip = chip(
     &[Evidence::Manual, Evidence::Transcript, Evidence::Kernel],
     &[0x0130],
     SUBCLASSES_V130,
+    None,
 );
 
 const fn chip(
@@ -51,6 +53,7 @@ const fn chip(
     evidence: &'static [Evidence],
     firmware: &'static [u16],
     subclasses: &'static [Subclass],
+    rom_image: Option<RomImage>,
 ) -> Chip {
     Chip {
         name,
@@ -103,7 +106,7 @@ const fn chip(
         signature: SIGNATURE,
         volatile: None,
         quirks: &[],
-        rom_image: None,
+        rom_image,
         preflight: Preflight {
             pack: Some(Pack { word: Source::Answer(0x0008), name: "Control(CHEM_ID)", rows: &[] }),
             marks: &[(104, 0), (104, 4), (104, 11), (104, 12), (104, 13)],
@@ -114,6 +117,25 @@ const fn chip(
         },
     }
 }
+
+/// Both stock images hold the defaults of the classes here. From 68 on the older one has them a byte before, because its
+/// class 64 is shorter. The places of 57 and 107 are not known.
+#[rustfmt::skip]
+const ROM_IMAGE: RomImage = RomImage {
+    layouts: &[
+        (0x0106, &[
+            (104, 0x1E), (82, 0x74), (80, 0x8C), (32, 0x1F7), (34, 0x1FD), (36, 0x207), (64, 0x214), (68, 0x21D),
+            (81, 0x231), (112, 0x23B), (2, 0x267), (48, 0x27B), (49, 0x28F),
+        ]),
+        (0x0120, &[
+            (104, 0x1E), (82, 0x74), (80, 0x8C), (32, 0x1F7), (34, 0x1FD), (36, 0x207), (64, 0x214), (68, 0x21E),
+            (81, 0x232), (112, 0x23C), (2, 0x268), (48, 0x27C), (49, 0x290),
+        ]),
+    ],
+    // Behind the known part of 80.
+    chemistry: (0xC9, 0x1F7),
+    chemistry_sum: None,
+};
 
 /// No bit shows CAL_MODE.
 const MODES: &[Mode] = &[

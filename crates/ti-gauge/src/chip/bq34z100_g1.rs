@@ -189,14 +189,14 @@ pub(super) static CALIBRATION: Calibration = Calibration {
 /// 107 begins with the bytes of the BQ27426's.
 #[rustfmt::skip]
 const ROM_IMAGE: RomImage = RomImage {
-    subclasses: &[
+    layouts: &[(0x0016, &[
         (104, 0), (107, 49), (82, 68), (80, 85), (32, 400), (34, 406), (36, 420), (64, 447), (68, 459),
         (81, 471), (112, 482), (67, 506), (59, 507), (60, 519), (66, 521), (2, 571), (48, 602),
         (49, 662), (58, 684), (88, 768), (89, 832),
-    ],
+    ])],
     chemistry: (178, 400),
     // Behind the sum of instruction flash, which the image's commands show; below 0x8000 in every image.
-    chemistry_sum: 600,
+    chemistry_sum: Some(600),
 };
 
 /// Standard commands, Table 7-1, and extended ones, Table 7-8, without the reserved 0x76 to 0x7F. The

@@ -168,14 +168,14 @@ pub static CHIP: Chip = Chip {
 /// bytes of the BQ27426's.
 #[rustfmt::skip]
 const ROM_IMAGE: RomImage = RomImage {
-    subclasses: &[
+    layouts: &[(0x0202, &[
         (104, 0), (107, 49), (82, 68), (80, 85), (32, 405), (34, 411), (36, 425), (64, 452), (68, 464),
         (81, 476), (112, 487), (67, 511), (59, 512), (60, 524), (66, 526), (2, 576), (48, 607),
         (49, 669), (58, 691), (88, 768), (89, 832),
-    ],
+    ])],
     chemistry: (178, 405),
     // Behind the sum of instruction flash, which the image's commands show; below 0x8000 in every image.
-    chemistry_sum: 605,
+    chemistry_sum: Some(605),
 };
 
 /// Standard commands and extended ones (SLUUCO5A 2.1 and 2.2); types and signs are those of the bq34z100-G1. The

@@ -10,7 +10,7 @@ use crate::chip::{CHIPS, Chip, Kind, RomImage, Subclass};
 use crate::codec::WINDOW;
 use crate::error::{Cause, Error, Result};
 use crate::image::target::versions;
-use crate::image::{Faults, Group, Image, LeftOut, Raw, at_line, cut_short};
+use crate::image::{Chemistry, Faults, Group, Image, LeftOut, Raw, at_line, cut_short};
 use crate::notation;
 use crate::value::{Type, Value};
 
@@ -69,12 +69,13 @@ fn content(rom: Rom, commands: &[(usize, Command)], told: Option<&'static Chip>)
         }
         (one, other) => one.or(other).map(|(_, code)| code),
     };
-    let (chip, layout) = content.chip(told, device_type.map(|(_, code)| code), firmware)?;
+    let (chip, layout, places) = content.chip(told, device_type.map(|(_, code)| code), firmware)?;
     let mut image = Image::new(chip, firmware);
     image.names_chip = firmware.is_some();
-    image.chemistry_sum = Some(content.word(layout.chemistry_sum));
+    let sum = layout.chemistry_sum.map(|at| Chemistry::Sum(content.word(at)));
+    image.chemistry = Some(sum.unwrap_or(Chemistry::Unknown));
     image.firmware_line = content.whole_firmware;
-    content.fill_image(&mut image, layout);
+    content.fill_image(&mut image, layout, places);
     content.fill_notes(&mut image);
     Ok(image)
 }
@@ -263,7 +264,7 @@ impl Rom {
         told: Option<&'static Chip>,
         device_type: Option<u16>,
         firmware: Option<u16>,
-    ) -> Result<(&'static Chip, &'static RomImage)> {
+    ) -> Result<(&'static Chip, &'static RomImage, Places)> {
         let invalid = |why: String| Err(Error::new("", Cause::Invalid, why));
         let chips = CHIPS.iter().copied().filter(|chip| told.is_none_or(|told| std::ptr::eq(*chip, told)));
         let known: Vec<_> = chips.filter_map(|chip| Some((chip, chip.rom_image.as_ref()?))).collect();
@@ -282,8 +283,12 @@ impl Rom {
                 names()
             ));
         };
-        let fitting: Vec<_> =
-            of_firmware.iter().copied().filter(|(chip, layout)| self.fits(chip, layout)).collect();
+        let layouts = of_firmware.iter().flat_map(|&(chip, image)| {
+            let of_file =
+                image.layouts.iter().filter(move |(code, _)| firmware.is_none_or(|one| one == *code));
+            of_file.map(move |&(_, places)| (chip, image, places))
+        });
+        let fitting: Vec<_> = layouts.filter(|&(chip, _, places)| self.fits(chip, places)).collect();
         match fitting.as_slice() {
             [one] => Ok(*one),
             [] => invalid(format!("its data flash is not laid out as that of a {}", first.model)),
@@ -291,9 +296,9 @@ impl Rom {
         }
     }
 
-    fn fits(&self, chip: &'static Chip, layout: &RomImage) -> bool {
+    fn fits(&self, chip: &'static Chip, places: Places) -> bool {
         let bytes = self.bytes();
-        places(chip, layout).all(|(subclass, start)| {
+        placed(chip, places).all(|(subclass, start)| {
             subclass.parameters.iter().all(|row| {
                 let at = usize::from(start + row.offset);
                 let stored = &bytes[at..at + row.kind.size()];
@@ -323,10 +328,10 @@ impl Rom {
         self.rows[at / ROW].0
     }
 
-    fn fill_image(&self, image: &mut Image, layout: &RomImage) {
+    fn fill_image(&self, image: &mut Image, layout: &RomImage, places: Places) {
         let bytes = self.bytes();
         let mut is_named = [false; ROW * ROWS];
-        for (subclass, start) in places(image.chip, layout) {
+        for (subclass, start) in placed(image.chip, places) {
             let (start, length) = (usize::from(start), usize::from(subclass.length));
             is_named[start..start + length].fill(true);
             let line = self.line(start);
@@ -400,16 +405,20 @@ impl Rom {
                 "{count} {sums} of firmware not checked: most of its bytes are not in the file"
             ));
         }
-        if let Some(sum) = image.chemistry_sum {
-            image.notes.push(format!(
-                "the chemistry's checksum is 0x{sum:04x}; an import compares it with the gauge's"
-            ));
-        }
+        image.notes.push(match image.chemistry {
+            Some(Chemistry::Sum(sum)) => {
+                format!("the chemistry's checksum is 0x{sum:04x}; an import compares it with the gauge's")
+            }
+            _ => "its chemistry has no checksum that a gauge's could be compared with".into(),
+        });
     }
 }
 
-fn places(chip: &'static Chip, layout: &RomImage) -> impl Iterator<Item = (&'static Subclass, u16)> {
-    layout.subclasses.iter().filter_map(|&(id, start)| Some((chip.subclass(id)?, start)))
+/// Subclasses by id, and the index of their first byte.
+type Places = &'static [(u8, u16)];
+
+fn placed(chip: &'static Chip, places: Places) -> impl Iterator<Item = (&'static Subclass, u16)> {
+    places.iter().filter_map(|&(id, start)| Some((chip.subclass(id)?, start)))
 }
 
 fn sum16(bytes: &[u8]) -> u16 {
@@ -478,7 +487,7 @@ mod tests {
             let image = Image::parse(&file(&flash(is_r2), version, 2), None).expect("an image");
             assert_eq!((image.chip.name, image.firmware), (name, Some(version)));
             assert!(image.names_chip && image.firmware_line.is_none());
-            assert_eq!(image.chemistry_sum, Some(0x1234));
+            assert_eq!(image.chemistry, Some(Chemistry::Sum(0x1234)));
             let entry = image.entries.iter().find(|entry| entry.parameter.name == "Cell Terminate Voltage");
             let entry = entry.expect("it is there");
             // After five lines and one of an answer, nine commands of four lines and the second line of row 4.
@@ -505,9 +514,8 @@ mod tests {
             let count = |text: &str| -> usize {
                 text.split(' ').next().expect("a number").parse().expect("a number")
             };
-            let lengths: u16 = places(image.chip, image.chip.rom_image.as_ref().expect("a layout"))
-                .map(|(subclass, _)| subclass.length)
-                .sum();
+            let places = image.chip.rom_image.as_ref().expect("a layout").layouts[0].1;
+            let lengths: u16 = placed(image.chip, places).map(|(subclass, _)| subclass.length).sum();
             assert_eq!(usize::from(lengths) + count(told[3]) + count(told[4]), ROW * ROWS);
         }
     }
@@ -524,7 +532,7 @@ mod tests {
         let why = "its data flash is not laid out as that of a bq34z100-G1";
         assert_eq!(error(&file(&flash(true), 0x0016, 2)), why);
         let why = "it is for ROM mode, of device type unknown and firmware 0x0204; gaugefs knows a bq34z100-G1 with firmware \
-                   0x0016 and a bq34z100-R2 with firmware 0x0202";
+                   0x0016 and a bq34z100-R2 with firmware 0x0202 and a bq27500 with firmware 0x0106 or 0x0120";
         assert_eq!(error(&file(&flash(true), 0x0204, 2)), why);
         // Of a part whose layout is not known the mode is the reason.
         assert!(error_of(&g1, "bq34110").starts_with("line 4: Control(ROM_MODE)"));
@@ -533,6 +541,39 @@ mod tests {
         assert_eq!((image.chip.name, image.firmware, image.names_chip), ("bq34z100-r2", None, false));
         let checked = "W: AA 00 02 00\nC: AA 00 02 02\n".to_string() + &g1;
         assert!(error(&checked).starts_with("line 2: firmware 0x0202 is checked"));
+    }
+
+    /// From class 68 on the older firmware has everything a byte before. The places are those of the stock images
+    /// (github.com/buglabs/bq27500-update), and not from the table.
+    #[test]
+    fn rows_of_a_bq27500_are_read_by_its_firmware() {
+        for (version, other, back) in [(0x0120, 0x0106, 0), (0x0106, 0x0120, 1)] {
+            let mut flash = [0; ROW * ROWS];
+            let mut put = |at: usize, what: &[u8]| flash[at..at + what.len()].copy_from_slice(what);
+            put(0x8c + 48, &3000u16.to_be_bytes());
+            put(0x1fd + 2, &4200u16.to_be_bytes());
+            put(0x23c - back, &[0x36, 0x72, 0x04, 0x14]);
+            put(0x268 - back, &550u16.to_be_bytes());
+            put(0x27c - back + 10, &1340u16.to_be_bytes());
+            put(0x27c - back + 12, b"\x07bq27500");
+            let image = Image::parse(&file(&flash, version, 2), None).expect("an image");
+            assert_eq!((image.chip.name, image.firmware), ("bq27500", Some(version)));
+            assert_eq!(image.chemistry, Some(Chemistry::Unknown));
+            for (name, value) in [
+                ("Terminate Voltage", "3000"),
+                ("Charging Voltage", "4200"),
+                ("OT Chg", "550"),
+                ("Design Capacity", "1340"),
+                ("Device Name", "bq27500"),
+            ] {
+                let entry = image.entries.iter().find(|entry| entry.parameter.name == name);
+                assert_eq!(entry.expect(name).text(), value, "{name} of 0x{version:04x}");
+            }
+            assert!(image.entries.iter().all(|entry| entry.subclass.id != 112));
+            let why = "its data flash is not laid out as that of a bq27500";
+            assert_eq!(error(&file(&flash, other, 2)), why);
+            assert!(error(&file(&flash, 0x0130, 2)).contains("firmware 0x0130; gaugefs knows a"));
+        }
     }
 
     #[test]
