@@ -5,7 +5,8 @@
 //! A row of [`ATTRIBUTES`] is an attribute: its name, and the rule for its text.
 
 use gauge_owner::{Handle, Snapshot};
-use ti_gauge::chip::{Chip, Condition, Primary, Register, Role, Scale, Signature, power};
+use ti_gauge::chip::sbs::CONDITION_FLAG;
+use ti_gauge::chip::{Chip, Condition, Primary, Register, Role, Scale, Scheme, Signature, power};
 use ti_gauge::value::Value;
 use ti_gauge::{date, text};
 
@@ -468,7 +469,18 @@ impl Reading<'_> {
     /// In the order of the kernel's driver, which knows no voltages. `Dead` is a pack below the final threshold; in the
     /// driver it already is one below the first, which is `Low` in `capacity_level`.
     pub(super) fn health(&self) -> Option<&'static str> {
-        self.first_set(&health(&self.chip.condition), "Good")
+        let told = self.first_set(&health(&self.chip.condition), "Good");
+        told.map(
+            |word| if word == "Good" && self.wants_conditioning() { "Calibration required" } else { word },
+        )
+    }
+
+    /// A Smart Battery asks for a conditioning cycle.
+    fn wants_conditioning(&self) -> bool {
+        let (source, bit) = CONDITION_FLAG;
+        let row = self.chip.register_at(source).filter(|_| self.chip.access.scheme == Scheme::Smbus);
+        let mode = row.and_then(|row| self.snapshot?.value(row));
+        mode.is_some_and(|mode| mode & i64::from(bit) != 0)
     }
 
     pub(super) fn capacity_level(&self) -> Option<&'static str> {

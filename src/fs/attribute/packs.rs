@@ -155,6 +155,9 @@ fn flags_are_words_of_the_kernel() {
         ("16=c002", "Low", "Good"),
         ("16=d003", "Critical", "Good"),
         ("16=c010", "Normal", "Overheat"),
+        // A conditioning cycle, which an alarm is before.
+        ("16=c000 03=8000", "Normal", "Calibration required"),
+        ("16=c010 03=8000", "Normal", "Overheat"),
     ] {
         turn(&rig, "answers", status);
         polled(&mut rig);

@@ -17,7 +17,7 @@ const LINES: [(&str, usize); 10] = [
     ("gauge-owner", 7_690),
     ("gauge-sim", 11_745),
     ("gauge-station", 3_800),
-    ("gaugefs", 19_200),
+    ("gaugefs", 19_220),
     ("gaugefs-client", 2_850),
     ("gaugefs-host", 600),
     ("gaugefs-screen", 6_160),

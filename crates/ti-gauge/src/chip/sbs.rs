@@ -22,6 +22,8 @@ pub(crate) const SPECIFICATION_INFO: u8 = 0x1a;
 pub(crate) const SERIAL_NUMBER: u8 = 0x1c;
 const VOLTS: u8 = 8;
 const AMPERES: u8 = 12;
+/// A conditioning cycle is requested (5.1.4).
+pub const CONDITION_FLAG: (Source, u32) = (Source::Command(BATTERY_MODE), 0x0080);
 /// Capacities are in 10 mWh (5.1.4).
 const CAPACITY_MODE: u32 = 0x8000;
 /// The longest block of SMBus, and its length.
