@@ -189,7 +189,7 @@ mod tests {
         Time = 2009\xb3\xe2 3\xbf\xf9\r\n\r\n\
         [Safety(Configuration)]\r\nOT Chg = 55.5\r\nOT Chg Time = 2\r\nOT Dsg = 60\r\n\r\n\
         [Charge Inhibit Config(Configuration)]\r\nCharge Inhibit Temp Low = 0.0\r\nTemp Hys = 5.0\r\n\r\n\
-        [Data(Configuration)]\r\nDesign Capacity = 1340\r\nDevice Name = Pack = 7\r\nInitial Standby Current = -10\r\n\r\n\
+        [Data(Configuration)]\r\nDesign Capacity = 1340\r\nDevice Name = P = 7\r\nInitial Standby Current = -10\r\n\r\n\
         [Registers(Configuration)]\r\nOperation Configuration = 0979\r\n\r\n\
         [IT Cfg(Fuel Gauging)]\r\nTerminate Volt = 3000\r\n\r\n\
         [Data(Calibration)]\r\nCC Gain = 10.123\r\n\r\n\
@@ -226,7 +226,7 @@ mod tests {
                     ("charge-inhibit-config/temp-hys", "50", 13),
                     ("configuration-data/initial-standby-current", "-10", 18),
                     ("configuration-data/design-capacity", "1340", 16),
-                    ("configuration-data/device-name", "Pack = 7", 17),
+                    ("configuration-data/device-name", "P = 7", 17),
                     ("registers/operation-configuration", "0x0979", 21),
                 ]
             );
