@@ -933,7 +933,7 @@ fn registers_of_block_access_stand_behind_the_dialect() {
         "ti-gauge image/flashstream",
     ];
     /// Other numbers of that size: where they stand, and how often.
-    const OTHERS: [(&str, &str, usize); 27] = [
+    const OTHERS: [(&str, &str, usize); 28] = [
         // The address of all gauges.
         ("gauge-bus ", "0x55", 1),
         // Subclasses.
@@ -949,9 +949,10 @@ fn registers_of_block_access_stand_behind_the_dialect() {
         ("ti-gauge dataflash/session", "80", 1),
         ("ti-gauge gauge/seal", "80", 1),
         ("ti-gauge gauge/wire", "66", 1),
-        // Lengths of texts, stacks, integers and rows of ROM.
+        // Lengths of texts, histories, stacks, integers and rows of ROM.
         ("gauge-bus bounded", "64", 1),
         ("gauge-owner evidence", "64", 1),
+        ("ti-gauge check/history", "64", 1),
         ("ti-gauge journal/machine", "64", 1),
         ("ti-gauge keys", "64", 1),
         ("ti-gauge registers", "64", 1),
