@@ -120,7 +120,8 @@ fn data_flash_behind_words_alone_is_written_where_the_gauge_takes_single_bytes_a
         return;
     }
     let mounted = Mounted::new("bq27441-g1", &["--adapter", "piix4"]);
-    fs::write(mounted.file("df/82/10"), "1200\n").expect("its manual says so");
+    let written = fs::write(mounted.file("df/82/10"), "1200\n");
+    assert!(written.is_ok(), "its manual says so: {}", mounted.cat("gauge/last_error"));
     assert_eq!(mounted.cat("df/82/10"), "1200\n");
     drop(mounted);
 
