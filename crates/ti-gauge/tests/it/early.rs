@@ -4,6 +4,7 @@
 //! what real ones may show until then, each with a checksum that fits.
 
 use std::cell::Cell;
+use std::collections::VecDeque;
 use std::time::Duration;
 
 use gauge_bus::Bus as _;
@@ -162,6 +163,18 @@ fn a_stale_window_with_wrong_bits_is_not_a_new_block() {
     assert!(read_all(&mut rig) == expected);
 }
 
+/// Nor from a gauge that has shown how soon it loads, of which a block may have the sum of the one before.
+#[test]
+fn a_stale_window_with_the_same_wrong_bits_twice_is_not_a_new_block() {
+    let expected = read_all(&mut Rig::new("bq34z100-g1"));
+    let mut rig = Rig::new("bq34z100-g1");
+    let from = rig.clock.now() + Duration::from_secs(100);
+    blur(&mut rig, from);
+    read_all(&mut rig);
+    rig.clock.sleep(from - rig.clock.now());
+    assert!(read_all(&mut rig) == expected);
+}
+
 /// The whole that is looked at by itself differs in many bytes.
 #[test]
 fn a_stale_window_with_wrong_bits_is_not_what_a_write_changes() {
@@ -180,24 +193,42 @@ fn a_stale_window_with_wrong_bits_is_not_what_a_write_changes() {
     assert_eq!(commits, 1);
 }
 
-/// From here on each answer in MACData() is late by that time, which shows something stale until then.
-fn delay_answers(rig: &mut Rig, late: Duration, stale: Stale) {
+/// From here on each answer in MACData() is late by that time, which shows something stale until then: of an answer that is
+/// on its way itself, or of the one before. `disturb` may change what is read there.
+fn delay_answers(
+    rig: &mut Rig,
+    late: Duration,
+    stale: Stale,
+    mut disturb: impl FnMut(&mut [u8]) + Send + 'static,
+) {
     let (clock, chip) = (rig.clock.clone(), rig.gauge.chip);
-    let (mut asked, mut shown) = (Duration::ZERO, [0; WINDOW]);
+    let mut shown = [0; WINDOW];
+    let mut on_the_way = VecDeque::<(Duration, [u8; WINDOW])>::new();
     rig.through(move |bus, write, read| {
-        let is_loaded = |asked| clock.now() >= asked + late;
+        while let Some((_, answer)) = on_the_way.front().filter(|(time, _)| clock.now() >= *time) {
+            shown = *answer;
+            on_the_way.pop_front();
+        }
         match (write, read.len()) {
             (&[0, _, _], 0) => {
-                if is_loaded(asked) {
+                let mut answer = [0; WINDOW];
+                if on_the_way.is_empty() {
                     bus.transfer(&[0x40], &mut shown)?;
                 }
-                stale(chip, [0; 2], &mut shown);
-                asked = clock.now();
-                bus.transfer(write, read)
+                bus.transfer(write, read)?;
+                bus.transfer(&[0x40], &mut answer)?;
+                on_the_way.push_back((clock.now() + late, answer));
+                Ok(())
             }
-            (&[register @ 0x40..0x60], length) if !is_loaded(asked) => {
-                let at = usize::from(register - 0x40);
-                read.copy_from_slice(&shown[at..at + length]);
+            (&[register @ 0x40..0x60], length) => {
+                bus.transfer(write, read)?;
+                if !on_the_way.is_empty() {
+                    let mut before = shown;
+                    stale(chip, [0; 2], &mut before);
+                    let at = usize::from(register - 0x40);
+                    read.copy_from_slice(&before[at..at + length]);
+                }
+                disturb(read);
                 Ok(())
             }
             _ => bus.transfer(write, read),
@@ -217,7 +248,7 @@ fn no_stale_answer_is_believed_however_late_it_is() {
         for stale in [same as Stale, zeros, erased] {
             for late in [1, 4, 6, 9, 15, 29, 31, 49] {
                 let mut rig = Rig::new(part);
-                delay_answers(&mut rig, Duration::from_millis(late), stale);
+                delay_answers(&mut rig, Duration::from_millis(late), stale, |_| {});
                 for time in 0..3 {
                     let found = rig.gauge.identify().expect("it answers");
                     assert_eq!(found, expected, "{part}, late by {late} ms, time {time}");
@@ -233,12 +264,13 @@ fn an_answer_that_is_on_its_way_is_not_taken_for_the_next_one() {
     for part in answering_there() {
         let mut rig = Rig::new(part);
         let expected = rig.gauge.ask(0x0003).expect("it answers");
-        for late in [1, 9, 29, 49] {
+        // The first one comes with the second, or just after the second question and long before its answer.
+        for (late, between) in [(1, 0), (9, 0), (29, 0), (49, 0), (12, 9), (29, 26), (49, 46)] {
             let mut rig = Rig::new(part);
-            rig.sim.set("block_ms", "50").expect("a knob");
-            delay_answers(&mut rig, Duration::from_millis(late), same);
+            delay_answers(&mut rig, Duration::from_millis(late), same, |_| {});
             rig.clock.sleep(Duration::from_secs(1));
             rig.gauge.command(0x0001).expect("it is sent");
+            rig.clock.sleep(Duration::from_millis(between));
             assert_eq!(rig.gauge.ask(0x0003).expect("it answers"), expected, "{part}, late by {late} ms");
         }
     }
@@ -252,15 +284,12 @@ fn a_wrong_bit_makes_no_answer_of_what_was_there_before() {
         for forged in 1..=30 {
             for late in [0, 3, 49] {
                 let mut rig = Rig::new(part);
-                delay_answers(&mut rig, Duration::from_millis(late), same);
                 let mut looks = 0;
-                rig.through(move |bus, write, read| {
-                    let done = bus.transfer(write, read);
-                    looks += usize::from(write == [0x40]);
-                    if write == [0x40] && looks == forged {
+                delay_answers(&mut rig, Duration::from_millis(late), same, move |read| {
+                    looks += 1;
+                    if looks == forged {
                         read[1] ^= 0x10;
                     }
-                    done
                 });
                 let found = rig.gauge.identify();
                 // The last look of all is one: what has read wrong there is read again by who compares it.
@@ -269,6 +298,26 @@ fn a_wrong_bit_makes_no_answer_of_what_was_there_before() {
                     "{part}, look {forged}, {late} ms"
                 );
             }
+        }
+    }
+}
+
+/// A window that was misread before the question would make an answer of what it still shows.
+#[test]
+fn a_window_is_told_from_itself_by_two_readings() {
+    for part in answering_there() {
+        let expected = Rig::new(part).gauge.ask(0x0003).expect("it answers");
+        for late in [20, 49] {
+            let mut rig = Rig::new(part);
+            rig.gauge.ask(0x0001).expect("it answers");
+            let mut looks = 0;
+            delay_answers(&mut rig, Duration::from_millis(late), same, move |read| {
+                looks += 1;
+                if looks == 1 {
+                    read[0] ^= 0x10;
+                }
+            });
+            assert_eq!(rig.gauge.ask(0x0003).expect("it answers"), expected, "{part}, late by {late} ms");
         }
     }
 }
