@@ -47,6 +47,7 @@ pub use identity::{Answers, Identity, SIBLINGS, Sibling, Signature};
 pub use names::{Unnamed, kebab_case, snake_case};
 pub use parameter::{FLAT, Kind, Parameter, Range, Row, Safe, Stays, Subclass};
 pub use preflight::{Learning, Mode, Pack, Preflight};
+pub(crate) use proof::RESET;
 pub use recognise::{Limited, Recognised, recognise};
 pub use source::Source;
 pub use values::Values;

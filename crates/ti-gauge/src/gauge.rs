@@ -6,6 +6,7 @@
 //! these are on the wire), `wire` (transfers, retries, time); then `packets`, `presence`, `effects`, `statistics`, `state`.
 
 use std::sync::Arc;
+use std::time::Duration;
 
 pub use crate::chip::Answers;
 use crate::chip::{Chip, Register, Tier};
@@ -46,8 +47,9 @@ use wire::Wire;
 const CONTROL_STATUS: u16 = 0x0000;
 const DEVICE_TYPE: u16 = 0x0001;
 const FW_VERSION: u16 = 0x0002;
-const RESET: u16 = 0x0041;
 const TRIES: u32 = 4;
+/// Time between two looks that must agree: no disturbance makes both wrong in the same way.
+pub(crate) const APART: Duration = Duration::from_millis(5);
 
 /// One gauge at one address.
 pub struct Gauge {

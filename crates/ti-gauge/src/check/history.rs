@@ -123,8 +123,8 @@ pub struct Summary {
     pub(super) redesigned: Option<(f64, f64)>,
     /// A change of the configuration within an hour, of this program or another one.
     pub(super) configured: Option<Configured>,
-    /// The last change of Design Capacity, as long as the gauge has learned nothing since.
-    pub(super) redesign: Option<Configured>,
+    /// The last change of Design Capacity by anybody, as long as the gauge has learned nothing since.
+    pub(super) resized: Option<Configured>,
     /// Whether the gauge was SEALED and was opened by somebody else.
     pub(super) opened: bool,
     /// What disturbs a learning cycle, and for how many seconds.
@@ -205,9 +205,9 @@ impl History {
             });
         }
         if design.is_some() {
-            self.summary.redesign = *configured;
+            self.summary.resized = *configured;
         }
-        for before in [&mut self.summary.redesign, configured].into_iter().flatten() {
+        for before in [&mut self.summary.resized, configured].into_iter().flatten() {
             before.seconds = now.time - before.since;
         }
         *configured = configured.filter(|before| before.seconds < CONFIGURED_S);
@@ -328,7 +328,7 @@ impl History {
         let had_learned = cycle.learned();
         let state = cycle.update(&reading);
         if state.learned > had_learned {
-            self.summary.redesign = None;
+            self.summary.resized = None;
         }
         let spoiled = state.spoiled.filter(|_| state.learned != Learned::All);
         self.summary.spoiled = spoiled.map(|why| (why, state.time - state.since.time));

@@ -5,7 +5,8 @@
 use super::{Chip, Effect, Kind};
 use crate::error::{Error, Reason, Result, Step};
 
-const RESET: u16 = 0x0041;
+/// The subcommand of the whole family.
+pub(crate) const RESET: u16 = 0x0041;
 
 impl Chip {
     /// Whether a row of its data flash, keys apart, is proven. Without one its layout is in doubt as a whole.

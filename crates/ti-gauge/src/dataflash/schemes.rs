@@ -8,7 +8,7 @@ use super::window::{Planned, Window, holds_keys, learned};
 use crate::chip::{Chip, Scheme};
 use crate::codec::{Bytes, WINDOW};
 use crate::error::{Cause, Error, Result, Step};
-use crate::gauge::{Gauge, Landmark};
+use crate::gauge::{APART, Gauge, Landmark};
 
 mod block;
 mod cfgupdate;
@@ -28,8 +28,6 @@ const EARLY_LOOKS: [Duration; 4] = [
     Duration::from_millis(10),
     Duration::from_millis(18),
 ];
-/// Time between two early looks at what is about to be written: no disturbance makes both wrong in the same way.
-const APART: Duration = Duration::from_millis(5);
 /// Time between two looks that must agree, where the first two did not.
 const NEXT_LOOK: Duration = Duration::from_millis(25);
 const LOOKS: u32 = 4;
@@ -78,10 +76,6 @@ pub(super) trait Sequence {
     fn is_begun(&self, _: &mut Gauge) -> Result<bool> {
         Ok(false)
     }
-}
-
-fn wait_until(gauge: &Gauge, begun: Duration, time: Duration) {
-    gauge.wait((begun + time).saturating_sub(gauge.clock.now()));
 }
 
 /// A block that was in the window when another one was selected.
@@ -181,9 +175,9 @@ impl Before {
 struct Early<'a, T> {
     stale: [u8; 4],
     is_new: &'a dyn Fn(&T) -> bool,
-    /// The same by many bytes.
+    /// [`Self::is_new`] by many bytes.
     is_far: &'a dyn Fn(&T) -> bool,
-    /// The same by so many that two looks which agree are at a new block, although its sum is that of the one before.
+    /// [`Self::is_new`] by so many bytes that two looks which agree are at a new block, although its sum is that of the one before.
     is_apart: &'a dyn Fn(&T) -> bool,
 }
 
@@ -216,7 +210,7 @@ fn look_until<T>(
 ) -> Option<(T, Duration)> {
     let selected = gauge.clock.now();
     times.into_iter().find_map(|time| {
-        wait_until(gauge, selected, time);
+        gauge.wait_until(selected + time);
         let (now, _) = whole(gauge).ok().filter(|(now, _)| is_loaded(now))?;
         Some((now, time))
     })
@@ -252,10 +246,10 @@ fn look_twice<T: PartialEq>(
     let (first, first_at) = if first.is_some() {
         (first, gauge.load_time().unwrap_or(FIRST_LOOK))
     } else {
-        wait_until(gauge, selected, FIRST_LOOK);
+        gauge.wait_until(selected + FIRST_LOOK);
         (sum(gauge).ok(), FIRST_LOOK)
     };
-    wait_until(gauge, selected, SECOND_LOOK.max(first_at + gauge.chip.access.select));
+    gauge.wait_until(selected + SECOND_LOOK.max(first_at + gauge.chip.access.select));
     let mut before = whole(gauge);
     if let (Some(Early { stale, is_new, .. }), Ok((now, sum))) = (early.filter(|_| !is_ram), &before)
         && !stale.contains(sum)
@@ -303,7 +297,7 @@ fn look_quickly<T: PartialEq>(
         if time == FIRST_LOOK && first.is_some() && usual.is_some() {
             break;
         }
-        wait_until(gauge, selected, time);
+        gauge.wait_until(selected + time);
         first = sum(gauge).ok();
         if first.is_some_and(|sum| !stale.contains(&sum))
             && let Ok((now, reported)) = whole(gauge)

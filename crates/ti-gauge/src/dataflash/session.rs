@@ -190,7 +190,7 @@ impl Session {
                 self.now = Some(gauge.seal_anew()?);
                 return Ok(true);
             }
-            gauge.wait(readable.saturating_sub(gauge.clock.now()));
+            gauge.wait_until(readable);
             self.reopen(gauge)?;
         } else {
             let (state, goal) = (self.reset(gauge)?, self.open_as_found());

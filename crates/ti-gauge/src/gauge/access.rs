@@ -2,12 +2,12 @@
 
 //! From one seal state to another: keys, RESET and SEALED.
 
+use super::Gauge;
 use super::presence::Moment;
 use super::seal::SEAL_POLL;
 use super::state::Seal;
 use super::statistics::Statistics;
-use super::{Gauge, RESET};
-use crate::chip::Scheme;
+use crate::chip::{RESET, Scheme};
 use crate::error::{Cause, Error, Reason, Result, Step};
 use crate::keys::{Keys, Name, Secret, wipe_words};
 

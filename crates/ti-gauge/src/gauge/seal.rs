@@ -7,13 +7,10 @@ use std::time::Duration;
 use super::effects::Status;
 use super::presence::Moment;
 use super::state::{Look, Seal};
-use super::{Gauge, TRIES};
+use super::{APART, Gauge, TRIES};
 use crate::chip::{SealStatus, Source};
 use crate::error::{Cause, Error, Result, Step};
 use gauge_bus::BusError;
-
-/// Between two looks at CONTROL_STATUS without an earlier one: a disturbance must not make both wrong.
-const APART: Duration = Duration::from_millis(5);
 
 /// How late CONTROL_STATUS may show a new state. Drivers wait 40 ms and try again (bq35100), or 100 ms after a key.
 pub(crate) const SEAL_LAG: Duration = Duration::from_millis(240);

@@ -150,6 +150,10 @@ impl Gauge {
         }
     }
 
+    pub(crate) fn wait_until(&self, time: Duration) {
+        self.wait(time.saturating_sub(self.clock.now()));
+    }
+
     pub(super) fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
         // A register pointer before a read is all that is ever sent to a part without a table.
         if (write.len() > 1 || read.is_empty()) && !self.chip.has_table() {
@@ -175,7 +179,7 @@ impl Gauge {
 
     pub(super) fn pass(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
         if let Some(stopped) = self.wire.stopped {
-            self.wait((stopped + BUS_FREE).saturating_sub(self.clock.now()));
+            self.wait_until(stopped + BUS_FREE);
         }
         let begun = self.clock.now();
         Statistics::count(&self.statistics.transfers);

@@ -8,7 +8,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use super::target::{chip_like, instead};
 use super::{Faults, Format, Group, Image, Raw, Reading, at_line, check_count, is_written};
-use crate::chip::{CHIPS, Chip, Effect, FLAT, Kind, Parameter, SIBLINGS, Scheme, Subclass};
+use crate::chip::{CHIPS, Chip, Effect, FLAT, Kind, Parameter, RESET, SIBLINGS, Scheme, Subclass};
 use crate::codec::{WINDOW, checksum};
 
 mod romimage;
@@ -22,7 +22,6 @@ pub(super) const ROM_MODE: u16 = 0x0f00;
 pub(super) const DEVICE_TYPE: u16 = 0x0001;
 pub(super) const FW_VERSION: u16 = 0x0002;
 const SET_CFGUPDATE: u16 = 0x0013;
-const RESET: u16 = 0x0041;
 const SOFT_RESET: u16 = 0x0042;
 const EXIT_CFGUPDATE: u16 = 0x0043;
 const EXIT_RESIM: u16 = 0x0044;

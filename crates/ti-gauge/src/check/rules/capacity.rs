@@ -81,7 +81,7 @@ fn since_write(facts: &Facts<'_>, full: f64) -> Option<String> {
 
 /// A part whose Qmax is no share of Design Capacity has the old one until it learns. One that had learned had measured it.
 fn until_learned(facts: &Facts<'_>) -> Option<String> {
-    let Configured { seconds, design, full: before, .. } = facts.history.redesign?;
+    let Configured { seconds, design, full: before, .. } = facts.history.resized?;
     let ((from, to), before) = design.zip(before)?;
     let follows = facts.named(QMAX).is_ok_and(|row| row.1.unit == SHARE);
     let is_measured = learned(facts).is_ok_and(|learned| learned > Learned::Nothing);

@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use super::{
     Before, Care, Early, FIRST_LOOK, NEXT_LOOK, SECOND_LOOK, Sequence, early_looks, look_early, look_twice,
-    note_shown, settle, wait_until,
+    note_shown, settle,
 };
 use crate::chip::Kind;
 use crate::codec::{WINDOW, checksum};
@@ -100,7 +100,7 @@ impl Sequence for Block {
             let selected = gauge.clock.now();
             let mut before = None;
             for look in [FIRST_LOOK, SECOND_LOOK, SECOND_LOOK + NEXT_LOOK, SECOND_LOOK + NEXT_LOOK * 2] {
-                wait_until(gauge, selected, look.max(gauge.chip.access.select));
+                gauge.wait_until(selected + look.max(gauge.chip.access.select));
                 let mut bytes = [0; 2 + WINDOW];
                 let wanted = &mut bytes[..2 + at + 2];
                 gauge.read(DATA_FLASH_CLASS, wanted).map_err(|error| error.at(Step::ReadBlock))?;

@@ -11,7 +11,7 @@ use crate::chip::{Chip, Register, Source};
 use crate::codec::WINDOW;
 use crate::error::{Result, Step};
 use crate::gauge::state::{Rows, Shown};
-use crate::gauge::{CONTROL_STATUS, FW_VERSION, Gauge, TRIES};
+use crate::gauge::{APART, CONTROL_STATUS, FW_VERSION, Gauge, TRIES};
 use gauge_bus::BusError;
 use gauge_bus::replay::Touch;
 
@@ -35,8 +35,6 @@ const ANSWER: Duration = Duration::from_millis(55);
 /// From a subcommand until looks at MACData() are worth their transfers that show by themselves that the answer has come.
 const EARLY_LOOKS: [Duration; 3] =
     [Duration::from_millis(1), Duration::from_millis(4), Duration::from_millis(10)];
-/// Time between two such looks: no disturbance makes both wrong in the same way.
-const APART: Duration = Duration::from_millis(5);
 /// Control() of a part with answers in MACData() reads this once after DEVICE_TYPE or FW_VERSION, not CONTROL_STATUS.
 const ANSWERED_ELSEWHERE: u16 = 0xffa5;
 
@@ -276,9 +274,8 @@ fn ask(gauge: &mut Gauge, code: u16, at: u8, behind: &mut [u8]) -> Result<u16> {
     let before = if gauge.window_rests() { held(gauge, at, 2 + behind.len()) } else { None };
     gauge.command(code)?;
     let sent = gauge.clock.now();
-    let wait_until = |gauge: &Gauge, time| gauge.wait((sent + time).saturating_sub(gauge.clock.now()));
     for (time, before) in EARLY_LOOKS.into_iter().zip(before.iter().cycle()) {
-        wait_until(gauge, time);
+        gauge.wait_until(sent + time);
         let mut look =
             |gauge: &mut Gauge| Some((read_answer(gauge, code, at, behind).ok()?, behind.to_vec()));
         let Some(now) = look(gauge).filter(|now| is_another(now, before)) else { continue };
@@ -288,7 +285,7 @@ fn ask(gauge: &mut Gauge, code: u16, at: u8, behind: &mut [u8]) -> Result<u16> {
             return Ok(now.0);
         }
     }
-    wait_until(gauge, ANSWER.max(gauge.chip.access.select));
+    gauge.wait_until(sent + ANSWER.max(gauge.chip.access.select));
     read_answer(gauge, code, at, behind)
 }
 

@@ -54,7 +54,7 @@ impl Gauge {
         let (is_known, unseen) = (seen.count() > 0, Duration::from_millis(seen.unseen_ms() + EARLIER_MS));
         let look = usual * RESET_LOOK / 10;
         if unseen < look {
-            self.wait((sent + look).saturating_sub(self.clock.now()));
+            self.wait_until(sent + look);
             if is_known || !self.may_try_until(sent + usual) {
                 return;
             }
@@ -67,7 +67,7 @@ impl Gauge {
                 self.presence.look();
             }
         }
-        self.wait((sent + usual).saturating_sub(self.clock.now()));
+        self.wait_until(sent + usual);
     }
 
     pub(crate) fn doubt(&mut self) {
