@@ -317,8 +317,9 @@ impl Operations for ByName<'_> {
 
     fn list(&self) -> Vec<(String, Node)> {
         let chip = self.0.chip();
-        let classes = self.0.subclasses();
-        self.0.df_nodes(classes.map(|(at, subclass)| (chip.class_dir(subclass), DfItem::Class(at))))
+        let classes =
+            chip.classes().map(|(at, subclass)| (chip.class_dir(subclass), DfItem::Class(at as u8)));
+        self.0.df_nodes(classes)
     }
 
     fn refuse_new(&self, name: &str) -> Error {
@@ -341,8 +342,10 @@ impl Operations for Class<'_> {
     }
 
     fn list(&self) -> Vec<(String, Node)> {
-        let rows = self.supply.rows(self.at);
-        self.supply.df_nodes(rows.map(|(row, field)| (kebab_case(field.name), DfItem::Link(self.at, row))))
+        let groups = self.supply.chip().class_of(self.supply.subclass(self.at));
+        let groups = groups.map(|(at, _)| at as u8);
+        let rows = groups.flat_map(|at| self.supply.rows(at).map(move |(row, field)| (at, row, field)));
+        self.supply.df_nodes(rows.map(|(at, row, field)| (kebab_case(field.name), DfItem::Link(at, row))))
     }
 
     fn refuse_new(&self, name: &str) -> Error {
@@ -359,7 +362,9 @@ struct Link<'a> {
 
 impl Operations for Link<'_> {
     fn parent(&self) -> Node {
-        self.supply.df_node(DfItem::Class(self.at))
+        let mut groups = self.supply.chip().class_of(self.supply.subclass(self.at));
+        let first = groups.next().map_or(self.at, |(at, _)| at as u8);
+        self.supply.df_node(DfItem::Class(first))
     }
 
     fn shape(&self) -> Shape {

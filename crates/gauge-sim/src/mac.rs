@@ -134,6 +134,10 @@ struct Ram {
     elsewhere: bool,
     elsewhere_seen: bool,
     update: Mode,
+    /// This message has read from 0x3E on, and whether it has read the length.
+    reads: Option<bool>,
+    /// The next read from 0x3E shows the following block.
+    advance: bool,
     /// The boot loader runs. Only a loss of power is known to end it.
     rom: bool,
     registers: Option<Registers>,
@@ -238,6 +242,7 @@ impl Mac {
     /// is echoed and does nothing.
     fn word(&mut self, device: &mut Device, word: u16) {
         self.ram.echo = word;
+        self.ram.advance = false;
         self.ram.buffer.sum_sent = None;
         let stored: [u8; 8] = device.flash.get(self.part.keys.0, self.part.keys.1);
         let key = |at: usize| u16::from_be_bytes([stored[at], stored[at + 1]]);
@@ -268,8 +273,8 @@ impl Mac {
         match word {
             0x0000 => {}
             0x0007 => self.answer(device, word, &self.ram.previous.to_le_bytes(), Duration::ZERO),
-            0x0041 if open && device.loses(Lost::Reset) => {}
-            0x0041 if open => {
+            _ if word == self.part.reset && open && device.loses(Lost::Reset) => {}
+            _ if word == self.part.reset && open => {
                 device.reset(self);
                 return;
             }
@@ -308,6 +313,22 @@ impl Mac {
         self.ram.previous = word;
         if self.gauges() {
             self.ram.registers = None;
+        }
+    }
+
+    /// Shows the following block, if a whole one was read since it was selected.
+    fn advance(&mut self, device: &Device) {
+        if !std::mem::take(&mut self.ram.advance) || self.sealed() {
+            return;
+        }
+        let next = self.ram.echo.wrapping_add(BLOCK as u16);
+        if self.locate(&device.flash, self.ram.echo).is_none() {
+            return;
+        }
+        if let Some(at) = self.locate(&device.flash, next) {
+            let length = BLOCK.min(device.flash.size(DATA_FLASH) - at);
+            self.ram.echo = next;
+            self.ram.buffer.shown = Answer::new(next, device.flash.bytes_at(DATA_FLASH, at, length));
         }
     }
 
@@ -430,6 +451,14 @@ impl Wire for Mac {
             return 0;
         }
         self.ram.buffer.settle(device.now);
+        match register {
+            0x3E => {
+                self.advance(device);
+                self.ram.reads = Some(false);
+            }
+            0x61 => self.ram.reads = self.ram.reads.map(|_| true),
+            _ => {}
+        }
         let shown = &self.ram.buffer.shown;
         match register {
             0x00 | 0x01 => {
@@ -453,6 +482,7 @@ impl Wire for Mac {
 
     fn stop(&mut self) {
         self.ram.selecting = false;
+        self.ram.advance |= self.part.advances && self.ram.reads.take() == Some(true);
         self.ram.elsewhere &= !self.ram.elsewhere_seen;
         self.ram.elsewhere_seen = false;
     }
@@ -520,7 +550,10 @@ impl Wire for Mac {
     }
 
     fn gate(&self, flash: &Flash) -> bool {
-        let limit = self.part.gate.map(|address| i32::from(i16_at(flash, address)));
+        let little = self.part.is_little;
+        let word =
+            |address| if little { i16_at(flash, address).swap_bytes() } else { i16_at(flash, address) };
+        let limit = self.part.gate.map(|address| i32::from(word(address)));
         limit.is_none_or(|limit| i32::from(self.voltage_mv(flash)) >= limit)
     }
 

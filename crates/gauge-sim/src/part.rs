@@ -272,6 +272,11 @@ pub(super) struct MacPart {
     /// Area and offset of the keys: four words in their order on the wire.
     pub(super) keys: Place,
     pub(super) seal: u16,
+    pub(super) reset: u16,
+    /// Numbers in data flash have their least significant byte first.
+    pub(super) is_little: bool,
+    /// After a read from 0x3E to 0x61 in one message, the next read from 0x3E shows the following block.
+    pub(super) advances: bool,
     /// Control() reads 0xFFA5 once after DEVICE_TYPE or FW_VERSION.
     pub(super) answers_elsewhere: bool,
     /// Predicted registers of one word, and the bit that says so: of a register, or 0 for CONTROL_STATUS.

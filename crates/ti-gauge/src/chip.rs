@@ -47,7 +47,6 @@ pub use identity::{Answers, Identity, SIBLINGS, Sibling, Signature};
 pub use names::{Unnamed, kebab_case, snake_case};
 pub use parameter::{FLAT, Kind, Parameter, Range, Row, Safe, Stays, Subclass};
 pub use preflight::{Learning, Mode, Pack, Preflight};
-pub(crate) use proof::RESET;
 pub use recognise::{Limited, Recognised, recognise};
 pub use source::Source;
 pub use values::Values;
@@ -99,7 +98,7 @@ pub struct Chip {
     pub registers: &'static [Register],
     /// Control() subcommands, by code.
     pub subcommands: &'static [Subcommand],
-    /// CONTROL_STATUS bits.
+    /// CONTROL_STATUS bits, or those of the answer that has its place.
     pub control_status: &'static [Bit],
     /// What the flags mean to a power_supply.
     pub condition: Condition,
@@ -516,6 +515,8 @@ pub struct Security {
     pub full_access: bool,
     /// Subcommand that seals.
     pub seal: u16,
+    /// How late the gauge may show a new seal state.
+    pub shows: Duration,
     /// Silence before keys after a refusal. The manuals print 4 s (bq35100: 10 s) by the gauge's clock; this has a margin.
     pub key_silence: Duration,
     /// The bit of data memory by which a gauge seals itself at the end of CONFIG UPDATE, if SEALED is known to set it:
@@ -576,7 +577,7 @@ pub enum SealStatus {
     },
     /// A two-bit field of a word: 11 SEALED, 10 UNSEALED, 01 FULL ACCESS.
     Field {
-        /// The word.
+        /// The word. The answer to a subcommand takes the place of CONTROL_STATUS.
         word: Source,
         /// The lower of the two bits.
         shift: u8,
@@ -604,6 +605,10 @@ pub struct Access {
     pub reset: Duration,
     /// For how long it is polled for an answer.
     pub reset_limit: Duration,
+    /// Subcommand that resets.
+    pub resets: u16,
+    /// Whether a read of a whole block from its selection on makes the gauge show the next one.
+    pub advances: bool,
 }
 
 /// The sequences by which TI's gauges give access to data flash.
@@ -636,6 +641,9 @@ impl Scheme {
 }
 
 impl Access {
+    /// RESET of most of TI's gauges.
+    pub const RESET: u16 = 0x0041;
+
     /// No access to data flash, and so no delays.
     pub const NONE: Self = Self {
         scheme: Scheme::None,
@@ -646,16 +654,22 @@ impl Access {
         enter_limit: Duration::ZERO,
         reset: Duration::ZERO,
         reset_limit: Duration::ZERO,
+        resets: 0,
+        advances: false,
     };
 }
 
 impl Security {
+    /// How late a new seal state is shown: drivers wait 40 ms and try again (bq35100), or 100 ms after a key.
+    pub const SHOWS: Duration = Duration::from_millis(240);
+
     /// No seal state: neither keys nor the subcommand are sent to a chip without a table.
     pub const NONE: Self = Self {
         status: SealStatus::None,
         default_unseal: [0; 2],
         full_access: false,
         seal: 0,
+        shows: Duration::ZERO,
         key_silence: Duration::ZERO,
         seals_itself: None,
         shown_sealed: &[],
@@ -930,11 +944,27 @@ impl Chip {
         stored.chain(primary).chain(signature).chain(quirks).chain(self.scaling.in_flash())
     }
 
-    /// The folder of a subclass in `df/by-name`: its name, after the manual's class if the name occurs twice.
+    /// The folder of a subclass in `df/by-name`: its name, after the manual's class if that name occurs in two classes.
     pub fn class_dir(&self, subclass: &Subclass) -> String {
         let name = kebab_case(subclass.name);
-        let alike = self.subclasses.iter().filter(|other| kebab_case(other.name) == name).count();
-        if alike > 1 { format!("{}-{name}", kebab_case(subclass.class)) } else { name }
+        let mut alike = self.subclasses.iter().filter(|other| kebab_case(other.name) == name);
+        let is_shared = alike.any(|other| other.class != subclass.class);
+        if is_shared { format!("{}-{name}", kebab_case(subclass.class)) } else { name }
+    }
+
+    /// The groups of a flat address space that share a folder, by address; a subclass with an id of its own alone.
+    pub fn class_of(&self, subclass: &Subclass) -> impl Iterator<Item = (usize, &'static Subclass)> + use<> {
+        let (class, name) = (subclass.class, subclass.name);
+        let all = self.subclasses.iter().enumerate();
+        all.filter(move |(_, other)| other.class == class && other.name == name)
+    }
+
+    /// The first group of each folder in `df/by-name`.
+    pub fn classes(&'static self) -> impl Iterator<Item = (usize, &'static Subclass)> {
+        let is_first = |(at, row): &(usize, &'static Subclass)| {
+            self.class_of(row).next().is_some_and(|(first, _)| first == *at)
+        };
+        self.subclasses.iter().enumerate().filter(is_first)
     }
 
     /// The subclass of that id.

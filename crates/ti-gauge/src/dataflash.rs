@@ -601,7 +601,7 @@ impl DataFlash {
         // The window holds the block that was read last, so a single block need not be loaded again.
         let in_window = planned.len() == 1 && !sequence(gauge).always_finishes() && !is_restoration;
         for change in changes {
-            check_safe(change, &planned)?;
+            check_safe(gauge.chip, change, &planned)?;
         }
         let old: Vec<_> = changes.iter().map(|change| old_bytes(change, &planned)).collect();
         if is_restoration && !options.lost && !found.lost && !is_forgotten(gauge.chip, changes, &old) {

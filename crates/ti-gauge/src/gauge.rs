@@ -37,7 +37,6 @@ pub use packets::Pec;
 pub(crate) use presence::Moment;
 use presence::Presence;
 use seal::Looks;
-pub(crate) use seal::SEAL_LAG;
 pub use state::{ALONG, Seal};
 pub(crate) use state::{Answer, Look};
 pub use statistics::{Phase, Progress, Statistics};

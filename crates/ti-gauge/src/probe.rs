@@ -235,11 +235,11 @@ pub fn identify(plausible: &[Reading], target: &Target<'_>) -> Result<Who> {
     Ok(who)
 }
 
-type Questions = (u8, [Option<u16>; 3]);
+type Questions = (u8, bool, [Option<u16>; 3]);
 
 fn questions(chip: &Chip) -> Questions {
     let code = |name| Some(chip.subcommands.iter().find(|subcommand| subcommand.name == name)?.code);
-    (chip.identity.answer, ["HW_VERSION", "CHEM_ID", "DM_CODE"].map(code))
+    (chip.identity.answer, chip.identity.build.is_some(), ["HW_VERSION", "CHEM_ID", "DM_CODE"].map(code))
 }
 
 impl Answers {

@@ -107,7 +107,8 @@ fn flags(subclass: &Subclass, parameter: &Parameter) -> String {
         ("reset", subclass.kind == Kind::Reset),
         ("safe-limit", parameter.safe.is_some()),
         ("security", subclass.kind == Kind::Security),
-        ("unproven", parameter.unproven),
+        ("unproven", parameter.unproven && parameter.never.is_none()),
+        ("never-written", parameter.never.is_some()),
     ];
     let set: Vec<_> = flags.iter().filter(|(_, set)| *set).map(|(name, _)| *name).collect();
     if set.is_empty() { "-".into() } else { set.join(",") }

@@ -45,7 +45,14 @@ pub static CHIP: Chip = Chip {
     evidence: &[Evidence::Manual, Evidence::Drivers, Evidence::Image],
     // Every driver asks for this type. TI's image is for firmware 0x0003; no source says that there is no other, or gives
     // a hardware version.
-    identity: Identity { device_type: 0x0220, firmware: &[], hardware: None, dm_codes: &[], answer: 0x40 },
+    identity: Identity {
+        device_type: 0x0220,
+        firmware: &[],
+        build: None,
+        hardware: None,
+        dm_codes: &[],
+        answer: 0x40,
+    },
     firmware_file: None,
     technology: "Li-ion",
     address: GAUGE_ADDRESS,
@@ -81,6 +88,7 @@ pub static CHIP: Chip = Chip {
         full_access: true,
         seal: 0x0030,
         // TI's advice to owners of sibling gauges whose keys were refused.
+        shows: Security::SHOWS,
         key_silence: Duration::from_millis(5200),
         seals_itself: None,
         shown_sealed: &[],
@@ -103,6 +111,8 @@ pub static CHIP: Chip = Chip {
         // [CFGUPDATE] is clear.
         reset: Duration::from_secs(2),
         reset_limit: Duration::from_secs(4),
+        resets: Access::RESET,
+        advances: false,
     },
     gate: None,
     authentication: None,

@@ -27,6 +27,7 @@ pub static CHIP: Chip = Chip {
     identity: Identity {
         device_type: 0x0421,
         firmware: &[0x0109],
+        build: None,
         hardware: None,
         dm_codes: &[],
         answer: 0x00,

@@ -35,6 +35,7 @@ pub static CHIP: Chip = Chip {
     identity: Identity {
         device_type: 0x0426,
         firmware: &[0x0202],
+        build: None,
         hardware: None,
         dm_codes: &[],
         answer: 0x00,

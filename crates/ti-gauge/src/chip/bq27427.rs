@@ -39,6 +39,7 @@ pub static CHIP: Chip = Chip {
     identity: Identity {
         device_type: 0x0427,
         firmware: &[0x0202],
+        build: None,
         hardware: None,
         dm_codes: &[],
         answer: 0x00,
@@ -90,6 +91,8 @@ pub(super) const ACCESS: Access = Access {
     // [CFGUPMODE] shows the end. A shipped product gives it 2 s.
     reset: Duration::ZERO,
     reset_limit: Duration::from_secs(4),
+    resets: Access::RESET,
+    advances: false,
 };
 
 /// Standard commands, chapter 5, and extended ones, chapter 6. The poll reads 0x02 to 0x11 and 0x18 to

@@ -35,6 +35,7 @@ pub static CHIP: Chip = Chip {
     identity: Identity {
         device_type: 0x0421,
         firmware: &[0x0109],
+        build: None,
         hardware: None,
         dm_codes: &[0x48, G1B],
         answer: 0x00,
@@ -134,6 +135,7 @@ pub(super) const SECURITY: Security = Security {
     full_access: false,
     seal: 0x0020,
     // 6.4.5.1.1: a gauge that sealed itself at the end of CONFIG UPDATE takes no key for so long.
+    shows: Security::SHOWS,
     key_silence: Duration::from_millis(5200),
     // Update Status bit 7: 6.4.2.3.2, and 4.1.14 for SEALED.
     seals_itself: Some((82, 2, 0x80)),
@@ -156,6 +158,8 @@ pub(super) const ACCESS: Access = Access {
     // The way out shows in [CFGUPMODE] as well.
     reset: Duration::ZERO,
     reset_limit: Duration::from_millis(2500),
+    resets: Access::RESET,
+    advances: false,
 };
 
 /// Standard commands, Table 4-1, and extended ones, Table 5-1. The poll reads 0x02 to 0x11 and 0x18 to

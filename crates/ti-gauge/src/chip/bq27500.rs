@@ -61,7 +61,14 @@ const fn chip(
         documents: &["SLUS914A (December 2009), of the bq27500-V130"],
         evidence,
         // The type is in the names of TI's images.
-        identity: Identity { device_type: 0x0500, firmware, hardware: None, dm_codes: &[], answer: 0x00 },
+        identity: Identity {
+            device_type: 0x0500,
+            firmware,
+            build: None,
+            hardware: None,
+            dm_codes: &[],
+            answer: 0x00,
+        },
         firmware_file: None,
         technology: "Li-ion",
         address: GAUGE_ADDRESS,
@@ -149,6 +156,7 @@ const SECURITY: Security = Security {
     full_access: true,
     seal: 0x0020,
     // TI's advice to owners whose keys were refused.
+    shows: Security::SHOWS,
     key_silence: Duration::from_millis(5200),
     seals_itself: None,
     // Blocks 1 to 3 are those of class 57 (SLUS914A 4.1.2.3), which is read as a whole.
@@ -178,6 +186,8 @@ const ACCESS: Access = Access {
     // SLUS914A 3.2 has 250 ms until it communicates; the limit is ours.
     reset: Duration::from_millis(300),
     reset_limit: Duration::from_secs(2),
+    resets: Access::RESET,
+    advances: false,
 };
 
 /// Values that a pack can have. Every place holds something else if the class is another.

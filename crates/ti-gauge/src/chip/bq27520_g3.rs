@@ -38,6 +38,7 @@ pub static CHIP: Chip = Chip {
     identity: Identity {
         device_type: 0x0520,
         firmware: &[0x0324],
+        build: None,
         hardware: None,
         dm_codes: &[],
         answer: 0x00,
@@ -76,6 +77,7 @@ pub static CHIP: Chip = Chip {
         full_access: true,
         seal: 0x0020,
         // TI's advice to owners whose keys were refused.
+        shows: Security::SHOWS,
         key_silence: Duration::from_millis(5200),
         seals_itself: None,
         // SLUS914A 4.1.2.3.
@@ -104,6 +106,8 @@ pub static CHIP: Chip = Chip {
         // The kernel's driver; the limit is ours.
         reset: Duration::from_millis(300),
         reset_limit: Duration::from_secs(2),
+        resets: Access::RESET,
+        advances: false,
     },
     gate: Some(Gate {
         limit: (68, 0),

@@ -62,7 +62,7 @@ pub(super) const fn only_names(
         model,
         documents,
         evidence,
-        identity: Identity { device_type, firmware, hardware: None, dm_codes: &[], answer: 0x00 },
+        identity: Identity { device_type, firmware, build: None, hardware: None, dm_codes: &[], answer: 0x00 },
         firmware_file: None,
         technology: "Li-ion",
         address: GAUGE_ADDRESS,
@@ -110,6 +110,7 @@ const SECURITY: Security = Security {
     full_access: true,
     seal: 0x0020,
     // TI's advice to owners of relatives whose keys were refused.
+    shows: Security::SHOWS,
     key_silence: Duration::from_millis(5200),
     seals_itself: None,
     shown_sealed: &[],
@@ -127,6 +128,8 @@ const ACCESS: Access = Access {
     enter_limit: Duration::ZERO,
     reset: Duration::from_millis(300),
     reset_limit: Duration::from_secs(2),
+    resets: Access::RESET,
+    advances: false,
 };
 
 /// Standard commands, as the kernel's driver and SLUSAL6C have them. AveragePower() is in mW.

@@ -34,6 +34,7 @@ pub static CHIP: Chip = Chip {
     identity: Identity {
         device_type: 0x0621,
         firmware: &[0x0105],
+        build: None,
         hardware: None,
         dm_codes: &[],
         answer: 0x00,

@@ -37,7 +37,14 @@ pub static CHIP: Chip = Chip {
     // Bytes of real parts are known for the identity, the keys and CC Gain; the rest is the drivers'.
     evidence: &[Evidence::Drivers, Evidence::Transcript],
     // All drivers; nobody tells a firmware or hardware version.
-    identity: Identity { device_type: 0x0110, firmware: &[], hardware: None, dm_codes: &[], answer: 0x40 },
+    identity: Identity {
+        device_type: 0x0110,
+        firmware: &[],
+        build: None,
+        hardware: None,
+        dm_codes: &[],
+        answer: 0x40,
+    },
     firmware_file: None,
     technology: "Unknown",
     address: GAUGE_ADDRESS,
@@ -75,6 +82,7 @@ pub static CHIP: Chip = Chip {
         // Not 0x0020 as elsewhere, which toggles [IGNORE_SD_EN] here.
         seal: 0x0030,
         // TI's advice to owners of sibling gauges whose keys were refused.
+        shows: Security::SHOWS,
         key_silence: Duration::from_millis(5200),
         seals_itself: None,
         shown_sealed: &[],
@@ -96,6 +104,8 @@ pub static CHIP: Chip = Chip {
         // The underwater vehicle's driver looks for [INITCOMP] each second.
         reset: Duration::from_secs(1),
         reset_limit: Duration::from_secs(5),
+        resets: Access::RESET,
+        advances: false,
     },
     // No divider: owners whose writes were dropped had not set theirs yet, so that Voltage() itself was low
     // (E2E 834655, 797502, 846947).

@@ -33,6 +33,7 @@ pub static CHIP: Chip = Chip {
     identity: Identity {
         device_type: 0x0100,
         firmware: &[0x0016],
+        build: None,
         hardware: Some(0x0008),
         dm_codes: &[],
         answer: 0x00,
@@ -78,6 +79,7 @@ pub static CHIP: Chip = Chip {
         full_access: true,
         seal: 0x0020,
         // TI's advice to owners whose keys were refused; not in the datasheet.
+        shows: Security::SHOWS,
         key_silence: Duration::from_millis(5200),
         seals_itself: None,
         // 7.3.2.16.
@@ -108,6 +110,8 @@ pub static CHIP: Chip = Chip {
         // Owners measured 150 to 175 ms; the limit is ours, power-up itself takes 250 ms (6.3).
         reset: Duration::from_millis(200),
         reset_limit: Duration::from_secs(2),
+        resets: Access::RESET,
+        advances: false,
     },
     // 7.3.16.3 and 8.2.2.1.3: cell voltages are compared at the internal divider's full scale of 5000.
     // 7.3.16.3 compares the limit with Voltage(); 8.2.2.1.3, where seven cells have a limit of 2800 x 7 x 5000 /

@@ -36,6 +36,7 @@ pub static CHIP: Chip = Chip {
     identity: Identity {
         device_type: 0x0100,
         firmware: &[0x0202],
+        build: None,
         hardware: None,
         dm_codes: &[],
         answer: 0x00,
@@ -82,6 +83,7 @@ pub static CHIP: Chip = Chip {
         full_access: true,
         seal: 0x0020,
         // As on the bq34z100-G1, by TI's advice to owners whose keys were refused.
+        shows: Security::SHOWS,
         key_silence: Duration::from_millis(5200),
         seals_itself: None,
         // SLUSBZ5D 7.3.2.16.
@@ -108,6 +110,8 @@ pub static CHIP: Chip = Chip {
         enter_limit: Duration::ZERO,
         reset: Duration::from_millis(200),
         reset_limit: Duration::from_secs(2),
+        resets: Access::RESET,
+        advances: false,
     },
     // The limit is a cell's by its name, and Voltage() is compared before the scale: the gauge does not apply that. The
     // divider at which Voltage() is a cell's is not the bq34z100-G1's: a board that was calibrated with 9967 there needed

@@ -40,6 +40,7 @@ pub static CHIP: Chip = Chip {
     identity: Identity {
         device_type: 0x0100,
         firmware: &[],
+        build: None,
         hardware: Some(0x00A8),
         dm_codes: &[],
         answer: 0x40,
@@ -85,6 +86,7 @@ pub static CHIP: Chip = Chip {
         full_access: true,
         seal: 0x0020,
         // E2E 888302: a full-access key right after the unseal key was refused, 10 s later it was taken.
+        shows: Security::SHOWS,
         key_silence: Duration::from_secs(11),
         seals_itself: None,
         shown_sealed: &[],
@@ -113,6 +115,8 @@ pub static CHIP: Chip = Chip {
         // is ours.
         reset: Duration::from_millis(250),
         reset_limit: Duration::from_secs(2),
+        resets: Access::RESET,
+        advances: false,
     },
     // The rule is that of the siblings; no scale between Voltage() and the limit is known.
     gate: Some(Gate {

@@ -12,6 +12,8 @@ pub struct Identity {
     pub device_type: u16,
     /// Control(FW_VERSION) values of the table; empty if none is known and any is accepted.
     pub firmware: &'static [u16],
+    /// The build that follows the version in the answer to FW_VERSION, where the table is that of one build.
+    pub build: Option<u16>,
     /// Control(HW_VERSION), if it distinguishes parts with the same device type.
     pub hardware: Option<u16>,
     /// Control(DM_CODE) values, if they distinguish equal device types; empty for any that no other part has.
@@ -23,12 +25,13 @@ pub struct Identity {
 impl Identity {
     /// For a part that is chosen by name or recognised by a row of [`SIBLINGS`]: no part answers with type 0.
     pub(super) const NONE: Self =
-        Self { device_type: 0, firmware: &[], hardware: None, dm_codes: &[], answer: 0 };
+        Self { device_type: 0, firmware: &[], build: None, hardware: None, dm_codes: &[], answer: 0 };
 
     /// Whether a part of this identity gives these answers.
     pub fn fits(&self, answers: &Answers) -> bool {
         self.is_of_type(answers)
             && known(self.firmware, answers.firmware_version)
+            && self.build.is_none_or(|build| answers.build == Some(build))
             && self.hardware.is_none_or(|hardware| hardware == answers.hardware_version)
     }
 
@@ -60,6 +63,8 @@ pub struct Answers {
     pub firmware_version: u16,
     /// Control(HW_VERSION); 0 where the part does not have it.
     pub hardware_version: u16,
+    /// The build behind the version, where the part's table asks for it.
+    pub build: Option<u16>,
     /// Control(CHEM_ID), where the part has it.
     pub chem_id: Option<u16>,
     /// Control(DM_CODE), where the part has it.
@@ -112,7 +117,7 @@ impl Sibling {
         dm_codes: &'static [u16],
         like: Option<&'static Chip>,
     ) -> Self {
-        Self { name, identity: Identity { device_type, firmware, hardware: None, dm_codes, answer: 0 }, like }
+        Self { name, identity: Identity { device_type, firmware, dm_codes, ..Identity::NONE }, like }
     }
 }
 

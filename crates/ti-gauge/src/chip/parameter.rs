@@ -113,6 +113,8 @@ pub struct Parameter {
     pub safe: Option<Safe>,
     /// Address or range is uncertain: read-only unless the user insists.
     pub unproven: bool,
+    /// Why it is never written, whatever the user insists on.
+    pub never: Option<&'static str>,
     /// The property that it feeds.
     pub role: Option<Role>,
 }
@@ -131,6 +133,7 @@ impl Parameter {
             learned: false,
             safe: None,
             unproven: false,
+            never: None,
             role: None,
         }
     }
@@ -268,6 +271,13 @@ impl Parameter {
         self
     }
 
+    /// It is never written. Whatever leaves unproven rows out leaves it out as well.
+    #[must_use]
+    pub const fn never(mut self, why: &'static str) -> Self {
+        (self.unproven, self.never) = (true, Some(why));
+        self
+    }
+
     /// The property it feeds.
     #[must_use]
     pub const fn role(mut self, role: Role) -> Self {
@@ -316,6 +326,10 @@ pub enum Safe {
     Within(i32, i32, &'static str),
     /// Not above the voltage that the gauge will measure with the transaction's values, as its flash gate compares it.
     BelowVoltage(&'static str),
+    /// At least so much below the row at that offset of its subclass, with the transaction's values.
+    Under(u16, i32, &'static str),
+    /// At least so much above the row at that offset of its subclass, with the transaction's values.
+    Over(u16, i32, &'static str),
     /// The bits of this mask must keep their values.
     Keep(u32, &'static str),
 }
@@ -326,7 +340,7 @@ impl Safe {
         match *self {
             Self::AtLeast(least, why) => Some((least.into(), i64::MAX, why)),
             Self::Within(least, most, why) => Some((least.into(), most.into(), why)),
-            Self::BelowVoltage(_) | Self::Keep(..) => None,
+            Self::BelowVoltage(_) | Self::Under(..) | Self::Over(..) | Self::Keep(..) => None,
         }
     }
 }

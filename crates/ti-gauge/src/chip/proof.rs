@@ -5,9 +5,6 @@
 use super::{Chip, Effect, Kind};
 use crate::error::{Error, Reason, Result, Step};
 
-/// The subcommand of the whole family.
-pub(crate) const RESET: u16 = 0x0041;
-
 impl Chip {
     /// Whether a row of its data flash, keys apart, is proven. Without one its layout is in doubt as a whole.
     pub fn is_proven(&self) -> bool {
@@ -22,7 +19,7 @@ impl Chip {
 
     /// Whether RESET is never sent: to a part that is only read, or to which it does harm.
     pub fn is_never_reset(&self) -> bool {
-        self.subcommands.iter().any(|one| one.code == RESET && one.effect == Effect::Never)
+        self.subcommands.iter().any(|one| one.code == self.access.resets && one.effect == Effect::Never)
     }
 
     /// Whether no source prints what it answers, so that only the user can say that it is this part.

@@ -9,21 +9,47 @@ use super::state::{once_measured, read_bits, read_word};
 use super::window::locate;
 use super::window::{Planned, Window};
 use super::{Change, Place};
-use crate::chip::{Gate, Parameter, Role, Safe};
+use crate::chip::{Chip, Gate, Parameter, Role, Safe};
 use crate::codec::{Layout, WINDOW};
-use crate::error::{Error, Reason, Result, Step};
+use crate::error::{Cause, Error, Reason, Result, Step};
 use crate::gauge::{Gauge, agreed};
 use crate::value::Value;
 
-pub(super) fn check_safe(change: &Change, planned: &[Planned]) -> Result<()> {
+pub(super) fn check_safe(chip: &Chip, change: &Change, planned: &[Planned]) -> Result<()> {
     let Some((_, parameter)) = change.row else { return Ok(()) };
     match &parameter.safe {
+        Some(Safe::Under(other, by, why)) => {
+            let greatest = value_at(chip, change, planned, *other, why)? - i64::from(*by);
+            let number = integer(chip.layout, parameter, &change.bytes);
+            let reason = Reason::UnsafeAbove { number, greatest, why };
+            if number <= greatest { Ok(()) } else { Err(Error::of(change.subject(), reason).at(Step::Check)) }
+        }
+        Some(Safe::Over(other, by, why)) => {
+            let least = value_at(chip, change, planned, *other, why)? + i64::from(*by);
+            let number = integer(chip.layout, parameter, &change.bytes);
+            let reason = Reason::Unsafe { number, least, why };
+            if number >= least { Ok(()) } else { Err(Error::of(change.subject(), reason).at(Step::Check)) }
+        }
         Some(Safe::AtLeast(..) | Safe::Within(..)) => change.check_limits(),
         // `check_gate_after` judges it together with the other values.
         Some(Safe::BelowVoltage(_)) | None => Ok(()),
         Some(Safe::Keep(..)) if change.saved => Ok(()),
         Some(Safe::Keep(..)) => change.check_reserved(&old_bytes(change, planned)),
     }
+}
+
+/// What another row of the change's subclass will hold, as the blocks of the write show it.
+fn value_at(chip: &Chip, change: &Change, planned: &[Planned], other: u16, why: &str) -> Result<i64> {
+    let subclass = change.place.subclass;
+    let byte = |offset| planned.iter().find_map(|block| block.at((subclass, offset)).map(|at| block.new[at]));
+    let value = chip.parameter(subclass, other).and_then(|row| {
+        let bytes: Option<Vec<u8>> = (other..other + row.kind.size() as u16).map(byte).collect();
+        Some(integer(chip.layout, row, &bytes?))
+    });
+    value.ok_or_else(|| {
+        let why = format!("{why}, and the write does not show what is stored there");
+        Error::new(change.subject(), Cause::NotNow, why).at(Step::Check)
+    })
 }
 
 #[derive(Clone, Copy, PartialEq, Eq)]

@@ -13,7 +13,7 @@ use super::window::{Planned, locate};
 use crate::chip::{Bit, Calibration, Chip};
 use crate::codec::Bytes;
 use crate::error::{Cause, Error, Reason, Result, Step};
-use crate::gauge::{Gauge, Moment, SEAL_LAG, Seal};
+use crate::gauge::{Gauge, Moment, Seal};
 
 mod assure;
 mod store;
@@ -362,7 +362,7 @@ impl Session {
             Some(now) => gauge.go(now, self.found),
             // CONTROL_STATUS may still show the state before the last key.
             None if self.now != Some(self.found) && self.found == Seal::Sealed => {
-                gauge.wait(SEAL_LAG);
+                gauge.wait(gauge.chip.security.shows);
                 self.seal(gauge)
             }
             None => self.go_to_found(gauge),
@@ -398,7 +398,7 @@ fn reset(gauge: &mut Gauge, found: Seal, moment: Moment) -> Result<Seal> {
                     // One failed transfer is a disturbance.
                     silent |= gauge.failures() > failures + 1;
                     if silent || incomplete(status) || gauge.has_forgotten_selection() {
-                        gauge.wait(SEAL_LAG);
+                        gauge.wait(gauge.chip.security.shows);
                         return gauge.seal();
                     }
                     if gauge.clock.now() >= sent + access.reset + RESET_SHOWS {
@@ -426,7 +426,7 @@ fn reopen(gauge: &mut Gauge, goal: Seal, stays_open: bool) -> Result<()> {
     let limit = gauge.clock.now() + access.reset_limit;
     // The gauge may have sealed itself, and show it late.
     if !stays_open {
-        gauge.wait(SEAL_LAG);
+        gauge.wait(gauge.chip.security.shows);
     }
     loop {
         match gauge.seal_anew() {

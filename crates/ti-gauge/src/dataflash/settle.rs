@@ -19,7 +19,7 @@ use super::state::has_lost_memory;
 use super::verdict::Verdict;
 use super::window::holds_keys;
 use crate::error::{Cause, Error, Reason, Result, Step};
-use crate::gauge::{Gauge, SEAL_LAG, Seal};
+use crate::gauge::{Gauge, Seal};
 use crate::journal::{Entry, Identity, Journal, OpenJournal, Plan};
 
 mod decide;
@@ -128,7 +128,7 @@ impl DataFlash {
                     "the gauge that was left open was another part; discard what is owed with gaugefs settle";
                 return Err(Error::new(gauge.chip.model, Cause::Gone, why).at(Step::Seal));
             }
-            gauge.wait(SEAL_LAG);
+            gauge.wait(gauge.chip.security.shows);
             let mut session = Session::new(Seal::Sealed, asked);
             session.pack.pack = entry.as_ref().map(Reference::of);
             session.seal(gauge)

@@ -7,7 +7,7 @@ use super::presence::Moment;
 use super::seal::SEAL_POLL;
 use super::state::Seal;
 use super::statistics::Statistics;
-use crate::chip::{RESET, Scheme};
+use crate::chip::Scheme;
 use crate::error::{Cause, Error, Reason, Result, Step};
 use crate::keys::{Keys, Name, Secret, wipe_words};
 
@@ -258,7 +258,7 @@ impl Gauge {
     pub(crate) fn reset_since(&mut self, moment: Moment) -> Result<()> {
         Statistics::count(&self.statistics.resets);
         self.looks.resets();
-        self.command_since(RESET, moment).map_err(|error| error.at(Step::Reset))?;
+        self.command_since(self.chip.access.resets, moment).map_err(|error| error.at(Step::Reset))?;
         self.effects.reset(self.clock.now());
         Ok(())
     }

@@ -10,6 +10,9 @@ use crate::chip::Source;
 use crate::error::{Cause, Error, Reason, Result, Step};
 use gauge_bus::BusError;
 
+/// The build in the answer to FW_VERSION, behind device number and version.
+const BUILD: std::ops::Range<usize> = 4..6;
+
 impl Gauge {
     /// Fills `into` with the bytes starting at an address.
     pub fn read(&mut self, code: u8, into: &mut [u8]) -> Result<()> {
@@ -112,16 +115,45 @@ impl Gauge {
     pub fn identify_type(&mut self, device_type: u16) -> Result<Answers> {
         let named = |error: Error| error.at(Step::Identify);
         let firmware_version = self.firmware_version()?;
+        let build = self.build().map_err(named)?;
         let hardware_version = self.ask_named("HW_VERSION").map_err(named)?.unwrap_or_default();
         let chem_id = self.ask_named("CHEM_ID").map_err(named)?;
         // The code is a byte; nothing is said of the other one.
         let dm_code = self.ask_named("DM_CODE").map_err(named)?.map(|code| code & 0xff);
-        Ok(Answers { device_type, firmware_version, hardware_version, chem_id, dm_code })
+        Ok(Answers { device_type, firmware_version, build, hardware_version, chem_id, dm_code })
     }
 
     fn ask_named(&mut self, name: &str) -> Result<Option<u16>> {
         let known = self.chip.subcommands.iter().find(|subcommand| subcommand.name == name);
         known.map(|subcommand| self.ask(subcommand.code)).transpose()
+    }
+
+    /// The build behind the version in the answer to FW_VERSION; `None` where no table asks for it. What is not the table's
+    /// is asked for again, for a bit error.
+    fn build(&mut self) -> Result<Option<u16>> {
+        let Some(expected) = self.chip.identity.build else { return Ok(None) };
+        let mut found = None;
+        for _ in 0..2 {
+            let answer = self.dialect.version(self)?;
+            found = answer.get(BUILD).and_then(|build| Some(u16::from_be_bytes(build.try_into().ok()?)));
+            if found == Some(expected) {
+                break;
+            }
+        }
+        Ok(found)
+    }
+
+    /// Makes sure that the firmware is still the build of the table, where that has one.
+    pub(crate) fn confirm_build(&mut self) -> Result<()> {
+        let found = self.build().map_err(|error| error.at(Step::Identify))?;
+        if found == self.chip.identity.build {
+            return Ok(());
+        }
+        let why = format!(
+            "the firmware's build is 0x{:04x}, which this table does not cover; mount it anew",
+            found.unwrap_or_default()
+        );
+        Err(Error::new(self.chip.model, Cause::Gone, why).at(Step::Identify))
     }
 
     /// Control(FW_VERSION).

@@ -4,7 +4,7 @@
 
 use super::Gauge;
 use super::state::{Answer, Rows, Shown};
-use crate::chip::{Chip, RESET, Register, Scheme, SealStatus, Source, Tier, bursts};
+use crate::chip::{Chip, Register, Scheme, SealStatus, Source, Tier, bursts};
 use crate::error::Result;
 use gauge_bus::BusError;
 use gauge_bus::replay::{First, Recording, Replay, Seals, Touch};
@@ -86,7 +86,7 @@ pub fn replay(chip: &Chip, recording: &Recording) -> Replay {
         SealStatus::Bits { .. } | SealStatus::None => None,
     };
     let dialect = of(chip);
-    let seals = Seals { commands: [chip.security.seal, RESET], status };
+    let seals = Seals { commands: [chip.security.seal, chip.access.resets], status };
     let first = if chip.access.scheme == Scheme::Smbus { First::Code } else { First::Address };
     Replay::new(recording, first, seals, Box::new(|write| dialect.touches(write)))
 }

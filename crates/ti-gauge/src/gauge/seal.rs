@@ -12,8 +12,6 @@ use crate::chip::{SealStatus, Source};
 use crate::error::{Cause, Error, Result, Step};
 use gauge_bus::BusError;
 
-/// How late CONTROL_STATUS may show a new state. Drivers wait 40 ms and try again (bq35100), or 100 ms after a key.
-pub(crate) const SEAL_LAG: Duration = Duration::from_millis(240);
 pub(super) const SEAL_POLL: Duration = Duration::from_millis(80);
 
 pub(super) struct Looks {
@@ -131,8 +129,7 @@ impl Gauge {
             }
             SealStatus::Field { word, shift } => {
                 let word = match word {
-                    Source::Status => status,
-                    Source::Answer(code) => self.ask(code)?.into(),
+                    Source::Status | Source::Answer(_) => status,
                     Source::Command(code) => self.word(code)?.into(),
                 };
                 match word >> shift & 3 {
@@ -154,7 +151,8 @@ impl Gauge {
 
     /// Something is sent that leads to a seal state, which CONTROL_STATUS may show late.
     pub(super) fn commands(&mut self, goal: Seal) {
-        (self.looks.seen, self.looks.commanded) = (None, Some((goal, self.clock.now() + SEAL_LAG)));
+        (self.looks.seen, self.looks.commanded) =
+            (None, Some((goal, self.clock.now() + self.chip.security.shows)));
     }
 
     /// Whether an access is going on from now on, in which pauses between two transfers count.

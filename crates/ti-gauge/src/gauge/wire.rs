@@ -202,6 +202,14 @@ impl Gauge {
             let seen = Seen { begun, ended: stopped, touches: &touches, shown, outcome };
             self.effects.transfer(&seen, self.chip, &self.statistics.commits);
         }
+        // What was shown is the selection until the next read, and then the one behind it.
+        if self.chip.access.advances
+            && write == self.dialect.selection()
+            && read.len() > WINDOW
+            && outcome.is_ok()
+        {
+            self.presence.may_advance(WINDOW as u16);
+        }
         match outcome {
             Ok(()) => {
                 self.wire.silence = self.longest_silence();

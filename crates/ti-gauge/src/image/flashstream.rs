@@ -8,7 +8,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use super::target::{chip_like, instead};
 use super::{Faults, Format, Group, Image, Raw, Reading, at_line, check_count, is_written};
-use crate::chip::{CHIPS, Chip, Effect, FLAT, Kind, Parameter, RESET, SIBLINGS, Scheme, Subclass};
+use crate::chip::{CHIPS, Chip, Effect, FLAT, Kind, Parameter, SIBLINGS, Scheme, Subclass};
 use crate::codec::{WINDOW, checksum};
 
 mod romimage;
@@ -564,13 +564,15 @@ impl Stream {
         let leaves = update.is_some_and(|(_, leave)| leave.contains(&word));
         if enters {
             self.update = Some(line);
-        } else if leaves || word == RESET {
+        } else if leaves || word == self.chip.access.resets {
             self.update = None;
         }
         match subcommand.effect {
             Effect::Never => Err(format!("{}: gaugefs never sends it", subcommand.name)),
             Effect::Answers => Ok(()),
-            Effect::Guarded if enters || leaves || word == RESET || word == self.chip.security.seal => {
+            Effect::Guarded
+                if enters || leaves || [self.chip.access.resets, self.chip.security.seal].contains(&word) =>
+            {
                 self.notes.push(format!("line {line}: {}; an import does it by itself", subcommand.name));
                 Ok(())
             }
@@ -843,7 +845,7 @@ pub fn write(image: &Image, raw: impl Fn(u8) -> Result<Vec<u8>>) -> Result<Strin
         }
     }
     if !chip.is_never_reset() {
-        let reset = update.and_then(|(_, leave)| leave.first()).unwrap_or(&RESET);
+        let reset = update.and_then(|(_, leave)| leave.first()).unwrap_or(&access.resets);
         text += &row('W', CONTROL, &reset.to_le_bytes());
         text += &wait(access.reset_limit);
     }

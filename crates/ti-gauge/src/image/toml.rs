@@ -9,7 +9,7 @@ use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
 use super::{Faults, Image, NAMED, Reading, at_line, check_count, chip_of, twice};
-use crate::chip::{Chip, Kind, Parameter, kebab_case};
+use crate::chip::{Chip, Kind, Parameter, Subclass, kebab_case};
 use crate::date;
 use crate::error::{Cause, Error, Result};
 use crate::notation;
@@ -24,9 +24,9 @@ pub fn write(image: &Image) -> String {
         text += &format!("firmware = 0x{firmware:04x}\n");
     }
     text += &format!("parameters = {}\n", image.entries.len());
-    for subclass in chip.subclasses {
-        let entries: Vec<_> =
-            image.entries.iter().filter(|entry| std::ptr::eq(entry.subclass, subclass)).collect();
+    for (_, subclass) in chip.classes() {
+        let is_of_class = |group: &Subclass| chip.class_of(subclass).any(|(_, one)| std::ptr::eq(one, group));
+        let entries: Vec<_> = image.entries.iter().filter(|entry| is_of_class(entry.subclass)).collect();
         if !entries.is_empty() {
             text += &format!("\n[{}]\n", chip.class_dir(subclass));
         }
@@ -205,8 +205,10 @@ impl File<'_> {
         }
         for (key, value) in table {
             let whole = format!("{}/{}", chip.class_dir(subclass), key.get_ref());
-            let row = subclass.parameters.iter().find(|row| kebab_case(row.name) == *key.get_ref());
-            let Some(parameter) = row else {
+            let mut rows =
+                chip.class_of(subclass).flat_map(|(_, one)| one.parameters.iter().map(move |row| (one, row)));
+            let Some((subclass, parameter)) = rows.find(|(_, row)| kebab_case(row.name) == *key.get_ref())
+            else {
                 self.unknown += 1;
                 let nearest = if self.unknown <= NAMED { chip.nearest(&whole) } else { None };
                 // A guessed class leaves open whether this is its parameter.

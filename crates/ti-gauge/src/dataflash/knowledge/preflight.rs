@@ -273,6 +273,7 @@ impl Knowledge {
                 version
             }
         };
+        gauge.confirm_build()?;
         let known_pack = self.known_pack.get_or_insert(KnownPack::new(firmware_version));
         let Some(pack) = pack else { return Ok(()) };
         let now = agreed(pack.name, || read_word(gauge, pack.word))?;

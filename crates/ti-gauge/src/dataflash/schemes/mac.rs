@@ -2,6 +2,8 @@
 
 //! ManufacturerAccessControl (SLUUBH1C 12.1.3, SLUA790 3): a flat address, echoed, up to 32 bytes, MACDataSum, MACDataLen.
 
+use std::cell::Cell;
+
 use super::{Before, Care, Early, Sequence, look_early, look_twice, note_shown, settle};
 use crate::chip::FLAT;
 use crate::codec::{WINDOW, checksum};
@@ -137,7 +139,8 @@ fn before_flash(gauge: &mut Gauge, place: Window) -> Option<Before> {
     known?.or_landmark(gauge, place, |gauge, other, landmark| {
         request(gauge, other)?;
         let is_there = |now: &[u8; WINDOW]| landmark.is(now);
-        Ok(look_early(gauge, is_there, |gauge: &mut Gauge| read_answer(gauge, other)))
+        let is_read = Cell::new(false);
+        Ok(look_early(gauge, is_there, |gauge: &mut Gauge| look_at(gauge, other, &is_read)))
     })
 }
 
@@ -148,7 +151,8 @@ fn load_once(gauge: &mut Gauge, place: Window, before: Option<&Before>, care: Ca
         let mut sum = [0];
         gauge.read(MAC_DATA_SUM, &mut sum).map(|()| sum[0])
     };
-    let whole = |gauge: &mut Gauge| read_answer(gauge, place);
+    let is_read = Cell::new(false);
+    let whole = |gauge: &mut Gauge| look_at(gauge, place, &is_read);
     let seen = match before {
         None => look_twice(gauge, care, None, read_sum, whole),
         Some(before) => {
@@ -161,6 +165,15 @@ fn load_once(gauge: &mut Gauge, place: Window, before: Option<&Before>, care: Ca
         }
     };
     seen.map_err(|error| error.within(&place.name(0)))
+}
+
+/// A look at a requested block. Once `is_read`, some parts show the next one: it is requested anew.
+fn look_at(gauge: &mut Gauge, place: Window, is_read: &Cell<bool>) -> Result<([u8; WINDOW], u8)> {
+    if is_read.replace(true) && gauge.chip.access.advances {
+        request(gauge, place)?;
+        settle(gauge);
+    }
+    read_answer(gauge, place)
 }
 
 fn read_answer(gauge: &mut Gauge, place: Window) -> Result<([u8; WINDOW], u8)> {

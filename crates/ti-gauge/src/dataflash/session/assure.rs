@@ -19,7 +19,7 @@ use crate::dataflash::schemes::{Care, sequence};
 use crate::dataflash::state::has_lost_memory;
 use crate::dataflash::window::Planned;
 use crate::error::{Cause, Error, Result, Step};
-use crate::gauge::{Gauge, Moment, SEAL_LAG, Seal};
+use crate::gauge::{Gauge, Moment, Seal};
 use crate::journal::{Entry, Identity, Plan};
 
 /// Attempts to send SEALED between two moments without an answer, and their interval: half of what a row takes.
@@ -242,7 +242,7 @@ impl Session {
             return Ok(Some(moment));
         }
         if now == Seal::Sealed {
-            gauge.wait(SEAL_LAG);
+            gauge.wait(gauge.chip.security.shows);
             if gauge.seal()? == Seal::Sealed {
                 return self.assure_sealed(gauge).map(|()| None);
             }

@@ -7,9 +7,9 @@ use std::ops::Range;
 use std::time::Duration;
 
 use super::{Challenge, Dialect, Touches};
-use crate::chip::{Chip, Register, Source};
-use crate::codec::WINDOW;
-use crate::error::{Result, Step};
+use crate::chip::{Chip, Register, SealStatus, Source};
+use crate::codec::{WINDOW, checksum};
+use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::state::{Rows, Shown};
 use crate::gauge::{APART, CONTROL_STATUS, FW_VERSION, Gauge, TRIES};
 use gauge_bus::BusError;
@@ -26,6 +26,7 @@ const SUM: u8 = 0x60;
 /// BlockDataControl(), or MACDataLen(), which commits what was written to MACData().
 const LENGTH: u8 = 0x61;
 const ACCESS: Range<u8> = 0x3e..0x62;
+const ACCESS_LENGTH: usize = (ACCESS.end - ACCESS.start) as usize;
 
 /// What MACDataLen() counts besides the data, and the longest answer to FW_VERSION that any part is known to have.
 const MAC_OVERHEAD: usize = 4;
@@ -128,6 +129,9 @@ impl Dialect for Map {
     }
 
     fn look(&self, gauge: &mut Gauge, also: &[Source]) -> Result<(u16, Rows)> {
+        if let SealStatus::Field { word: Source::Answer(code), .. } = gauge.chip.security.status {
+            return look_at_answer(gauge, code, also);
+        }
         gauge.command(CONTROL_STATUS)?;
         // One transfer reads all, if the bus carries that; one for each piece would read much that is not asked for.
         let last = also.iter().filter_map(|row| row.command()).max().unwrap_or(CONTROL);
@@ -262,6 +266,32 @@ fn status(gauge: &mut Gauge, behind: &mut [u8]) -> Result<u16> {
         }
         status => Ok(status),
     }
+}
+
+/// A look at the answer that has the place of CONTROL_STATUS. MACData() may still show another one, in whose bits a state
+/// would be read that the gauge is not in: echo and sum tell it.
+fn look_at_answer(gauge: &mut Gauge, code: u16, also: &[Source]) -> Result<(u16, Rows)> {
+    gauge.command(code)?;
+    gauge.wait(ANSWER.max(gauge.chip.access.select));
+    let mut shown = [0; ACCESS_LENGTH];
+    let read = gauge.read(SELECTION.start, &mut shown);
+    read.map_err(|error| error.about(gauge.subcommand_name(code)).at(Step::Control))?;
+    let [low, high, data @ .., sum, length] = shown;
+    let data = usize::from(length).checked_sub(MAC_OVERHEAD).and_then(|count| data.get(..count));
+    let is_whole = |data: &&[u8]| checksum(data).wrapping_sub(low).wrapping_sub(high) == sum;
+    let word = data.filter(is_whole).and_then(|data| data.first_chunk());
+    let Some(word) = word.filter(|_| u16::from_le_bytes([low, high]) == code) else {
+        let why = "the gauge shows another answer, or its sum does not fit";
+        return Err(Error::new(gauge.subcommand_name(code), Cause::Protocol, why).at(Step::Control));
+    };
+    let mut values = Vec::new();
+    for source in also {
+        if let Some(code) = source.command() {
+            values.push((*source, gauge.word(code)?));
+        }
+    }
+    let value = |row: &Source| values.iter().find(|(source, _)| source == row).map(|(_, value)| *value);
+    Ok((u16::from_le_bytes(*word), Rows::of(also, value)))
 }
 
 /// Sends a subcommand and reads its answer. MACData() shows what it held before, or is blank, until the gauge has stored that.
