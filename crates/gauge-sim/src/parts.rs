@@ -15,6 +15,7 @@ mod bq27520_g3;
 mod bq27541_g1;
 mod bq27542_g1;
 mod bq27621_g1;
+mod bq28z610;
 mod bq34110;
 mod bq34z100_g1;
 mod bq34z100_r2;
@@ -39,6 +40,7 @@ static PARTS: &[&Part] = &[
     &bq27621_g1::PART,
     &bq34110::PART,
     &bq35100::PART,
+    &bq28z610::PART,
 ];
 
 /// Every part: those with data flash, those known by their standard commands only, and the Smart Battery.

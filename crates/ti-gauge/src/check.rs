@@ -308,11 +308,12 @@ impl<'a> Facts<'a> {
         }
     }
 
-    /// The number of cells in series: a row, or one on a part for one cell.
+    /// The number of cells in series: a row, or one on a part for one cell, which keeps no value of a second one.
     fn cells(&self) -> Result<f64, Lacking> {
+        let is_for_one = || !self.chip.rows().any(|(_, row)| row.name == "Qmax Cell 2");
         match self.chip.stored(Role::Cells) {
             Some(row) => self.number(row).map(|cells| cells.max(1.0)),
-            None if self.chip.has_table() && self.chip.technology == "Li-ion" => Ok(1.0),
+            None if self.chip.has_table() && self.chip.technology == "Li-ion" && is_for_one() => Ok(1.0),
             None => Err(Lacking::Never),
         }
     }

@@ -21,6 +21,7 @@ pub mod bq27520_g3;
 pub mod bq27541_g1;
 pub mod bq27542_g1;
 pub mod bq27621_g1;
+pub mod bq28z610;
 pub mod bq34110;
 pub mod bq34z100_g1;
 pub mod bq34z100_r2;
@@ -69,6 +70,7 @@ pub static CHIPS: &[&Chip] = &[
     &bq27621_g1::CHIP,
     &bq34110::CHIP,
     &bq35100::CHIP,
+    &bq28z610::CHIP,
 ];
 
 /// One fuel gauge: everything in which parts differ.

@@ -39,9 +39,10 @@ const SYMBOLS: [(&str, &str, i128); 17] = [
 ];
 const PREFIXED: [&str; 7] = ["V", "A", "Ah", "W", "Wh", "Ω", "s"];
 /// Prefixes with their multiplier and divisor. The micro sign and the Greek letter are different characters.
-const PREFIXES: [(&str, i128, i128); 7] = [
+const PREFIXES: [(&str, i128, i128); 8] = [
     ("", 1, 1),
     ("k", 1_000, 1),
+    ("c", 1, 100),
     ("m", 1, 1_000),
     ("u", 1, 1_000_000),
     ("µ", 1, 1_000_000),
@@ -268,6 +269,7 @@ mod tests {
             ("mAh", "2.2Ah", 2200),
             ("mAh", "2200mAh", 2200),
             ("mWh", "7.4Wh", 7400),
+            ("cWh", "24.48Wh", 2448),
             ("0.01mAh", "1mAh", 100),
             ("mV/cell", "4.2V/cell", 4200),
             ("20mV", "3.1V", 155),
@@ -395,6 +397,7 @@ mod tests {
             "readings",
             "0.1 Hr rate",
             "Hr rate",
+            "2^-10 Ω",
             "mWh/cWh",
             "mW/cW",
             date::UNIT,

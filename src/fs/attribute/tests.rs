@@ -505,7 +505,6 @@ const OF_THE_DRIVER: &[(&[&str], &str)] = &[
     // At the place of the driver's power_avg is a threshold.
     (&["bq27542", "bq27546"], "capacity charge_full charge_full_design charge_now current_now cycle_count state_of_health temp time_to_empty_now voltage_now"),
     (&["bq27411", "bq27425"], "capacity charge_full charge_full_design charge_now current_now temp voltage_now"),
-    (&["bq28z610"], "capacity charge_full charge_full_design charge_now current_now cycle_count power_avg temp time_to_empty_now time_to_full_now voltage_now"),
     // The driver shows a power_avg of theirs; nobody says in which unit it is.
     (&["bq27z561", "bq28z620", "bq78z100"], "capacity charge_full charge_full_design charge_now current_now cycle_count temp time_to_empty_now time_to_full_now voltage_now"),
 ];

@@ -15,14 +15,14 @@ use super::{crates, files, without_tests};
 const LINES: [(&str, usize); 10] = [
     ("gauge-bus", 3_260),
     ("gauge-owner", 7_690),
-    ("gauge-sim", 11_745),
+    ("gauge-sim", 12_150),
     ("gauge-station", 3_800),
     ("gaugefs", 19_220),
     ("gaugefs-client", 2_850),
     ("gaugefs-host", 600),
     ("gaugefs-screen", 6_160),
     ("i2c-server", 1_280),
-    ("ti-gauge", 33_520),
+    ("ti-gauge", 34_900),
 ];
 
 /// The least lines of code to one of comment in each crate, in tenths. What others use has a line for each public item.

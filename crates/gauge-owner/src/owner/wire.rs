@@ -26,7 +26,7 @@ use super::{GaugeOptions, Run, Seal, operations as op};
 /// A part, the parameter of its write, and those of its transaction.
 type Case = (&'static str, &'static str, [&'static str; 3]);
 
-const CASES: [Case; 13] = [
+const CASES: [Case; 14] = [
     ("bq34z100-g1", "Cell Terminate Voltage", ["Design Capacity", "Taper Current", "Sleep Current"]),
     ("bq34z100-r2", "Cell Terminate Voltage", ["Design Capacity", "Taper Current", "Sleep Current"]),
     ("bq27520-g3", "Terminate Voltage", ["Design Capacity", "Taper Current", "Sleep Current"]),
@@ -39,6 +39,7 @@ const CASES: [Case; 13] = [
     ("bq27621-g1", "Terminate Voltage", RAM),
     ("bq27220", "Taper Current", ["Design Capacity", "Sleep Current", "Dsg Current Threshold"]),
     ("bq34110", "Taper Current", ["Design Capacity mAh", "Taper Voltage", "Dsg Current Threshold"]),
+    ("bq28z610", "Pack Resistance", ["Resistance Parameter Filter", "Voltage Time", "Device Name"]),
     (
         "bq35100",
         "Cell Terminate Voltage",

@@ -54,7 +54,6 @@ pub(super) static PARTS: &[&Part] = &[
     &const { named("bq27411", const { &of(BQ27411, UTOT, 0x0421, 0x0109) }) },
     &const { named("bq27425", const { &of(BQ27411, UTOT, 0x0425, 0x0205) }) },
     &const { named("bq27z561", const { &of(BQ27Z561, Z561, 0x1561, 0x0100) }) },
-    &const { named("bq28z610", const { &of(BQ27Z561, Z561, 0x2610, 0x0100) }) },
     &const { named("bq28z620", const { &of(BQ27Z561, Z561, 0x2620, 0x0100) }) },
     &const { named("bq78z100", const { &of(BQ27Z561, Z561, 0x2610, 0x0100) }) },
 ];

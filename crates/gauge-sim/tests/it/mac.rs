@@ -467,6 +467,87 @@ mod bq34110 {
     }
 }
 
+mod bq28z610 {
+    use super::*;
+
+    /// As bq28z610-arduino-driver sends them, with the sums of its dump and its waits.
+    #[test]
+    fn transcripts_of_the_arduino_driver() {
+        let bench = bench("bq28z610");
+        bench.replay("W 3E 01 00 ; X 5 ; R 3E 4 -> 01 00 10 26");
+        bench.replay("W 3E 02 00 ; X 5 ; R 3E D -> 02 00 26 10 00 17 00 16 00 03 85 00 00");
+        bench.replay("W 3E 54 00 ; X 5 ; R 3E 6 -> 54 00 82 43 00 00 ; R 61 1 -> 08");
+        bench.replay("W 00 14 04 ; X 5 ; W 00 72 36 ; X 1000");
+        bench.replay("W 3E 54 00 ; X 5 ; R 3E 4 -> 54 00 82 42");
+        // The first dump's block.
+        let block: [u8; 32] = [
+            0x5C, 0x07, 0, 0, 0, 0, 0xFA, 0, 0xFA, 0, 0x70, 0x17, 0xB8, 0x0B, 0x0A, 0xA0, 0x0F, 0x0F, 0,
+            0x32, 0x32, 0, 0xC2, 0x01, 0x05, 0x14, 0, 0x0A, 0x14, 0xF6, 0xFF, 0xB0,
+        ];
+        bench.sim.set_flash(0, 0x600, &block);
+        bench.replay(
+            "W 3E 00 46 ; R 3E 24 -> 00 46 5C 07 00 00 00 00 FA 00 FA 00 70 17 B8 0B 0A A0 0F 0F 00 32 32 00 C2 01 05 14 \
+             00 0A 14 F6 FF B0 4D 24",
+        );
+        bench.replay("W 3E 2A 46 48 0D ; W 60 3A 06 ; X 200 ; W 3E 2A 46 ; R 3E 4 -> 2A 46 48 0D");
+    }
+
+    /// E2E 1547680: bqStudio reads gains of another part.
+    #[test]
+    fn a_trace_of_bqstudio() {
+        let bench = unsealed("bq28z610");
+        bench.sim.set_flash(0, 0x006, &[0x0C, 0x78, 0x65, 0x40, 0xD5, 0x8A, 0x82, 0x49]);
+        bench.sim.set_flash(0, 0x014, &[0, 0]);
+        bench.replay(
+            "W 3E 06 40 ; R 3E 24 -> 06 40 0C 78 65 40 D5 8A 82 49 00 00 40 00 00 00 00 00 00 00 00 FF FF FF FF FF FF FF \
+             FF FF FF FF FF FF 33 24",
+        );
+        bench.replay(
+            "W 3E 0A 40 ; R 3E 24 -> 0A 40 D5 8A 82 49 00 00 40 00 00 00 00 00 00 00 00 FF FF FF FF FF FF FF FF FF FF FF FF \
+             FF FF FF FF FF 5C 24",
+        );
+    }
+
+    /// E2E 939805: TI's example for a host.
+    #[test]
+    fn a_write_as_ti_explains_it() {
+        let bench = unsealed("bq28z610");
+        bench
+            .replay("W 3E 00 47 01 02 03 04 ; W 60 AE 08 ; X 200 ; W 3E 00 47 ; R 3E 6 -> 00 47 01 02 03 04");
+    }
+
+    /// SLUUCO9A: another read of a block shows the next one. A read of a part of it does not.
+    #[test]
+    fn a_block_that_was_read_makes_room_for_the_next() {
+        let bench = unsealed("bq28z610");
+        bench.replay("W 3E 00 44 ; R 3E 4 -> 00 44 91 D0 ; R 3E 4 -> 00 44 91 D0 ; R 60 2 -> FC 24");
+        let whole = |first: &str| {
+            let mut read = [0; 36];
+            bench.sim.bus().transfer(&[0x3E], &mut read).unwrap();
+            assert_eq!(format!("{:02X} {:02X}", read[0], read[1]), first);
+            assert_eq!(read[34], sum(&read[..34]), "{first}");
+        };
+        whole("00 44");
+        whole("20 44");
+        whole("40 44");
+        bench.replay("W 3E 54 00 ; R 3E 2 -> 54 00");
+        whole("54 00");
+        whole("54 00");
+    }
+
+    /// E2E 791892.
+    #[test]
+    fn control_shows_full_access_as_none() {
+        let bench = bench("bq28z610");
+        bench.replay("R 00 2 -> 00 60");
+        bench.replay("W 00 14 04 ; W 00 72 36 ; R 00 2 -> 00 40");
+        bench.replay(
+            "X 5000 ; W 00 FF FF ; W 00 FF FF ; R 00 2 -> 00 00 ; W 3E 54 00 ; R 3E 4 -> 54 00 82 41",
+        );
+        bench.replay("W 00 30 00 ; R 00 2 -> 00 60");
+    }
+}
+
 mod bq27220 {
     use super::*;
 

@@ -10,8 +10,8 @@
 //!
 //! - `power_avg` is AveragePower() in mW: SLUS785D and SLUS914A (bq27500), SLUS927 (bq27510-G1), SLUS948 (bq27510-G2),
 //!   SLUSAB7A (bq27520-G2), SLUSAL5 (bq27530-G1), SLUSBE7 (bq27531-G1), SLUS861 and SLUSAL6C (bq27541), SLUSAT0E (bq27545).
-//!   The driver takes it for 10 mW. That is right for the bq28z610 (SLUUA65E; in mW on the bq28z610-R2, SLUUCO0), and of
-//!   bq27z561, bq28z620 and bq78z100 nobody says what it is, so these have no `power_avg`.
+//!   The driver takes it for 10 mW. Of bq27z561, bq28z620 and bq78z100 nobody says what it is, so these have no
+//!   `power_avg`.
 //! - AveragePower() of the bq27742 is at 0x76; at 0x24, where the driver reads it, is BTPSOC1Set(), a threshold that the
 //!   host sets (SLUSBV9C, Table 8). The bq27546-G1 (SLUSC53, Table 7) has it there, too, and the bq27542-G1 has the
 //!   battery trip points (SLUSC33): no `power_avg`.
@@ -38,7 +38,7 @@ use gauge_bus::GAUGE_ADDRESS;
 pub static GAUGES: &[&Chip] = &[
     &BQ27000, &BQ27010, &BQ2750X, &BQ2751X, &BQ2752X, &BQ27510_G1, &BQ27510_G2, &BQ27510_G3,
     &BQ27520_G1, &BQ27520_G2, &BQ27520_G4, &BQ27521, &BQ27530, &BQ27531, &BQ27541, &BQ27542, &BQ27546,
-    &BQ27742, &BQ27545, &BQ27411, &BQ27425, &BQ27Z561, &BQ28Z610, &BQ28Z620, &BQ78Z100,
+    &BQ27742, &BQ27545, &BQ27411, &BQ27425, &BQ27Z561, &BQ28Z620, &BQ78Z100,
 ];
 
 /// The driver's names (its I2C ids, which follow `ti,` in a device tree), and what gaugefs has for each.
@@ -247,7 +247,6 @@ static BQ27545: Chip = gauge("bq27545", "bq27545", REGISTERS_27545, Otdc);
 static BQ27411: Chip = gauge("bq27411", "bq27411", REGISTERS_27411, Utot);
 static BQ27425: Chip = gauge("bq27425", "bq27425", REGISTERS_27411, Utot);
 pub(super) static BQ27Z561: Chip = gauge("bq27z561", "bq27z561", REGISTERS_27Z561, Z561);
-static BQ28Z610: Chip = gauge("bq28z610", "bq28z610", REGISTERS_28Z610, Z561);
 static BQ28Z620: Chip = gauge("bq28z620", "bq28z620", REGISTERS_27Z561, Z561);
 static BQ78Z100: Chip = gauge("bq78z100", "bq78z100", REGISTERS_27Z561, Z561);
 
@@ -336,12 +335,6 @@ static REGISTERS_27Z561: &[Register] = &[
     to_full(0x18), power_without_role(0x22, ""), cycles(0x2a), percent(0x2c), design(0x3c),
 ];
 
-#[rustfmt::skip]
-static REGISTERS_28Z610: &[Register] = &[
-    temperature(0x06), voltage(0x08), flags(0x0a, Z561), remaining(0x10), full(0x12), current(0x14), to_empty(0x16),
-    to_full(0x18), centiwatts(0x22), cycles(0x2a), percent(0x2c), design(0x3c),
-];
-
 // The bq27000 counts in units of its sense resistor's voltage; the steps are for 20 mΩ, as in the driver. With
 // another resistor the scales of currents and energies are 20 mΩ divided by it.
 
@@ -414,10 +407,6 @@ const fn energy(code: u8) -> Register {
 
 const fn power(code: u8) -> Register {
     word(code, I(2), "AveragePower", "mW", Role::PowerAvg)
-}
-
-const fn centiwatts(code: u8) -> Register {
-    word(code, I(2), "AveragePower", "cW", Role::PowerAvg).step(10, 1)
 }
 
 /// AveragePower() that is not shown: the driver does not show it, or its unit is unknown.
@@ -560,6 +549,5 @@ mod tests {
         assert_eq!(reads("bq27521"), [(0x08, 8)]);
         assert_eq!(reads("bq27411"), [(0x02, 16), (0x1c, 2)]);
         assert_eq!(reads("bq2750x"), [(0x06, 18), (0x2a, 4)]);
-        assert_eq!(reads("bq28z610"), [(0x06, 6), (0x10, 10), (0x22, 2), (0x2a, 4)]);
     }
 }

@@ -67,14 +67,16 @@ impl Limited {
                 let why = BusError::WriteDisabled;
                 return format!("only standard commands are read, and there is no df: {why}");
             }
-            Limited::Unproven => format!(
-                "firmware 0x{:04x}, hardware 0x{:04x}",
-                answers.firmware_version, answers.hardware_version
-            ),
+            Limited::Unproven => {
+                let build = answers.build.map(built).unwrap_or_default();
+                let (firmware, hardware) = (answers.firmware_version, answers.hardware_version);
+                format!("firmware 0x{firmware:04x}{build}, hardware 0x{hardware:04x}")
+            }
         };
         let identity = &chip.identity;
+        let build = identity.build.map(built).unwrap_or_default();
         let firmware: Vec<_> =
-            identity.firmware.iter().map(|code| format!("firmware 0x{code:04x}")).collect();
+            identity.firmware.iter().map(|code| format!("firmware 0x{code:04x}{build}")).collect();
         let hardware = identity.hardware.map(|code| format!("hardware 0x{code:04x}"));
         let proven: Vec<_> = firmware.into_iter().chain(hardware).collect();
         format!(
@@ -84,6 +86,10 @@ impl Limited {
             proven.join(", ")
         )
     }
+}
+
+fn built(build: u16) -> String {
+    format!(" build 0x{build:04x}")
 }
 
 /// Identifies a part by its answers. One whose identity names the hardware, a DM_CODE or the firmware takes precedence.
@@ -130,7 +136,8 @@ mod tests {
 
     /// The recognised part for these answers.
     fn seen(device_type: u16, firmware_version: u16, hardware_version: u16, dm_code: Option<u16>) -> String {
-        let answers = Answers { device_type, firmware_version, hardware_version, chem_id: None, dm_code };
+        let answers =
+            Answers { device_type, firmware_version, hardware_version, dm_code, ..Answers::default() };
         match recognise(&answers) {
             Recognised::Chip(chip) => chip.name.to_string(),
             Recognised::Sibling(Sibling { name, like: Some(chip), .. }) => {
@@ -161,6 +168,13 @@ mod tests {
         assert_eq!(seen(0x0500, 0x0130, 0x0000, None), "bq27500-v130");
         assert_eq!(seen(0x0520, 0x0311, 0x0000, None), "bq27520-G2 like bq27520-g3");
         assert_eq!(seen(0x0520, 0x0329, 0x0000, None), "bq27520-G4 like bq27520-g4");
+        let z610 = |firmware_version, build| {
+            let answers = Answers { device_type: 0x2610, firmware_version, build, ..Answers::default() };
+            matches!(recognise(&answers), Recognised::Chip(chip) if chip.name == "bq28z610")
+        };
+        assert!(z610(0x0017, Some(0x0016)));
+        // Another build, or one that is not known.
+        assert!(!z610(0x0017, Some(0x0017)) && !z610(0x0017, None) && !z610(0x0018, Some(0x0016)));
         assert_eq!(seen(0xffff, 0xffff, 0xffff, None), "unknown");
         assert_eq!(seen(0x0000, 0x0000, 0x0000, None), "unknown");
     }
@@ -172,7 +186,7 @@ mod tests {
         assert_eq!(seen(0x0541, 0x0117, 0, None), "bq27541 or bq27546");
         assert_eq!(seen(0x0510, 0x0400, 0, None), "bq27510-g1 or bq27510-g2 or bq27510-g3");
         // Types that only the name of a part suggests.
-        for device_type in [0x0521, 0x0530, 0x0531, 0x0545, 0x0546, 0x0425, 0x2610] {
+        for device_type in [0x0521, 0x0530, 0x0531, 0x0545, 0x0546, 0x0425] {
             assert_eq!(seen(device_type, 0x0100, 0, None), "unknown");
         }
     }

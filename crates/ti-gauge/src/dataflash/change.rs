@@ -186,10 +186,10 @@ fn check_row(chip: &Chip, (subclass, parameter): Row, also_unproven: bool) -> Re
         let why = "keys cannot be changed like other parameters";
         return Err(Error::new(parameter.name, Cause::NotPermitted, why));
     }
-    chip.check_proven()?;
     if let Some(why) = parameter.never {
         return Err(Error::new(parameter.name, Cause::NotPermitted, format!("never written: {why}")));
     }
+    chip.check_proven()?;
     if parameter.unproven && !also_unproven {
         let why = "its address or range is not sure; mount with --allow-unproven to write it";
         return Err(Error::new(parameter.name, Cause::Io(ErrorKind::PermissionDenied), why));

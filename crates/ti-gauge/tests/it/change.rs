@@ -20,13 +20,13 @@ fn a_change_is_what_may_be_written() {
                     let of = |value| {
                         Change::of_value(chip, row, &Value::Int(value), true).map_err(|error| cause(&error))
                     };
-                    if subclass.kind == Kind::Security {
+                    if subclass.kind == Kind::Security || parameter.never.is_some() {
                         assert_eq!(of(min).err(), Some("not-permitted"), "{at}");
                     } else {
                         assert_eq!([of(min - 1).err(), of(max + 1).err()], [Some("out-of-range"); 2], "{at}");
                         refused += 2;
                     }
-                    if parameter.unproven && subclass.kind != Kind::Security {
+                    if parameter.unproven && parameter.never.is_none() && subclass.kind != Kind::Security {
                         let error = Change::of_value(chip, row, &Value::Int(min), false).expect_err(&at);
                         assert_eq!(cause(&error), "io", "{at}: {error}");
                         unproven += 1;

@@ -120,6 +120,13 @@ fn accesses(chip: &str) -> &'static [Access] {
             SealState,
             Mount,
         ],
+        "bq28z610" => &[
+            Write(&[((FLAT, 0x4202), "40")]),
+            Write(&[((FLAT, 0x4202), "40"), ((FLAT, 0x4618), "7"), ((FLAT, 0x4645), "4")]),
+            Read,
+            SealState,
+            Mount,
+        ],
         _ => &[
             Write(&[((FLAT, 0x4040), "0x5a")]),
             Write(&[((FLAT, 0x41FE), "3100")]),

@@ -46,6 +46,10 @@ const CASES: &[Case] = &[
     Case { chip: "bq34110", at: (FLAT, 0x41F5), text: "3100", found: Seal::Unsealed },
     Case { chip: "bq34110", at: (FLAT, 0x40D7), text: "0x000b", found: Seal::Sealed },
     Case { chip: "bq34110", at: (FLAT, 0x40D7), text: "0x000b", found: Seal::FullAccess },
+    // Pack Resistance, and Device Name.
+    Case { chip: "bq28z610", at: (FLAT, 0x4202), text: "40", found: Seal::Sealed },
+    Case { chip: "bq28z610", at: (FLAT, 0x4202), text: "40", found: Seal::FullAccess },
+    Case { chip: "bq28z610", at: (FLAT, 0x4080), text: "Pack 7", found: Seal::Unsealed },
     // Operation Config A, and Cell Design Capacity mAh.
     Case { chip: "bq35100", at: (FLAT, 0x41B1), text: "0x82", found: Seal::Sealed },
     Case { chip: "bq35100", at: (FLAT, 0x41B1), text: "0x82", found: Seal::FullAccess },

@@ -174,6 +174,17 @@ pub(crate) fn a_wrong_bit_in_a_write_to_a_flat_part_changes_nothing_unsaid() {
     .strike();
 }
 
+/// Its seal state is an answer like a block, and its blocks move on.
+#[test]
+pub(crate) fn a_wrong_bit_in_a_write_to_a_bq28z610_changes_nothing_unsaid() {
+    Operation {
+        name: "write to a bq28z610",
+        rig: |folder| journalled(Rig::calibrated("bq28z610", Seal::Sealed), folder),
+        run: |rig| rig.write(FLAT, 0x4202, "40").map(drop),
+    }
+    .strike();
+}
+
 #[test]
 pub(crate) fn a_wrong_bit_in_a_read_changes_nothing() {
     for found in [Seal::Sealed, Seal::Unsealed] {

@@ -6,7 +6,6 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 use ti_gauge::chip::{CHIPS, Chip, FLAT, Kind, Parameter, Range, Role, Subclass};
-use ti_gauge::codec;
 use ti_gauge::codec::WINDOW;
 use ti_gauge::dataflash::{Change, Place};
 use ti_gauge::image::{Entry, Format, Image};
@@ -147,7 +146,7 @@ fn other_value(chip: &Chip, subclass: &Subclass, row: &Parameter, old: &Value) -
     let decides = row.role == Some(Role::Cells) || row.safe.is_some() || !row.bits.is_empty();
     let external = chip.gate.as_ref().and_then(|gate| gate.external.as_ref());
     let measures = external.is_some_and(|external| external.byte == (subclass.id, row.offset));
-    if signs || decides || measures || !is_in_range || subclass.class == "Calibration" {
+    if signs || row.never.is_some() || decides || measures || !is_in_range || subclass.class == "Calibration" {
         return None;
     }
     let both = match &row.range {
@@ -177,9 +176,10 @@ fn fill(rig: &Rig, content: &[(&'static Subclass, Vec<u8>)]) -> usize {
             let at = usize::from(row.offset - subclass.start());
             let old = &bytes[at..at + row.kind.size()];
             is_parameter[at..at + old.len()].fill(true);
-            let old = codec::Layout::TI.decode(row.kind, old);
+            let layout = rig.gauge.chip.layout;
+            let old = layout.decode(row.kind, old);
             if let Some(value) = other_value(rig.gauge.chip, subclass, row, &old) {
-                put(at, &codec::Layout::TI.encode(row.kind, &value).expect("a value in range"));
+                put(at, &layout.encode(row.kind, &value).expect("a value in range"));
             }
         }
         // A flat part has a place for all that it computes with, named or not.

@@ -16,6 +16,7 @@ use crate::room::{Case, State, on_disk, one_in};
 const CASES: &[Case] = &[
     Case { chip: "bq34z100-g1", values: &[((48, 11), "2200"), ((80, 53), "3100")], found: Seal::Sealed },
     Case { chip: "bq34z100-g1", values: &[((58, 3), "0x5a")], found: Seal::Unsealed },
+    Case { chip: "bq28z610", values: &[((FLAT, 0x4202), "40"), ((FLAT, 0x4618), "7")], found: Seal::Sealed },
     Case {
         chip: "bq34110",
         values: &[((FLAT, 0x41F5), "3100"), ((FLAT, 0x40D7), "0x000b")],

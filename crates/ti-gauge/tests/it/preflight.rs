@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use gauge_bus::clock::Clock;
 use gauge_bus::{Bus, BusError};
-use ti_gauge::chip::{CHIPS, FLAT, Register, Role, Source};
+use ti_gauge::chip::{CHIPS, FLAT, Register, Role, SealStatus, Source};
 use ti_gauge::dataflash::{DataFlash, Limits, Outcome};
 use ti_gauge::error::Result;
 use ti_gauge::gauge::{ALONG, Gauge, Seal};
@@ -483,7 +483,10 @@ fn the_tables_have_what_the_checks_need() {
                 Source::Command(code) => within(0x3A, code),
                 Source::Status => {
                     let bit = chip.control_status.iter().find(|bit| bit.mask == mode.mask).expect("a bit");
-                    assert_eq!(mode.name, format!("CONTROL_STATUS [{}]", bit.name), "{name}");
+                    let is_answer =
+                        matches!(chip.security.status, SealStatus::Field { word: Source::Answer(_), .. });
+                    let word = if is_answer { "OperationStatus()" } else { "CONTROL_STATUS" };
+                    assert_eq!(mode.name, format!("{word} [{}]", bit.name), "{name}");
                 }
                 Source::Answer(code) => {
                     assert!(chip.subcommands.iter().any(|known| known.code == code), "{name}")

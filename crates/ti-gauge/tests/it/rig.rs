@@ -153,7 +153,9 @@ impl Rig {
     pub(crate) fn calibrate(&self, offset: u8) {
         let marks = self.gauge.chip.preflight.marks.iter();
         let rows = marks.map(|&(id, offset)| (id, offset, self.find(id, offset).1));
-        let mut rows = rows.filter(|(_, _, parameter)| parameter.name == "Int Temp Offset");
+        let mut rows = rows.filter(|(_, _, parameter)| {
+            ["Int Temp Offset", "Internal Temp Offset"].contains(&parameter.name)
+        });
         let (id, at, _) = rows.next().expect("every part has one");
         let at = usize::from(at) - if id == FLAT { first_address(self.gauge.chip) } else { 0 };
         self.sim.set_flash(id.into(), at, &[offset]);
