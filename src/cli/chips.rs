@@ -14,7 +14,8 @@ use crate::config::chips;
 use crate::error::Result;
 use crate::output::{print, print_json};
 use gauge_sim::Sim;
-use ti_gauge::chip::{Chip, Evidence, KeyStorage, Kind, Register};
+use ti_gauge::chip::{Chip, Evidence, KeyStorage, Kind, Register, Row as ParameterRow};
+use ti_gauge::dataflash::Place;
 
 const CHIPS: &str = "\
 ATTRIBUTES counts the registers that feed the files of a power supply, and READ and WRITE the
@@ -23,9 +24,13 @@ parameters of data flash, keys not counted; WRITE is how many of them can be wri
 well. EVIDENCE is what the table was written from and checked with: `real part` where a report of
 real hardware is one of the tests. `gaugefs report` makes such a report.
 
+With --rows, a line for each parameter of one chip: whether it can be written (`unproven` only with
+--allow-unproven), and what shows that it is where it is.
+
 Examples:
   gaugefs chips
-  gaugefs chips bq34z100-g1";
+  gaugefs chips bq34z100-g1
+  gaugefs chips bq28z610 --rows";
 
 /// List the supported gauges: what works, how far it is proven, and by what
 #[derive(Args, Debug)]
@@ -34,6 +39,9 @@ pub(super) struct Chips {
     /// Show one chip in detail
     #[arg(value_name = "CHIP", value_parser = chips(), ignore_case = true, hide_possible_values = true)]
     chip: Option<&'static Chip>,
+    /// Show each parameter of the chip, with what shows its place
+    #[arg(long, requires = "chip")]
+    rows: bool,
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -98,12 +106,57 @@ impl Row {
 impl Chips {
     pub(super) fn run(self) -> Result<ExitCode> {
         match self.chip {
+            Some(chip) if self.rows => rows(chip, self.json),
             Some(chip) if self.json => print_json(&Row::new(chip)),
             Some(chip) => print(&details(chip)),
             None => list(self.json),
         }?;
         Ok(ExitCode::SUCCESS)
     }
+}
+
+/// A parameter of a chip, as a line of the table or an object of JSON.
+#[derive(Serialize)]
+struct Known {
+    place: String,
+    name: String,
+    written: &'static str,
+    /// Why it is never written.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    never: Option<&'static str>,
+    evidence: String,
+}
+
+impl Known {
+    fn new(chip: &Chip, row: ParameterRow) -> Self {
+        let (subclass, parameter) = row;
+        let written = match parameter.never {
+            Some(_) => "never",
+            None if chip.has_only_names() => "no",
+            None if parameter.unproven => "unproven",
+            None => "yes",
+        };
+        let evidence = match parameter.source {
+            "" => chip.documents.join(", "),
+            source => source.to_string(),
+        };
+        let place = Place { subclass: subclass.id, offset: parameter.offset }.to_string();
+        Self { place, name: chip.name_of(row), written, never: parameter.never, evidence }
+    }
+
+    fn cells(self) -> [String; 4] {
+        [self.place, self.name, self.written.into(), self.evidence]
+    }
+}
+
+fn rows(chip: &'static Chip, json: bool) -> Result<()> {
+    let shown = chip.rows().filter(|(subclass, _)| subclass.kind != Kind::Security);
+    let rows = shown.map(|row| Known::new(chip, row));
+    if json {
+        return print_json(&rows.collect::<Vec<_>>());
+    }
+    let header = ["PLACE", "NAME", "WRITTEN", "EVIDENCE"];
+    print(&align(&iter::once(header.map(String::from)).chain(rows.map(Known::cells)).collect::<Vec<_>>()))
 }
 
 fn list(json: bool) -> Result<()> {
@@ -235,5 +288,35 @@ mod tests {
         ] {
             assert!(shows(of, name) && !shows(not, name), "{name}: {of}, {not}");
         }
+    }
+
+    #[test]
+    fn each_parameter_has_its_evidence() {
+        let mut own = 0;
+        for chip in Chip::all().filter(|chip| chip.has_table()) {
+            let rows = || chip.rows().filter(|(subclass, _)| subclass.kind != Kind::Security);
+            assert!(rows().all(|row| !Known::new(chip, row).evidence.is_empty()), "{}", chip.name);
+            // A table that names the evidence of some names that of all.
+            let named = rows().filter(|(_, row)| !row.source.is_empty()).count();
+            assert!(named == 0 || named == rows().count(), "{}: {named}", chip.name);
+            own += usize::from(named > 0);
+        }
+        assert!(own >= 6, "{own}");
+    }
+
+    #[test]
+    fn a_parameter_says_whether_it_is_written_and_why_not() {
+        let of = |chip: &str, name: &str| {
+            let chip = Chip::by_name(chip).expect("a chip");
+            Known::new(chip, chip.find(name).expect("a parameter"))
+        };
+        let known = of("bq28z610", "it-cfg/resistance-parameter-filter");
+        assert_eq!((known.place.as_str(), known.written), ("flash/0x4594", "yes"));
+        assert!(known.evidence.contains("dumps") && known.evidence.contains("range"), "{}", known.evidence);
+        let fets = of("bq28z610", "configuration/fet-options");
+        assert!(fets.written == "never" && fets.never.is_some_and(|why| why.contains("FETs")));
+        assert_eq!(of("bq28z610", "it-cfg/qmax-delta").written, "unproven");
+        assert_eq!(of("bq27541-g1", "registers/pack-configuration").written, "no");
+        assert!(of("bq34z100-g1", "80/53").evidence.contains("SLUSBZ5D"));
     }
 }

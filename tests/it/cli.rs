@@ -91,7 +91,17 @@ fn help_texts_of_the_station() {
 
 #[test]
 fn chips_are_listed() {
-    golden("chips", &["chips", "chips --json", "chips bq34z100-g1", "chips bq27000", "chips --json BQ34110"]);
+    golden(
+        "chips",
+        &[
+            "chips",
+            "chips --json",
+            "chips bq34z100-g1",
+            "chips bq27000",
+            "chips --json BQ34110",
+            "chips bq27545-g1 --rows",
+        ],
+    );
 }
 
 #[test]

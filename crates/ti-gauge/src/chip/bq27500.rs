@@ -331,170 +331,179 @@ const CHARGING: Safe = Safe::Within(CHARGED.0, CHARGED.1, LAYOUT);
 const TERMINATE: Safe = Safe::Within(EMPTY.0, EMPTY.1, LAYOUT);
 const LAYOUT: &str = "the layout of data flash is recognised by it";
 
+// What shows that a row is where it is.
+const TABLES_AND_IMAGES: &str =
+    "SLUS914A, of firmware 1.30; TI's images of 1.06 and 1.20 hold its default there";
+const TABLES_AND_ZERO: &str = "SLUS914A, of firmware 1.30; 0 in TI's images of 1.06 and 1.20";
+const IMAGES_AND_DRIVER: &str = "TI's images of 1.06 and 1.20, and a driver for 1.20";
+const ONLY_V130: &str = "SLUS914A, of firmware 1.30; TI's images of 1.06 and 1.20 differ there";
+const TABLES_AND_DRIVER: &str = "SLUS914A, of firmware 1.30; a maker's driver reads it there";
+const TABLES_AND_OTHER: &str = "SLUS914A, of firmware 1.30; TI's image of 1.20 holds another value there";
+
 #[rustfmt::skip]
 static SAFETY: &[P] = &[
-    P::int(0, I2, "OT Chg",          0, 1200, 550, "0.1°C"),
-    P::int(2, U1, "OT Chg Time",     0,   60,   2, "s"),
-    P::int(3, I2, "OT Chg Recovery", 0, 1200, 500, "0.1°C"),
-    P::int(5, I2, "OT Dsg",          0, 1200, 600, "0.1°C"),
-    P::int(7, U1, "OT Dsg Time",     0,   60,   2, "s"),
-    P::int(8, I2, "OT Dsg Recovery", 0, 1200, 550, "0.1°C"),
+    P::int(0, I2, "OT Chg",          0, 1200, 550, "0.1°C").by(TABLES_AND_IMAGES),
+    P::int(2, U1, "OT Chg Time",     0,   60,   2, "s").by(TABLES_AND_IMAGES),
+    P::int(3, I2, "OT Chg Recovery", 0, 1200, 500, "0.1°C").by(TABLES_AND_IMAGES),
+    P::int(5, I2, "OT Dsg",          0, 1200, 600, "0.1°C").by(TABLES_AND_IMAGES),
+    P::int(7, U1, "OT Dsg Time",     0,   60,   2, "s").by(TABLES_AND_IMAGES),
+    P::int(8, I2, "OT Dsg Recovery", 0, 1200, 550, "0.1°C").by(TABLES_AND_IMAGES),
 ];
 
 #[rustfmt::skip]
 static CHARGE_INHIBIT: &[P] = &[
-    P::int(0, I2, "Charge Inhibit Temp Low",  -400, 1200,   0, "0.1°C").unproven(),
-    P::int(2, I2, "Charge Inhibit Temp High", -400, 1200, 450, "0.1°C"),
-    P::int(4, I2, "Temp Hys",                    0,  100,  50, "0.1°C"),
+    P::int(0, I2, "Charge Inhibit Temp Low",  -400, 1200,   0, "0.1°C").unproven().by(TABLES_AND_ZERO),
+    P::int(2, I2, "Charge Inhibit Temp High", -400, 1200, 450, "0.1°C").by(TABLES_AND_IMAGES),
+    P::int(4, I2, "Temp Hys",                    0,  100,  50, "0.1°C").by(TABLES_AND_IMAGES),
 ];
 
 #[rustfmt::skip]
 static CHARGE: &[P] = &[
-    P::int(2, I2, "Charging Voltage",     0, 20000, 4200, "mV").safe(CHARGING).role(Role::VoltageMaxDesign),
-    P::int(4, I2, "Delta Temp",           0,   500,   50, "0.1°C"),
-    P::int(6, I2, "Suspend Low Temp",  -400,  1200,  -50, "0.1°C"),
-    P::int(8, I2, "Suspend High Temp", -400,  1200,  550, "0.1°C"),
+    P::int(2, I2, "Charging Voltage",     0, 20000, 4200, "mV").safe(CHARGING).role(Role::VoltageMaxDesign).by(TABLES_AND_IMAGES),
+    P::int(4, I2, "Delta Temp",           0,   500,   50, "0.1°C").by(TABLES_AND_IMAGES),
+    P::int(6, I2, "Suspend Low Temp",  -400,  1200,  -50, "0.1°C").by(TABLES_AND_IMAGES),
+    P::int(8, I2, "Suspend High Temp", -400,  1200,  550, "0.1°C").by(TABLES_AND_IMAGES),
 ];
 
 /// The images of 1.06 and 1.20, and a driver for 1.20 (AMiRO's), with the names and limits of 1.30 where it has the row.
 #[rustfmt::skip]
 static CHARGE_TERMINATION: &[P] = &[
-    P::int( 2, I2, "Taper Current",        0, 1000, 100, "mA").unproven(),
-    P::int( 4, I2, "Minimum Taper Charge", 0, 1000,  25, "0.01mAh").unproven(),
-    P::int( 6, I2, "Taper Voltage",        0, 1000, 100, "mV").unproven(),
-    P::int( 8, U1, "Current Taper Window", 0,   60,  40, "s").unproven(),
-    P::int( 9, I1, "TCA Set %",           -1,  100,  99, "%").unprinted().unproven(),
-    P::int(10, I1, "TCA Clear %",         -1,  100,  95, "%").unprinted().unproven(),
-    P::int(11, I1, "FC Set %",            -1,  100, 100, "%").unproven(),
-    P::int(12, I1, "FC Clear %",          -1,  100,  98, "%").unproven(),
+    P::int( 2, I2, "Taper Current",        0, 1000, 100, "mA").unproven().by(IMAGES_AND_DRIVER),
+    P::int( 4, I2, "Minimum Taper Charge", 0, 1000,  25, "0.01mAh").unproven().by(IMAGES_AND_DRIVER),
+    P::int( 6, I2, "Taper Voltage",        0, 1000, 100, "mV").unproven().by(IMAGES_AND_DRIVER),
+    P::int( 8, U1, "Current Taper Window", 0,   60,  40, "s").unproven().by(IMAGES_AND_DRIVER),
+    P::int( 9, I1, "TCA Set %",           -1,  100,  99, "%").unprinted().unproven().by(IMAGES_AND_DRIVER),
+    P::int(10, I1, "TCA Clear %",         -1,  100,  95, "%").unprinted().unproven().by(IMAGES_AND_DRIVER),
+    P::int(11, I1, "FC Set %",            -1,  100, 100, "%").unproven().by(IMAGES_AND_DRIVER),
+    P::int(12, I1, "FC Clear %",          -1,  100,  98, "%").unproven().by(IMAGES_AND_DRIVER),
 ];
 
 #[rustfmt::skip]
 static CHARGE_TERMINATION_V130: &[P] = &[
-    P::int( 0, I2, "Taper Current",        0, 1000, 100, "mA").unproven(),
-    P::int( 2, I2, "Minimum Taper Charge", 0, 1000,  25, "0.01mAh").unproven(),
-    P::int( 4, I2, "Taper Voltage",        0, 1000, 100, "mV").unproven(),
-    P::int( 6, U1, "Current Taper Window", 0,   60,  40, "s").unproven(),
-    P::int( 9, I1, "FC Set %",            -1,  100, 100, "%").unproven(),
-    P::int(10, I1, "FC Clear %",          -1,  100,  98, "%").unproven(),
+    P::int( 0, I2, "Taper Current",        0, 1000, 100, "mA").unproven().by(ONLY_V130),
+    P::int( 2, I2, "Minimum Taper Charge", 0, 1000,  25, "0.01mAh").unproven().by(ONLY_V130),
+    P::int( 4, I2, "Taper Voltage",        0, 1000, 100, "mV").unproven().by(ONLY_V130),
+    P::int( 6, U1, "Current Taper Window", 0,   60,  40, "s").unproven().by(ONLY_V130),
+    P::int( 9, I1, "FC Set %",            -1,  100, 100, "%").unproven().by(ONLY_V130),
+    P::int(10, I1, "FC Clear %",          -1,  100,  98, "%").unproven().by(ONLY_V130),
 ];
 
 #[rustfmt::skip]
 static DATA: &[P] = &[
-    P::int( 4, I1, "Initial Standby Current",    -128,     0,  -10, "mA"),
-    P::int( 5, I2, "Initial Max Load Current", -32767,     0, -500, "mA"),
-    P::int( 7, I2, "CC Threshold",                100, 32767,  900, "mAh"),
+    P::int( 4, I1, "Initial Standby Current",    -128,     0,  -10, "mA").by(TABLES_AND_IMAGES),
+    P::int( 5, I2, "Initial Max Load Current", -32767,     0, -500, "mA").by(TABLES_AND_IMAGES),
+    P::int( 7, I2, "CC Threshold",                100, 32767,  900, "mAh").by(TABLES_AND_IMAGES),
     // 65535 is printed for the maximum of this signed word.
-    P::int(10, I2, "Design Capacity",               0, 32767, 1000, "mAh").safe(CAPACITY),
-    P::text(12, 8, "Device Name", "bq27500"),
+    P::int(10, I2, "Design Capacity",               0, 32767, 1000, "mAh").safe(CAPACITY).by(TABLES_AND_IMAGES),
+    P::text(12, 8, "Device Name", "bq27500").by(TABLES_AND_IMAGES),
 ];
 
 #[rustfmt::skip]
 static DISCHARGE: &[P] = &[
-    P::int(0, U1, "SOC1 Set Threshold",   0, 255, 150, "mAh"),
-    P::int(1, U1, "SOC1 Clear Threshold", 0, 255, 175, "mAh"),
-    P::int(2, U1, "SOCF Set Threshold",   0, 255,  75, "mAh"),
-    P::int(3, U1, "SOCF Clear Threshold", 0, 255, 100, "mAh"),
+    P::int(0, U1, "SOC1 Set Threshold",   0, 255, 150, "mAh").by(TABLES_AND_IMAGES),
+    P::int(1, U1, "SOC1 Clear Threshold", 0, 255, 175, "mAh").by(TABLES_AND_IMAGES),
+    P::int(2, U1, "SOCF Set Threshold",   0, 255,  75, "mAh").by(TABLES_AND_IMAGES),
+    P::int(3, U1, "SOCF Clear Threshold", 0, 255, 100, "mAh").by(TABLES_AND_IMAGES),
 ];
 
 #[rustfmt::skip]
 static MANUFACTURER_INFO: &[P] = &[
-    P::int( 0, H1, "Block A 0",   0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int( 1, H1, "Block A 1",   0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int( 2, H1, "Block A 2",   0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int( 3, H1, "Block A 3",   0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int( 4, H1, "Block A 4",   0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int( 5, H1, "Block A 5",   0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int( 6, H1, "Block A 6",   0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int( 7, H1, "Block A 7",   0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int( 8, H1, "Block A 8",   0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int( 9, H1, "Block A 9",   0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(10, H1, "Block A 10",  0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(11, H1, "Block A 11",  0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(12, H1, "Block A 12",  0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(13, H1, "Block A 13",  0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(14, H1, "Block A 14",  0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(15, H1, "Block A 15",  0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(16, H1, "Block A 16",  0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(17, H1, "Block A 17",  0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(18, H1, "Block A 18",  0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(19, H1, "Block A 19",  0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(20, H1, "Block A 20",  0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(21, H1, "Block A 21",  0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(22, H1, "Block A 22",  0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(23, H1, "Block A 23",  0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(24, H1, "Block A 24",  0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(25, H1, "Block A 25",  0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(26, H1, "Block A 26",  0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(27, H1, "Block A 27",  0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(28, H1, "Block A 28",  0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(29, H1, "Block A 29",  0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(30, H1, "Block A 30",  0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(31, H1, "Block A 31",  0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(32, H1, "Block B 0",   0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(33, H1, "Block B 1",   0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(34, H1, "Block B 2",   0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(35, H1, "Block B 3",   0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(36, H1, "Block B 4",   0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(37, H1, "Block B 5",   0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(38, H1, "Block B 6",   0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(39, H1, "Block B 7",   0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(40, H1, "Block B 8",   0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(41, H1, "Block B 9",   0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(42, H1, "Block B 10",  0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(43, H1, "Block B 11",  0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(44, H1, "Block B 12",  0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(45, H1, "Block B 13",  0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(46, H1, "Block B 14",  0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(47, H1, "Block B 15",  0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(48, H1, "Block B 16",  0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(49, H1, "Block B 17",  0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(50, H1, "Block B 18",  0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(51, H1, "Block B 19",  0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(52, H1, "Block B 20",  0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(53, H1, "Block B 21",  0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(54, H1, "Block B 22",  0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(55, H1, "Block B 23",  0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(56, H1, "Block B 24",  0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(57, H1, "Block B 25",  0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(58, H1, "Block B 26",  0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(59, H1, "Block B 27",  0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(60, H1, "Block B 28",  0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(61, H1, "Block B 29",  0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(62, H1, "Block B 30",  0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(63, H1, "Block B 31",  0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(64, H1, "Block C 0",   0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(65, H1, "Block C 1",   0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(66, H1, "Block C 2",   0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(67, H1, "Block C 3",   0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(68, H1, "Block C 4",   0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(69, H1, "Block C 5",   0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(70, H1, "Block C 6",   0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(71, H1, "Block C 7",   0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(72, H1, "Block C 8",   0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(73, H1, "Block C 9",   0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(74, H1, "Block C 10",  0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(75, H1, "Block C 11",  0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(76, H1, "Block C 12",  0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(77, H1, "Block C 13",  0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(78, H1, "Block C 14",  0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(79, H1, "Block C 15",  0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(80, H1, "Block C 16",  0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(81, H1, "Block C 17",  0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(82, H1, "Block C 18",  0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(83, H1, "Block C 19",  0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(84, H1, "Block C 20",  0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(85, H1, "Block C 21",  0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(86, H1, "Block C 22",  0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(87, H1, "Block C 23",  0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(88, H1, "Block C 24",  0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(89, H1, "Block C 25",  0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(90, H1, "Block C 26",  0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(91, H1, "Block C 27",  0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(92, H1, "Block C 28",  0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(93, H1, "Block C 29",  0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(94, H1, "Block C 30",  0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(95, H1, "Block C 31",  0x00, 0xFF, 0x00, "hex").unproven(),
+    P::int( 0, H1, "Block A 0",   0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int( 1, H1, "Block A 1",   0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int( 2, H1, "Block A 2",   0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int( 3, H1, "Block A 3",   0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int( 4, H1, "Block A 4",   0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int( 5, H1, "Block A 5",   0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int( 6, H1, "Block A 6",   0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int( 7, H1, "Block A 7",   0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int( 8, H1, "Block A 8",   0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int( 9, H1, "Block A 9",   0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(10, H1, "Block A 10",  0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(11, H1, "Block A 11",  0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(12, H1, "Block A 12",  0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(13, H1, "Block A 13",  0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(14, H1, "Block A 14",  0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(15, H1, "Block A 15",  0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(16, H1, "Block A 16",  0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(17, H1, "Block A 17",  0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(18, H1, "Block A 18",  0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(19, H1, "Block A 19",  0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(20, H1, "Block A 20",  0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(21, H1, "Block A 21",  0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(22, H1, "Block A 22",  0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(23, H1, "Block A 23",  0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(24, H1, "Block A 24",  0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(25, H1, "Block A 25",  0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(26, H1, "Block A 26",  0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(27, H1, "Block A 27",  0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(28, H1, "Block A 28",  0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(29, H1, "Block A 29",  0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(30, H1, "Block A 30",  0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(31, H1, "Block A 31",  0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(32, H1, "Block B 0",   0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(33, H1, "Block B 1",   0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(34, H1, "Block B 2",   0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(35, H1, "Block B 3",   0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(36, H1, "Block B 4",   0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(37, H1, "Block B 5",   0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(38, H1, "Block B 6",   0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(39, H1, "Block B 7",   0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(40, H1, "Block B 8",   0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(41, H1, "Block B 9",   0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(42, H1, "Block B 10",  0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(43, H1, "Block B 11",  0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(44, H1, "Block B 12",  0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(45, H1, "Block B 13",  0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(46, H1, "Block B 14",  0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(47, H1, "Block B 15",  0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(48, H1, "Block B 16",  0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(49, H1, "Block B 17",  0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(50, H1, "Block B 18",  0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(51, H1, "Block B 19",  0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(52, H1, "Block B 20",  0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(53, H1, "Block B 21",  0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(54, H1, "Block B 22",  0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(55, H1, "Block B 23",  0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(56, H1, "Block B 24",  0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(57, H1, "Block B 25",  0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(58, H1, "Block B 26",  0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(59, H1, "Block B 27",  0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(60, H1, "Block B 28",  0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(61, H1, "Block B 29",  0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(62, H1, "Block B 30",  0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(63, H1, "Block B 31",  0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(64, H1, "Block C 0",   0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(65, H1, "Block C 1",   0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(66, H1, "Block C 2",   0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(67, H1, "Block C 3",   0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(68, H1, "Block C 4",   0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(69, H1, "Block C 5",   0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(70, H1, "Block C 6",   0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(71, H1, "Block C 7",   0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(72, H1, "Block C 8",   0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(73, H1, "Block C 9",   0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(74, H1, "Block C 10",  0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(75, H1, "Block C 11",  0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(76, H1, "Block C 12",  0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(77, H1, "Block C 13",  0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(78, H1, "Block C 14",  0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(79, H1, "Block C 15",  0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(80, H1, "Block C 16",  0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(81, H1, "Block C 17",  0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(82, H1, "Block C 18",  0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(83, H1, "Block C 19",  0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(84, H1, "Block C 20",  0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(85, H1, "Block C 21",  0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(86, H1, "Block C 22",  0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(87, H1, "Block C 23",  0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(88, H1, "Block C 24",  0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(89, H1, "Block C 25",  0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(90, H1, "Block C 26",  0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(91, H1, "Block C 27",  0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(92, H1, "Block C 28",  0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(93, H1, "Block C 29",  0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(94, H1, "Block C 30",  0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
+    P::int(95, H1, "Block C 31",  0x00, 0xFF, 0x00, "hex").unproven().by(TABLES_AND_DRIVER),
 ];
 
 /// The first rows, in which the layouts agree.
@@ -502,62 +511,62 @@ static REGISTERS_64: &[P] = REGISTERS_64_V130.split_at(1).0;
 
 #[rustfmt::skip]
 static REGISTERS_64_V130: &[P] = &[
-    P::within( 0, H2, "Operation Configuration", 0x0000, 0xFFFF, "flags").bits(OP_CONFIG).unproven(),
-    P::int( 8, U2, "Batt Insert Delay",  0, 65535, 0, "ms").unproven(),
-    P::int(10, U1, "Sleep Insert Delay", 0,   255, 0, "s").unproven(),
+    P::within( 0, H2, "Operation Configuration", 0x0000, 0xFFFF, "flags").bits(OP_CONFIG).unproven().by(TABLES_AND_IMAGES),
+    P::int( 8, U2, "Batt Insert Delay",  0, 65535, 0, "ms").unproven().by(ONLY_V130),
+    P::int(10, U1, "Sleep Insert Delay", 0,   255, 0, "s").unproven().by(ONLY_V130),
 ];
 
 static POWER: &[P] = POWER_V130.split_at(4).0;
 
 #[rustfmt::skip]
 static POWER_V130: &[P] = &[
-    P::int( 0, I2, "Flash Update OK Voltage",   0, 4200, 2800, "mV").safe(GATE),
-    P::int( 7, I2, "Sleep Current",             0,  100,   10, "mA"),
-    P::int(16, U2, "Hibernate Current",         0,  700,    8, "mA"),
-    P::int(18, U2, "Hibernate Voltage",      2400, 3000, 2550, "mV"),
-    P::int(20, U2, "BAT_LOW Enable Voltage", 2800, 4000, 3400, "mV").unproven(),
+    P::int( 0, I2, "Flash Update OK Voltage",   0, 4200, 2800, "mV").safe(GATE).by(TABLES_AND_IMAGES),
+    P::int( 7, I2, "Sleep Current",             0,  100,   10, "mA").by(TABLES_AND_IMAGES),
+    P::int(16, U2, "Hibernate Current",         0,  700,    8, "mA").by(TABLES_AND_IMAGES),
+    P::int(18, U2, "Hibernate Voltage",      2400, 3000, 2550, "mV").by(TABLES_AND_IMAGES),
+    P::int(20, U2, "BAT_LOW Enable Voltage", 2800, 4000, 3400, "mV").unproven().by(TABLES_AND_OTHER),
 ];
 
 #[rustfmt::skip]
 static IT_CFG: &[P] = &[
-    P::int( 0, U1, "Load Select",            0,   255,    1, ""),
-    P::int( 1, U1, "Load Mode",              0,   255,    0, "").unproven(),
-    P::int(48, I2, "Terminate Voltage", -32768, 32767, 3000, "mV").safe(TERMINATE).role(Role::VoltageMinDesign),
-    P::int(53, I2, "User Rate-mA",           0,  9000,    0, "mA").unproven(),
-    P::int(55, I2, "User Rate-mW",           0, 14000,    0, "mW").unproven(),
-    P::int(57, I2, "Reserve Cap-mAh",        0,  9000,    0, "mAh").unproven(),
-    P::int(59, I2, "Reserve Cap-mWh",        0, 14000,    0, "mWh").unproven(),
+    P::int( 0, U1, "Load Select",            0,   255,    1, "").by(TABLES_AND_IMAGES),
+    P::int( 1, U1, "Load Mode",              0,   255,    0, "").unproven().by(TABLES_AND_ZERO),
+    P::int(48, I2, "Terminate Voltage", -32768, 32767, 3000, "mV").safe(TERMINATE).role(Role::VoltageMinDesign).by(TABLES_AND_IMAGES),
+    P::int(53, I2, "User Rate-mA",           0,  9000,    0, "mA").unproven().by(TABLES_AND_ZERO),
+    P::int(55, I2, "User Rate-mW",           0, 14000,    0, "mW").unproven().by(TABLES_AND_ZERO),
+    P::int(57, I2, "Reserve Cap-mAh",        0,  9000,    0, "mAh").unproven().by(TABLES_AND_ZERO),
+    P::int(59, I2, "Reserve Cap-mWh",        0, 14000,    0, "mWh").unproven().by(TABLES_AND_ZERO),
 ];
 
 static CURRENT_THRESHOLDS: &[P] = CURRENT_THRESHOLDS_V130.split_at(6).0;
 
 #[rustfmt::skip]
 static CURRENT_THRESHOLDS_V130: &[P] = &[
-    P::int( 0, I2, "Dsg Current Threshold",      0, 2000,  60, "mA"),
-    P::int( 2, I2, "Chg Current Threshold",      0, 2000,  75, "mA"),
-    P::int( 4, I2, "Quit Current",               0, 1000,  40, "mA"),
+    P::int( 0, I2, "Dsg Current Threshold",      0, 2000,  60, "mA").by(TABLES_AND_IMAGES),
+    P::int( 2, I2, "Chg Current Threshold",      0, 2000,  75, "mA").by(TABLES_AND_IMAGES),
+    P::int( 4, I2, "Quit Current",               0, 1000,  40, "mA").by(TABLES_AND_IMAGES),
     // 1800 in firmware 1.06.
-    P::int( 6, U2, "Dsg Relax Time",             0, 8191,  60, "s"),
-    P::int( 8, U1, "Chg Relax Time",             0,  255,  60, "s"),
-    P::int( 9, U1, "Quit Relax Time",            0,   63,   1, "s"),
-    P::int(10, U1, "Transient Factor Charge",    0,  255, 128, "").unproven(),
-    P::int(11, U1, "Transient Factor Discharge", 0,  255, 128, "").unproven(),
-    P::int(12, U2, "Max IR Correct",             0, 1000, 400, "mV").unproven(),
+    P::int( 6, U2, "Dsg Relax Time",             0, 8191,  60, "s").by(TABLES_AND_IMAGES),
+    P::int( 8, U1, "Chg Relax Time",             0,  255,  60, "s").by(TABLES_AND_IMAGES),
+    P::int( 9, U1, "Quit Relax Time",            0,   63,   1, "s").by(TABLES_AND_IMAGES),
+    P::int(10, U1, "Transient Factor Charge",    0,  255, 128, "").unproven().by(ONLY_V130),
+    P::int(11, U1, "Transient Factor Discharge", 0,  255, 128, "").unproven().by(ONLY_V130),
+    P::int(12, U2, "Max IR Correct",             0, 1000, 400, "mV").unproven().by(ONLY_V130),
 ];
 
 #[rustfmt::skip]
 static STATE: &[P] = &[
-    P::int( 0, H1, "IT Enable",               0x00,  0xFF,  0x00, "hex").unproven(),
-    P::int( 1, H1, "Application Status",      0x00,  0xFF,  0x00, "hex").unproven(),
-    P::int( 2, I2, "Qmax Cell 0",                0, 32767,  1000, "mAh").learned().unproven(),
-    P::int( 4, U2, "Cycle Count 0",              0, 65535,     0, "").learned().unproven(),
-    P::int( 6, H1, "Update Status 0",         0x00,  0x03,  0x00, "hex").learned().unproven(),
-    P::int( 7, I2, "Qmax Cell 1",                0, 32767,  1000, "mAh").learned().unproven(),
-    P::int( 9, U2, "Cycle Count 1",              0, 65535,     0, "").learned().unproven(),
-    P::int(11, H1, "Update Status 1",         0x00,  0x03,  0x00, "hex").learned().unproven(),
-    P::int(16, I2, "Avg I Last Run",        -32768, 32767,  -299, "mA").learned().unproven(),
+    P::int( 0, H1, "IT Enable",               0x00,  0xFF,  0x00, "hex").unproven().by(TABLES_AND_ZERO),
+    P::int( 1, H1, "Application Status",      0x00,  0xFF,  0x00, "hex").unproven().by(TABLES_AND_ZERO),
+    P::int( 2, I2, "Qmax Cell 0",                0, 32767,  1000, "mAh").learned().unproven().by(TABLES_AND_IMAGES),
+    P::int( 4, U2, "Cycle Count 0",              0, 65535,     0, "").learned().unproven().by(TABLES_AND_ZERO),
+    P::int( 6, H1, "Update Status 0",         0x00,  0x03,  0x00, "hex").learned().unproven().by(TABLES_AND_ZERO),
+    P::int( 7, I2, "Qmax Cell 1",                0, 32767,  1000, "mAh").learned().unproven().by(TABLES_AND_IMAGES),
+    P::int( 9, U2, "Cycle Count 1",              0, 65535,     0, "").learned().unproven().by(TABLES_AND_ZERO),
+    P::int(11, H1, "Update Status 1",         0x00,  0x03,  0x00, "hex").learned().unproven().by(TABLES_AND_ZERO),
+    P::int(16, I2, "Avg I Last Run",        -32768, 32767,  -299, "mA").learned().unproven().by(TABLES_AND_IMAGES),
     // Printed in mAh.
-    P::int(18, I2, "Avg P Last Run",        -32768, 32767, -1131, "mW").learned().unproven(),
+    P::int(18, I2, "Avg P Last Run",        -32768, 32767, -1131, "mW").learned().unproven().by(TABLES_AND_IMAGES),
 ];
 
 #[rustfmt::skip]
@@ -565,21 +574,21 @@ static CALIBRATION: &[P] = &[
     // Printed in milliohms, 0.1 to 47 and 4.7 to 188, 10 for both; these are the stored numbers: 4.768 / CC Gain and
     // 5677445 / CC Delta are the milliohms. Defaults here and at 104/11 are the images', with which parts left the
     // factory.
-    P::float( 0, "CC Gain",    0.1014,       47.68,   0.47095, "Num").unproven(),
-    P::float( 4, "CC Delta", 30_199.0, 1_207_967.0, 559_500.0, "Num").unproven(),
+    P::float( 0, "CC Gain",    0.1014,       47.68,   0.47095, "Num").unproven().by(TABLES_AND_IMAGES),
+    P::float( 4, "CC Delta", 30_199.0, 1_207_967.0, 559_500.0, "Num").unproven().by(TABLES_AND_IMAGES),
     // Printed in mV, -0.123; the images have -1200.
-    P::any( 8, I2, "CC Offset", "Num").learned().unproven(),
-    P::int(10, I1, "Board Offset",    -128, 127,  0, "Num").learned().unproven(),
-    P::int(11, I1, "Int Temp Offset", -128, 127, 78, "0.1°C").unproven(),
-    P::int(12, I1, "Ext Temp Offset", -128, 127,  0, "0.1°C").unproven(),
+    P::any( 8, I2, "CC Offset", "Num").learned().unproven().by(TABLES_AND_OTHER),
+    P::int(10, I1, "Board Offset",    -128, 127,  0, "Num").learned().unproven().by(TABLES_AND_ZERO),
+    P::int(11, I1, "Int Temp Offset", -128, 127, 78, "0.1°C").unproven().by(TABLES_AND_OTHER),
+    P::int(12, I1, "Ext Temp Offset", -128, 127,  0, "0.1°C").unproven().by(TABLES_AND_ZERO),
     // Printed in 0.1°C.
-    P::int(13, I1, "Pack V Offset",   -128, 127,  0, "mV").unproven(),
+    P::int(13, I1, "Pack V Offset",   -128, 127,  0, "mV").unproven().by(TABLES_AND_ZERO),
 ];
 
 /// The images of 1.06 and 1.20 have 239 and 5 behind 104, where other parts of the family have Filter and Deadband.
 #[rustfmt::skip]
 static CURRENT: &[P] = &[
-    P::int(1, U1, "Deadband", 0, 255, 5, "mA").unproven(),
+    P::int(1, U1, "Deadband", 0, 255, 5, "mA").unproven().by(TABLES_AND_OTHER),
 ];
 
 #[rustfmt::skip]

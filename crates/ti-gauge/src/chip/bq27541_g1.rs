@@ -227,174 +227,184 @@ pub(super) const fn class(
     Subclass { class, name, id, length, kind: Kind::Plain, parameters }
 }
 
+// What shows that a row is where it is.
+const PAGE_22: &str = "SLUSAL6C Table 7, page 22";
+const PAGES_19_AND_22: &str = "SLUSAL6C Table 7, page 22, and the text of page 19";
+const PAGE_22_AND_EXAMPLE: &str =
+    "SLUSAL6C Table 7, page 22, and the example of page 19; Linux has the bq27545's at this place";
+const PAGE_22_AND_BQ27546: &str = "SLUSAL6C Table 7, page 22; SLUSC53B prints the same of the bq27546-G1";
+const TABLE_17: &str = "SLUSAT0E Table 17";
+const TABLE_17_AND_LINUX: &str = "SLUSAT0E Table 17, and a row that Linux has switched off";
+const LINUX: &str = "a row that Linux has switched off";
+
 #[rustfmt::skip]
 static DF_MANUFACTURER_INFO: &[P] = &[
-    P::int(0, H1, "Block A 0", 0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(1, H1, "Block A 1", 0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(2, H1, "Block A 2", 0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(3, H1, "Block A 3", 0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(4, H1, "Block A 4", 0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(5, H1, "Block A 5", 0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(6, H1, "Block A 6", 0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(7, H1, "Block A 7", 0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(8, H1, "Block A 8", 0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(9, H1, "Block A 9", 0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(10, H1, "Block A 10", 0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(11, H1, "Block A 11", 0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(12, H1, "Block A 12", 0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(13, H1, "Block A 13", 0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(14, H1, "Block A 14", 0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(15, H1, "Block A 15", 0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(16, H1, "Block A 16", 0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(17, H1, "Block A 17", 0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(18, H1, "Block A 18", 0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(19, H1, "Block A 19", 0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(20, H1, "Block A 20", 0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(21, H1, "Block A 21", 0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(22, H1, "Block A 22", 0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(23, H1, "Block A 23", 0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(24, H1, "Block A 24", 0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(25, H1, "Block A 25", 0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(26, H1, "Block A 26", 0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(27, H1, "Block A 27", 0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(28, H1, "Block A 28", 0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(29, H1, "Block A 29", 0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(30, H1, "Block A 30", 0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(31, H1, "Block A 31", 0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(32, H1, "Block B 0", 0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(33, H1, "Block B 1", 0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(34, H1, "Block B 2", 0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(35, H1, "Block B 3", 0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(36, H1, "Block B 4", 0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(37, H1, "Block B 5", 0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(38, H1, "Block B 6", 0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(39, H1, "Block B 7", 0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(40, H1, "Block B 8", 0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(41, H1, "Block B 9", 0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(42, H1, "Block B 10", 0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(43, H1, "Block B 11", 0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(44, H1, "Block B 12", 0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(45, H1, "Block B 13", 0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(46, H1, "Block B 14", 0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(47, H1, "Block B 15", 0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(48, H1, "Block B 16", 0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(49, H1, "Block B 17", 0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(50, H1, "Block B 18", 0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(51, H1, "Block B 19", 0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(52, H1, "Block B 20", 0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(53, H1, "Block B 21", 0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(54, H1, "Block B 22", 0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(55, H1, "Block B 23", 0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(56, H1, "Block B 24", 0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(57, H1, "Block B 25", 0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(58, H1, "Block B 26", 0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(59, H1, "Block B 27", 0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(60, H1, "Block B 28", 0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(61, H1, "Block B 29", 0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(62, H1, "Block B 30", 0x00, 0xFF, 0x00, "hex").unproven(),
-    P::int(63, H1, "Block B 31", 0x00, 0xFF, 0x00, "hex").unproven(),
+    P::int(0, H1, "Block A 0", 0x00, 0xFF, 0x00, "hex").unproven().by(PAGES_19_AND_22),
+    P::int(1, H1, "Block A 1", 0x00, 0xFF, 0x00, "hex").unproven().by(PAGES_19_AND_22),
+    P::int(2, H1, "Block A 2", 0x00, 0xFF, 0x00, "hex").unproven().by(PAGES_19_AND_22),
+    P::int(3, H1, "Block A 3", 0x00, 0xFF, 0x00, "hex").unproven().by(PAGES_19_AND_22),
+    P::int(4, H1, "Block A 4", 0x00, 0xFF, 0x00, "hex").unproven().by(PAGES_19_AND_22),
+    P::int(5, H1, "Block A 5", 0x00, 0xFF, 0x00, "hex").unproven().by(PAGES_19_AND_22),
+    P::int(6, H1, "Block A 6", 0x00, 0xFF, 0x00, "hex").unproven().by(PAGES_19_AND_22),
+    P::int(7, H1, "Block A 7", 0x00, 0xFF, 0x00, "hex").unproven().by(PAGES_19_AND_22),
+    P::int(8, H1, "Block A 8", 0x00, 0xFF, 0x00, "hex").unproven().by(PAGES_19_AND_22),
+    P::int(9, H1, "Block A 9", 0x00, 0xFF, 0x00, "hex").unproven().by(PAGES_19_AND_22),
+    P::int(10, H1, "Block A 10", 0x00, 0xFF, 0x00, "hex").unproven().by(PAGES_19_AND_22),
+    P::int(11, H1, "Block A 11", 0x00, 0xFF, 0x00, "hex").unproven().by(PAGES_19_AND_22),
+    P::int(12, H1, "Block A 12", 0x00, 0xFF, 0x00, "hex").unproven().by(PAGES_19_AND_22),
+    P::int(13, H1, "Block A 13", 0x00, 0xFF, 0x00, "hex").unproven().by(PAGES_19_AND_22),
+    P::int(14, H1, "Block A 14", 0x00, 0xFF, 0x00, "hex").unproven().by(PAGES_19_AND_22),
+    P::int(15, H1, "Block A 15", 0x00, 0xFF, 0x00, "hex").unproven().by(PAGES_19_AND_22),
+    P::int(16, H1, "Block A 16", 0x00, 0xFF, 0x00, "hex").unproven().by(PAGES_19_AND_22),
+    P::int(17, H1, "Block A 17", 0x00, 0xFF, 0x00, "hex").unproven().by(PAGES_19_AND_22),
+    P::int(18, H1, "Block A 18", 0x00, 0xFF, 0x00, "hex").unproven().by(PAGES_19_AND_22),
+    P::int(19, H1, "Block A 19", 0x00, 0xFF, 0x00, "hex").unproven().by(PAGES_19_AND_22),
+    P::int(20, H1, "Block A 20", 0x00, 0xFF, 0x00, "hex").unproven().by(PAGES_19_AND_22),
+    P::int(21, H1, "Block A 21", 0x00, 0xFF, 0x00, "hex").unproven().by(PAGES_19_AND_22),
+    P::int(22, H1, "Block A 22", 0x00, 0xFF, 0x00, "hex").unproven().by(PAGES_19_AND_22),
+    P::int(23, H1, "Block A 23", 0x00, 0xFF, 0x00, "hex").unproven().by(PAGES_19_AND_22),
+    P::int(24, H1, "Block A 24", 0x00, 0xFF, 0x00, "hex").unproven().by(PAGES_19_AND_22),
+    P::int(25, H1, "Block A 25", 0x00, 0xFF, 0x00, "hex").unproven().by(PAGES_19_AND_22),
+    P::int(26, H1, "Block A 26", 0x00, 0xFF, 0x00, "hex").unproven().by(PAGES_19_AND_22),
+    P::int(27, H1, "Block A 27", 0x00, 0xFF, 0x00, "hex").unproven().by(PAGES_19_AND_22),
+    P::int(28, H1, "Block A 28", 0x00, 0xFF, 0x00, "hex").unproven().by(PAGES_19_AND_22),
+    P::int(29, H1, "Block A 29", 0x00, 0xFF, 0x00, "hex").unproven().by(PAGES_19_AND_22),
+    P::int(30, H1, "Block A 30", 0x00, 0xFF, 0x00, "hex").unproven().by(PAGES_19_AND_22),
+    P::int(31, H1, "Block A 31", 0x00, 0xFF, 0x00, "hex").unproven().by(PAGES_19_AND_22),
+    P::int(32, H1, "Block B 0", 0x00, 0xFF, 0x00, "hex").unproven().by(PAGES_19_AND_22),
+    P::int(33, H1, "Block B 1", 0x00, 0xFF, 0x00, "hex").unproven().by(PAGES_19_AND_22),
+    P::int(34, H1, "Block B 2", 0x00, 0xFF, 0x00, "hex").unproven().by(PAGES_19_AND_22),
+    P::int(35, H1, "Block B 3", 0x00, 0xFF, 0x00, "hex").unproven().by(PAGES_19_AND_22),
+    P::int(36, H1, "Block B 4", 0x00, 0xFF, 0x00, "hex").unproven().by(PAGES_19_AND_22),
+    P::int(37, H1, "Block B 5", 0x00, 0xFF, 0x00, "hex").unproven().by(PAGES_19_AND_22),
+    P::int(38, H1, "Block B 6", 0x00, 0xFF, 0x00, "hex").unproven().by(PAGES_19_AND_22),
+    P::int(39, H1, "Block B 7", 0x00, 0xFF, 0x00, "hex").unproven().by(PAGES_19_AND_22),
+    P::int(40, H1, "Block B 8", 0x00, 0xFF, 0x00, "hex").unproven().by(PAGES_19_AND_22),
+    P::int(41, H1, "Block B 9", 0x00, 0xFF, 0x00, "hex").unproven().by(PAGES_19_AND_22),
+    P::int(42, H1, "Block B 10", 0x00, 0xFF, 0x00, "hex").unproven().by(PAGES_19_AND_22),
+    P::int(43, H1, "Block B 11", 0x00, 0xFF, 0x00, "hex").unproven().by(PAGES_19_AND_22),
+    P::int(44, H1, "Block B 12", 0x00, 0xFF, 0x00, "hex").unproven().by(PAGES_19_AND_22),
+    P::int(45, H1, "Block B 13", 0x00, 0xFF, 0x00, "hex").unproven().by(PAGES_19_AND_22),
+    P::int(46, H1, "Block B 14", 0x00, 0xFF, 0x00, "hex").unproven().by(PAGES_19_AND_22),
+    P::int(47, H1, "Block B 15", 0x00, 0xFF, 0x00, "hex").unproven().by(PAGES_19_AND_22),
+    P::int(48, H1, "Block B 16", 0x00, 0xFF, 0x00, "hex").unproven().by(PAGES_19_AND_22),
+    P::int(49, H1, "Block B 17", 0x00, 0xFF, 0x00, "hex").unproven().by(PAGES_19_AND_22),
+    P::int(50, H1, "Block B 18", 0x00, 0xFF, 0x00, "hex").unproven().by(PAGES_19_AND_22),
+    P::int(51, H1, "Block B 19", 0x00, 0xFF, 0x00, "hex").unproven().by(PAGES_19_AND_22),
+    P::int(52, H1, "Block B 20", 0x00, 0xFF, 0x00, "hex").unproven().by(PAGES_19_AND_22),
+    P::int(53, H1, "Block B 21", 0x00, 0xFF, 0x00, "hex").unproven().by(PAGES_19_AND_22),
+    P::int(54, H1, "Block B 22", 0x00, 0xFF, 0x00, "hex").unproven().by(PAGES_19_AND_22),
+    P::int(55, H1, "Block B 23", 0x00, 0xFF, 0x00, "hex").unproven().by(PAGES_19_AND_22),
+    P::int(56, H1, "Block B 24", 0x00, 0xFF, 0x00, "hex").unproven().by(PAGES_19_AND_22),
+    P::int(57, H1, "Block B 25", 0x00, 0xFF, 0x00, "hex").unproven().by(PAGES_19_AND_22),
+    P::int(58, H1, "Block B 26", 0x00, 0xFF, 0x00, "hex").unproven().by(PAGES_19_AND_22),
+    P::int(59, H1, "Block B 27", 0x00, 0xFF, 0x00, "hex").unproven().by(PAGES_19_AND_22),
+    P::int(60, H1, "Block B 28", 0x00, 0xFF, 0x00, "hex").unproven().by(PAGES_19_AND_22),
+    P::int(61, H1, "Block B 29", 0x00, 0xFF, 0x00, "hex").unproven().by(PAGES_19_AND_22),
+    P::int(62, H1, "Block B 30", 0x00, 0xFF, 0x00, "hex").unproven().by(PAGES_19_AND_22),
+    P::int(63, H1, "Block B 31", 0x00, 0xFF, 0x00, "hex").unproven().by(PAGES_19_AND_22),
 ];
 
 #[rustfmt::skip]
 static DF_LIFETIME_DATA: &[P] = &[
-    P::int(0, I2, "Lifetime Max Temp", 0, 1400, 0, "0.1°C").learned().unproven(),
-    P::int(2, I2, "Lifetime Min Temp", -600, 1400, 500, "0.1°C").learned().unproven(),
-    P::int(4, I2, "Lifetime Max Pack Voltage", 0, 32767, 2800, "mV").learned().unproven(),
-    P::int(6, I2, "Lifetime Min Pack Voltage", 0, 32767, 4200, "mV").learned().unproven(),
-    P::int(8, I2, "Lifetime Max Chg Current", -32767, 32767, 0, "mA").learned().unproven(),
-    P::int(10, I2, "Lifetime Max Dsg Current", -32767, 32767, 0, "mA").learned().unproven(),
+    P::int(0, I2, "Lifetime Max Temp", 0, 1400, 0, "0.1°C").learned().unproven().by(PAGE_22),
+    P::int(2, I2, "Lifetime Min Temp", -600, 1400, 500, "0.1°C").learned().unproven().by(PAGE_22),
+    P::int(4, I2, "Lifetime Max Pack Voltage", 0, 32767, 2800, "mV").learned().unproven().by(PAGE_22),
+    P::int(6, I2, "Lifetime Min Pack Voltage", 0, 32767, 4200, "mV").learned().unproven().by(PAGE_22),
+    P::int(8, I2, "Lifetime Max Chg Current", -32767, 32767, 0, "mA").learned().unproven().by(PAGE_22),
+    P::int(10, I2, "Lifetime Max Dsg Current", -32767, 32767, 0, "mA").learned().unproven().by(PAGE_22),
 ];
 
 #[rustfmt::skip]
 static DF_LIFETIME_TEMP_SAMPLES: &[P] = &[
-    P::int(0, U2, "LT Flash Cnt", 0, 65535, 0, "Counts").learned().unproven(),
+    P::int(0, U2, "LT Flash Cnt", 0, 65535, 0, "Counts").learned().unproven().by(PAGE_22),
 ];
 
 #[rustfmt::skip]
 static DF_REGISTERS: &[P] = &[
-    P::int(0, H2, "Pack Configuration", 0x0000, 0xFFFF, 0x1177, "hex").unproven(),
-    P::int(2, H1, "Pack Configuration B", 0x00, 0xFF, 0xA7, "hex").unproven(),
-    P::int(3, H1, "Pack Configuration C", 0x00, 0xFF, 0x18, "hex").unproven(),
+    P::int(0, H2, "Pack Configuration", 0x0000, 0xFFFF, 0x1177, "hex").unproven().by(PAGE_22_AND_BQ27546),
+    P::int(2, H1, "Pack Configuration B", 0x00, 0xFF, 0xA7, "hex").unproven().by(PAGE_22),
+    P::int(3, H1, "Pack Configuration C", 0x00, 0xFF, 0x18, "hex").unproven().by(PAGE_22),
 ];
 
 #[rustfmt::skip]
 static DF_LIFETIME_RESOLUTION: &[P] = &[
-    P::int(0, U1, "LT Temp Res", 0, 255, 10, "Num").unproven(),
-    P::int(1, U1, "LT V Res", 0, 255, 25, "Num").unproven(),
-    P::int(2, U1, "LT Cur Res", 0, 255, 100, "Num").unproven(),
-    P::int(3, U2, "LT Update Time", 0, 65535, 60, "Num").unproven(),
+    P::int(0, U1, "LT Temp Res", 0, 255, 10, "Num").unproven().by(PAGE_22),
+    P::int(1, U1, "LT V Res", 0, 255, 25, "Num").unproven().by(PAGE_22),
+    P::int(2, U1, "LT Cur Res", 0, 255, 100, "Num").unproven().by(PAGE_22),
+    P::int(3, U2, "LT Update Time", 0, 65535, 60, "Num").unproven().by(PAGE_22),
 ];
 
 #[rustfmt::skip]
 static DF_POWER: &[P] = &[
-    P::int(0, I2, "Flash Update OK Voltage", 0, 4200, 2800, "mV").unproven(),
-    P::int(2, I2, "Sleep Current", 0, 100, 10, "mA").unproven(),
-    P::int(11, U2, "Hibernate I", 0, 700, 8, "mA").unproven(),
-    P::int(13, U2, "Hibernate V", 2400, 3000, 2550, "mV").unproven(),
-    P::int(15, U1, "FS Wait", 0, 255, 0, "s").unproven(),
+    P::int(0, I2, "Flash Update OK Voltage", 0, 4200, 2800, "mV").unproven().by(PAGE_22),
+    P::int(2, I2, "Sleep Current", 0, 100, 10, "mA").unproven().by(PAGE_22),
+    P::int(11, U2, "Hibernate I", 0, 700, 8, "mA").unproven().by(PAGE_22),
+    P::int(13, U2, "Hibernate V", 2400, 3000, 2550, "mV").unproven().by(PAGE_22),
+    P::int(15, U1, "FS Wait", 0, 255, 0, "s").unproven().by(PAGE_22),
 ];
 
 #[rustfmt::skip]
 static DF_IT_CFG: &[P] = &[
-    P::int(0, U1, "Load Select", 0, 255, 1, "Num").unproven(),
-    P::int(1, U1, "Load Mode", 0, 255, 0, "Num").unproven(),
-    P::int(21, U1, "Max Res Factor", 0, 255, 15, "Num").unproven(),
-    P::int(22, U1, "Min Res Factor", 0, 255, 5, "Num").unproven(),
-    P::int(25, U2, "Ra Filter", 0, 1000, 800, "Num").unproven(),
-    P::int(67, I2, "Terminate Voltage", 2800, 3700, 3000, "mV").unproven(),
-    P::int(69, I2, "Term V Delta", 0, 4200, 200, "mV").unproven(),
+    P::int(0, U1, "Load Select", 0, 255, 1, "Num").unproven().by(PAGE_22),
+    P::int(1, U1, "Load Mode", 0, 255, 0, "Num").unproven().by(PAGE_22),
+    P::int(21, U1, "Max Res Factor", 0, 255, 15, "Num").unproven().by(PAGE_22),
+    P::int(22, U1, "Min Res Factor", 0, 255, 5, "Num").unproven().by(PAGE_22),
+    P::int(25, U2, "Ra Filter", 0, 1000, 800, "Num").unproven().by(PAGE_22),
+    P::int(67, I2, "Terminate Voltage", 2800, 3700, 3000, "mV").unproven().by(PAGE_22_AND_EXAMPLE),
+    P::int(69, I2, "Term V Delta", 0, 4200, 200, "mV").unproven().by(PAGE_22),
 ];
 
 #[rustfmt::skip]
 static G5_SAFETY: &[P] = &[
-    P::int(0, I2, "OT Chg", 0, 1200, 550, "0.1°C").unproven(),
-    P::int(2, U1, "OT Chg Time", 0, 60, 2, "s").unproven(),
-    P::int(3, I2, "OT Chg Recovery", 0, 1200, 500, "0.1°C").unproven(),
-    P::int(5, I2, "OT Dsg", 0, 1200, 600, "0.1°C").unproven(),
-    P::int(7, U1, "OT Dsg Time", 0, 60, 2, "s").unproven(),
-    P::int(8, I2, "OT Dsg Recovery", 0, 1200, 550, "0.1°C").unproven(),
+    P::int(0, I2, "OT Chg", 0, 1200, 550, "0.1°C").unproven().by(TABLE_17),
+    P::int(2, U1, "OT Chg Time", 0, 60, 2, "s").unproven().by(TABLE_17),
+    P::int(3, I2, "OT Chg Recovery", 0, 1200, 500, "0.1°C").unproven().by(TABLE_17),
+    P::int(5, I2, "OT Dsg", 0, 1200, 600, "0.1°C").unproven().by(TABLE_17),
+    P::int(7, U1, "OT Dsg Time", 0, 60, 2, "s").unproven().by(TABLE_17),
+    P::int(8, I2, "OT Dsg Recovery", 0, 1200, 550, "0.1°C").unproven().by(TABLE_17),
 ];
 
 #[rustfmt::skip]
 static G5_CHARGE_INHIBIT_CFG: &[P] = &[
-    P::int(0, I2, "Chg Inhibit Temp Low", -400, 1200, 0, "0.1°C").unproven(),
-    P::int(2, I2, "Chg Inhibit Temp High", -400, 1200, 450, "0.1°C").unproven(),
-    P::int(4, I2, "Temp Hys", 0, 100, 50, "0.1°C").unproven(),
+    P::int(0, I2, "Chg Inhibit Temp Low", -400, 1200, 0, "0.1°C").unproven().by(TABLE_17),
+    P::int(2, I2, "Chg Inhibit Temp High", -400, 1200, 450, "0.1°C").unproven().by(TABLE_17),
+    P::int(4, I2, "Temp Hys", 0, 100, 50, "0.1°C").unproven().by(TABLE_17),
 ];
 
 #[rustfmt::skip]
 static G5_CHARGE: &[P] = &[
-    P::int(0, I2, "Charging Voltage", 0, 4600, 4200, "mV").unproven(),
+    P::int(0, I2, "Charging Voltage", 0, 4600, 4200, "mV").unproven().by(TABLE_17),
 ];
 
 #[rustfmt::skip]
 static G5_CHARGE_TERMINATION: &[P] = &[
-    P::int(0, I2, "Taper Current", 0, 1000, 100, "mA").unproven(),
-    P::int(2, I2, "Min Taper Capacity", 0, 1000, 25, "mAh").unproven(),
-    P::int(4, I2, "Taper Voltage", 0, 1000, 100, "mV").unproven(),
-    P::int(6, U1, "Current Taper Window", 0, 60, 40, "s").unproven(),
-    P::int(7, I1, "TCA Set %", -1, 100, 99, "%").unproven(),
-    P::int(8, I1, "TCA Clear %", -1, 100, 95, "%").unproven(),
-    P::int(9, I1, "FC Set %", -1, 100, -1, "%").unproven(),
-    P::int(10, I1, "FC Clear %", -1, 100, 98, "%").unproven(),
-    P::int(11, I2, "DODatEOC Delta T", 0, 1000, 50, "0.1°C").unproven(),
+    P::int(0, I2, "Taper Current", 0, 1000, 100, "mA").unproven().by(TABLE_17),
+    P::int(2, I2, "Min Taper Capacity", 0, 1000, 25, "mAh").unproven().by(TABLE_17),
+    P::int(4, I2, "Taper Voltage", 0, 1000, 100, "mV").unproven().by(TABLE_17),
+    P::int(6, U1, "Current Taper Window", 0, 60, 40, "s").unproven().by(TABLE_17),
+    P::int(7, I1, "TCA Set %", -1, 100, 99, "%").unproven().by(TABLE_17),
+    P::int(8, I1, "TCA Clear %", -1, 100, 95, "%").unproven().by(TABLE_17),
+    P::int(9, I1, "FC Set %", -1, 100, -1, "%").unproven().by(TABLE_17),
+    P::int(10, I1, "FC Clear %", -1, 100, 98, "%").unproven().by(TABLE_17),
+    P::int(11, I2, "DODatEOC Delta T", 0, 1000, 50, "0.1°C").unproven().by(TABLE_17),
 ];
 
 #[rustfmt::skip]
 static G5_DATA: &[P] = &[
-    P::int(0, I2, "Rem Cap Alarm", 0, 700, 100, "mA").unproven(),
+    P::int(0, I2, "Rem Cap Alarm", 0, 700, 100, "mA").unproven().by(TABLE_17),
     // -256 is printed for the minimum of this signed byte.
-    P::int(8, I1, "Initial Standby", -128, 0, -10, "mA").unproven(),
-    P::int(9, I2, "Initial MaxLoad", -32767, 0, -500, "mA").unproven(),
-    P::int(17, U2, "Cycle Count", 0, 65535, 0, "Counts").learned().unproven(),
-    P::int(19, I2, "CC Threshold", 100, 32767, 900, "mAh").unproven(),
-    P::int(23, I2, "Design Capacity", 0, 32767, 1000, "mAh").unproven(),
-    P::within(25, I2, "Design Energy", 0, 32767, "mWh").unproven(),
+    P::int(8, I1, "Initial Standby", -128, 0, -10, "mA").unproven().by(TABLE_17),
+    P::int(9, I2, "Initial MaxLoad", -32767, 0, -500, "mA").unproven().by(TABLE_17),
+    P::int(17, U2, "Cycle Count", 0, 65535, 0, "Counts").learned().unproven().by(TABLE_17),
+    P::int(19, I2, "CC Threshold", 100, 32767, 900, "mAh").unproven().by(TABLE_17),
+    P::int(23, I2, "Design Capacity", 0, 32767, 1000, "mAh").unproven().by(TABLE_17_AND_LINUX),
+    P::within(25, I2, "Design Energy", 0, 32767, "mWh").unproven().by(TABLE_17_AND_LINUX),
 ];
 
 #[rustfmt::skip]
 static G5_IT_CFG: &[P] = &[
-    P::within(67, I2, "Terminate Voltage", 2800, 3700, "mV").unproven(),
+    P::within(67, I2, "Terminate Voltage", 2800, 3700, "mV").unproven().by(LINUX),
 ];
 
 /// SLUSAL6C, Table 7, page 22.

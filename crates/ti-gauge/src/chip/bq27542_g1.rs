@@ -50,103 +50,113 @@ static REGISTERS: &[Register] = &[
     Register::new(0x61, U1, "BlockDataControl", "", Window),
 ];
 
+// What shows that a row is where it is.
+const QUOTED: &str = "SLUUB65B Table 16-3, as a driver of a real part quotes it; the bq27742 has it there";
+const QUOTED_ALONE: &str = "SLUUB65B Table 16-3, as a driver of a real part quotes it";
+const QUOTED_AND_SEEN: &str =
+    "SLUUB65B Table 16-3, as a driver quotes it, and a block of a real part (E2E 909149)";
+const QUOTED_AND_ACTED: &str =
+    "SLUUB65B Table 16-3, as a driver quotes it, which writes it and sees it act in CONTROL_STATUS";
+const SEEN: &str = "a block of a real part (E2E 909149); the bq27742 has it there";
+const SEEN_BY_DEFAULT: &str = "TI's default in a block of a real part (E2E 909149)";
+
 #[rustfmt::skip]
 static DF_DATA: &[P] = &[
-    P::int(0, I2, "Design Voltage", -32768, 32767, 3800, "mV").unprinted().unproven(),
-    P::int(8, U2, "Cycle Count", 0, 65535, 5, "Counts").unprinted().learned().unproven(),
-    P::int(10, I2, "CC Threshold", -32768, 32767, 900, "mAh").unprinted().unproven(),
-    P::int(12, I2, "Design Capacity", -32768, 32767, 1000, "mAh").unprinted().unproven(),
-    P::int(14, I2, "Design Energy", -32768, 32767, 3800, "mWh").unprinted().unproven(),
-    P::int(16, I2, "SOH Load I", -32768, 32767, -400, "mA").unprinted().unproven(),
-    P::int(18, U1, "TDD SOH Percent", 0, 255, 80, "%").unprinted().unproven(),
-    P::int(19, U2, "ISD Current", 0, 65535, 10, "Hr rate").unprinted().unproven(),
-    P::int(21, U1, "ISD I Filter", 0, 255, 127, "Num").unprinted().unproven(),
-    P::int(22, U1, "Min ISD Time", 0, 255, 7, "h").unprinted().unproven(),
-    P::int(23, U1, "Design Energy Scale", 0, 255, 1, "Num").unprinted().unproven(),
+    P::int(0, I2, "Design Voltage", -32768, 32767, 3800, "mV").unprinted().unproven().by(QUOTED_AND_SEEN),
+    P::int(8, U2, "Cycle Count", 0, 65535, 5, "Counts").unprinted().learned().unproven().by(SEEN),
+    P::int(10, I2, "CC Threshold", -32768, 32767, 900, "mAh").unprinted().unproven().by(SEEN),
+    P::int(12, I2, "Design Capacity", -32768, 32767, 1000, "mAh").unprinted().unproven().by(QUOTED_AND_SEEN),
+    P::int(14, I2, "Design Energy", -32768, 32767, 3800, "mWh").unprinted().unproven().by(QUOTED_AND_SEEN),
+    P::int(16, I2, "SOH Load I", -32768, 32767, -400, "mA").unprinted().unproven().by(QUOTED_AND_SEEN),
+    P::int(18, U1, "TDD SOH Percent", 0, 255, 80, "%").unprinted().unproven().by(SEEN),
+    P::int(19, U2, "ISD Current", 0, 65535, 10, "Hr rate").unprinted().unproven().by(SEEN),
+    P::int(21, U1, "ISD I Filter", 0, 255, 127, "Num").unprinted().unproven().by(SEEN),
+    P::int(22, U1, "Min ISD Time", 0, 255, 7, "h").unprinted().unproven().by(SEEN),
+    P::int(23, U1, "Design Energy Scale", 0, 255, 1, "Num").unprinted().unproven().by(QUOTED_AND_SEEN),
 ];
 
 #[rustfmt::skip]
 static DF_REGISTERS: &[P] = &[
-    P::any(0, H2, "Pack Configuration", "hex").unproven(),
-    P::any(2, H1, "Pack Configuration B", "hex").unproven(),
-    P::any(3, H1, "Pack Configuration C", "hex").unproven(),
-    P::any(4, H1, "Pack Configuration D", "hex").unproven(),
+    P::any(0, H2, "Pack Configuration", "hex").unproven().by(QUOTED),
+    P::any(2, H1, "Pack Configuration B", "hex").unproven().by(QUOTED),
+    P::any(3, H1, "Pack Configuration C", "hex").unproven().by(QUOTED),
+    P::any(4, H1, "Pack Configuration D", "hex").unproven().by(QUOTED),
 ];
 
 #[rustfmt::skip]
 static DF_IT_CFG: &[P] = &[
-    P::any(0, U1, "Load Select", "Num").unproven(),
-    P::any(1, U1, "Load Mode", "Num").unproven(),
-    P::any(64, I2, "Terminate Voltage", "mV").unproven(),
-    P::any(66, I2, "Term V Delta", "mV").unproven(),
-    P::any(73, I2, "User Rate-mA", "mA").unproven(),
-    P::any(75, I2, "User Rate-Pwr", "mW/cW").unproven(),
-    P::any(77, I2, "Reserve Cap-mAh", "mAh").unproven(),
-    P::any(79, I2, "Reserve Energy", "mWh/cWh").unproven(),
-    P::any(88, U1, "Max Sim Rate", "Hr rate").unproven(),
-    P::any(89, U1, "Min Sim Rate", "Hr rate").unproven(),
-    P::any(92, I2, "Trace Resistance", "mΩ").unproven(),
-    P::any(94, I2, "Downstream Resistance", "mΩ").unproven(),
+    P::any(0, U1, "Load Select", "Num").unproven().by(QUOTED),
+    P::any(1, U1, "Load Mode", "Num").unproven().by(QUOTED_AND_ACTED),
+    P::any(64, I2, "Terminate Voltage", "mV").unproven().by(QUOTED),
+    P::any(66, I2, "Term V Delta", "mV").unproven().by(QUOTED),
+    P::any(73, I2, "User Rate-mA", "mA").unproven().by(QUOTED),
+    P::any(75, I2, "User Rate-Pwr", "mW/cW").unproven().by(QUOTED),
+    P::any(77, I2, "Reserve Cap-mAh", "mAh").unproven().by(QUOTED),
+    P::any(79, I2, "Reserve Energy", "mWh/cWh").unproven().by(QUOTED_ALONE),
+    P::any(88, U1, "Max Sim Rate", "Hr rate").unproven().by(QUOTED),
+    P::any(89, U1, "Min Sim Rate", "Hr rate").unproven().by(QUOTED),
+    P::any(92, I2, "Trace Resistance", "mΩ").unproven().by(QUOTED),
+    P::any(94, I2, "Downstream Resistance", "mΩ").unproven().by(QUOTED),
 ];
 
 #[rustfmt::skip]
 static DF_CURRENT_THRESHOLDS: &[P] = &[
-    P::int(0, I2, "Dsg Current Threshold", -32768, 32767, 60, "mA").unprinted().unproven(),
-    P::int(2, I2, "Chg Current Threshold", -32768, 32767, 75, "mA").unprinted().unproven(),
-    P::int(4, I2, "Quit Current", -32768, 32767, 40, "mA").unprinted().unproven(),
-    P::int(6, U2, "Dsg Relax Time", 0, 65535, 60, "s").unprinted().unproven(),
-    P::int(8, U1, "Chg Relax Time", 0, 255, 60, "s").unprinted().unproven(),
-    P::int(9, I2, "Max IR Correct", -32768, 32767, 400, "mV").unprinted().unproven(),
+    P::int(0, I2, "Dsg Current Threshold", -32768, 32767, 60, "mA").unprinted().unproven().by(SEEN),
+    P::int(2, I2, "Chg Current Threshold", -32768, 32767, 75, "mA").unprinted().unproven().by(SEEN),
+    P::int(4, I2, "Quit Current", -32768, 32767, 40, "mA").unprinted().unproven().by(SEEN),
+    P::int(6, U2, "Dsg Relax Time", 0, 65535, 60, "s").unprinted().unproven().by(SEEN),
+    P::int(8, U1, "Chg Relax Time", 0, 255, 60, "s").unprinted().unproven().by(SEEN),
+    P::int(9, I2, "Max IR Correct", -32768, 32767, 400, "mV").unprinted().unproven().by(SEEN_BY_DEFAULT),
 ];
 
 #[rustfmt::skip]
 static DF_STATE: &[P] = &[
-    P::any(0, I2, "Qmax Cell 0", "mAh").learned().unproven(),
-    P::any(2, H1, "Update Status", "hex").learned().unproven(),
-    P::any(3, I2, "V at Chg Term", "mV").learned().unproven(),
-    P::any(5, I2, "Avg I Last Run", "mA").learned().unproven(),
-    P::any(7, I2, "Avg P Last Run", "mW/cW").learned().unproven(),
-    P::any(9, I2, "Delta Voltage", "mV").learned().unproven(),
+    P::any(0, I2, "Qmax Cell 0", "mAh").learned().unproven().by(QUOTED),
+    P::any(2, H1, "Update Status", "hex").learned().unproven().by(QUOTED),
+    P::any(3, I2, "V at Chg Term", "mV").learned().unproven().by(QUOTED),
+    P::any(5, I2, "Avg I Last Run", "mA").learned().unproven().by(QUOTED),
+    P::any(7, I2, "Avg P Last Run", "mW/cW").learned().unproven().by(QUOTED),
+    P::any(9, I2, "Delta Voltage", "mV").learned().unproven().by(QUOTED),
 ];
 
 #[rustfmt::skip]
 static DF_R_A0: &[P] = &[
-    P::any(0, H2, "Cell0 R_a flag", "hex").learned().unproven(),
-    P::any(2, I2, "Cell0 R_a 0", "Num").learned().unproven(),
-    P::any(4, I2, "Cell0 R_a 1", "Num").learned().unproven(),
-    P::any(6, I2, "Cell0 R_a 2", "Num").learned().unproven(),
-    P::any(8, I2, "Cell0 R_a 3", "Num").learned().unproven(),
-    P::any(10, I2, "Cell0 R_a 4", "Num").learned().unproven(),
-    P::any(12, I2, "Cell0 R_a 5", "Num").learned().unproven(),
-    P::any(14, I2, "Cell0 R_a 6", "Num").learned().unproven(),
-    P::any(16, I2, "Cell0 R_a 7", "Num").learned().unproven(),
-    P::any(18, I2, "Cell0 R_a 8", "Num").learned().unproven(),
-    P::any(20, I2, "Cell0 R_a 9", "Num").learned().unproven(),
-    P::any(22, I2, "Cell0 R_a 10", "Num").learned().unproven(),
-    P::any(24, I2, "Cell0 R_a 11", "Num").learned().unproven(),
-    P::any(26, I2, "Cell0 R_a 12", "Num").learned().unproven(),
-    P::any(28, I2, "Cell0 R_a 13", "Num").learned().unproven(),
-    P::any(30, I2, "Cell0 R_a 14", "Num").learned().unproven(),
+    P::any(0, H2, "Cell0 R_a flag", "hex").learned().unproven().by(QUOTED),
+    P::any(2, I2, "Cell0 R_a 0", "Num").learned().unproven().by(QUOTED),
+    P::any(4, I2, "Cell0 R_a 1", "Num").learned().unproven().by(QUOTED),
+    P::any(6, I2, "Cell0 R_a 2", "Num").learned().unproven().by(QUOTED),
+    P::any(8, I2, "Cell0 R_a 3", "Num").learned().unproven().by(QUOTED),
+    P::any(10, I2, "Cell0 R_a 4", "Num").learned().unproven().by(QUOTED),
+    P::any(12, I2, "Cell0 R_a 5", "Num").learned().unproven().by(QUOTED),
+    P::any(14, I2, "Cell0 R_a 6", "Num").learned().unproven().by(QUOTED),
+    P::any(16, I2, "Cell0 R_a 7", "Num").learned().unproven().by(QUOTED),
+    P::any(18, I2, "Cell0 R_a 8", "Num").learned().unproven().by(QUOTED),
+    P::any(20, I2, "Cell0 R_a 9", "Num").learned().unproven().by(QUOTED),
+    P::any(22, I2, "Cell0 R_a 10", "Num").learned().unproven().by(QUOTED),
+    P::any(24, I2, "Cell0 R_a 11", "Num").learned().unproven().by(QUOTED),
+    P::any(26, I2, "Cell0 R_a 12", "Num").learned().unproven().by(QUOTED),
+    P::any(28, I2, "Cell0 R_a 13", "Num").learned().unproven().by(QUOTED),
+    P::any(30, I2, "Cell0 R_a 14", "Num").learned().unproven().by(QUOTED),
 ];
 
 #[rustfmt::skip]
 static DF_R_A0X: &[P] = &[
-    P::any(0, H2, "xCell0 R_a flag", "hex").learned().unproven(),
-    P::any(2, I2, "xCell0 R_a 0", "Num").learned().unproven(),
-    P::any(4, I2, "xCell0 R_a 1", "Num").learned().unproven(),
-    P::any(6, I2, "xCell0 R_a 2", "Num").learned().unproven(),
-    P::any(8, I2, "xCell0 R_a 3", "Num").learned().unproven(),
-    P::any(10, I2, "xCell0 R_a 4", "Num").learned().unproven(),
-    P::any(12, I2, "xCell0 R_a 5", "Num").learned().unproven(),
-    P::any(14, I2, "xCell0 R_a 6", "Num").learned().unproven(),
-    P::any(16, I2, "xCell0 R_a 7", "Num").learned().unproven(),
-    P::any(18, I2, "xCell0 R_a 8", "Num").learned().unproven(),
-    P::any(20, I2, "xCell0 R_a 9", "Num").learned().unproven(),
-    P::any(22, I2, "xCell0 R_a 10", "Num").learned().unproven(),
-    P::any(24, I2, "xCell0 R_a 11", "Num").learned().unproven(),
-    P::any(26, I2, "xCell0 R_a 12", "Num").learned().unproven(),
-    P::any(28, I2, "xCell0 R_a 13", "Num").learned().unproven(),
-    P::any(30, I2, "xCell0 R_a 14", "Num").learned().unproven(),
+    P::any(0, H2, "xCell0 R_a flag", "hex").learned().unproven().by(QUOTED),
+    P::any(2, I2, "xCell0 R_a 0", "Num").learned().unproven().by(QUOTED),
+    P::any(4, I2, "xCell0 R_a 1", "Num").learned().unproven().by(QUOTED),
+    P::any(6, I2, "xCell0 R_a 2", "Num").learned().unproven().by(QUOTED),
+    P::any(8, I2, "xCell0 R_a 3", "Num").learned().unproven().by(QUOTED),
+    P::any(10, I2, "xCell0 R_a 4", "Num").learned().unproven().by(QUOTED),
+    P::any(12, I2, "xCell0 R_a 5", "Num").learned().unproven().by(QUOTED),
+    P::any(14, I2, "xCell0 R_a 6", "Num").learned().unproven().by(QUOTED),
+    P::any(16, I2, "xCell0 R_a 7", "Num").learned().unproven().by(QUOTED),
+    P::any(18, I2, "xCell0 R_a 8", "Num").learned().unproven().by(QUOTED),
+    P::any(20, I2, "xCell0 R_a 9", "Num").learned().unproven().by(QUOTED),
+    P::any(22, I2, "xCell0 R_a 10", "Num").learned().unproven().by(QUOTED),
+    P::any(24, I2, "xCell0 R_a 11", "Num").learned().unproven().by(QUOTED),
+    P::any(26, I2, "xCell0 R_a 12", "Num").learned().unproven().by(QUOTED),
+    P::any(28, I2, "xCell0 R_a 13", "Num").learned().unproven().by(QUOTED),
+    P::any(30, I2, "xCell0 R_a 14", "Num").learned().unproven().by(QUOTED),
 ];
 
 /// The classes with rows in a public source.

@@ -115,6 +115,8 @@ pub struct Parameter {
     pub unproven: bool,
     /// Why it is never written, whatever the user insists on.
     pub never: Option<&'static str>,
+    /// What shows that it is where it is; empty if the table's documents do.
+    pub source: &'static str,
     /// The property that it feeds.
     pub role: Option<Role>,
 }
@@ -134,6 +136,7 @@ impl Parameter {
             safe: None,
             unproven: false,
             never: None,
+            source: "",
             role: None,
         }
     }
@@ -275,6 +278,13 @@ impl Parameter {
     #[must_use]
     pub const fn never(mut self, why: &'static str) -> Self {
         (self.unproven, self.never) = (true, Some(why));
+        self
+    }
+
+    /// What shows that it is where it is.
+    #[must_use]
+    pub const fn by(mut self, source: &'static str) -> Self {
+        self.source = source;
         self
     }
 

@@ -146,7 +146,8 @@ fn other_value(chip: &Chip, subclass: &Subclass, row: &Parameter, old: &Value) -
     let decides = row.role == Some(Role::Cells) || row.safe.is_some() || !row.bits.is_empty();
     let external = chip.gate.as_ref().and_then(|gate| gate.external.as_ref());
     let measures = external.is_some_and(|external| external.byte == (subclass.id, row.offset));
-    if signs || row.never.is_some() || decides || measures || !is_in_range || subclass.class == "Calibration" {
+    if signs || row.never.is_some() || decides || measures || !is_in_range || subclass.class == "Calibration"
+    {
         return None;
     }
     let both = match &row.range {

@@ -425,7 +425,12 @@ fn a_signature_detects_a_flat_map_that_is_off_by_one() {
             let Some(bytes) = default_bytes(chip.layout, row).or(only) else { continue };
             let lower = (0..=u8::MAX).map(|next| [&bytes[1..], &[next]].concat());
             for shifted in lower {
-                assert!(!fits(chip.layout, signature, &shifted), "{} 0x{:04x}: {shifted:x?}", chip.name, signature.offset);
+                assert!(
+                    !fits(chip.layout, signature, &shifted),
+                    "{} 0x{:04x}: {shifted:x?}",
+                    chip.name,
+                    signature.offset
+                );
             }
             told += 1;
         }
