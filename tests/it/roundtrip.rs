@@ -29,6 +29,7 @@ fn set(chip: &Chip, entry: &mut Entry, end: End) {
     let signs = |sign: &Signature| (sign.subclass, sign.offset) == (entry.subclass.id, row.offset);
     let signs = chip.signature.iter().any(signs);
     if signs
+        || row.never.is_some()
         || row.learned
         || row.safe.is_some()
         || !row.bits.is_empty()
@@ -98,7 +99,7 @@ fn an_export_that_is_imported_into_another_gauge_is_exported_the_same() {
         return;
     }
     let chips = || CHIPS.iter().filter(|chip| chip.is_proven());
-    assert_eq!(chips().count(), 13);
+    assert_eq!(chips().count(), 14);
     let check = |chip: &'static Chip, format, end| {
         let folder = Folder::new();
         let mounts = ["m", "n"].map(|name| folder.file(name));
@@ -109,7 +110,10 @@ fn an_export_that_is_imported_into_another_gauge_is_exported_the_same() {
         }
         let [from, to] = [0, 1].map(|index| format!("{}/BAT0", mounts[index]));
         let written = turn(chip, &folder, [&from, &to], format, end);
-        assert!(written > 20, "{} {format}: {written} values", chip.name);
+        // A FlashStream of a flat part has the proven ones only, and a third of the bq28z610's few have no limit of their own.
+        let proven = chip.rows().filter(|(_, row)| !row.unproven).count();
+        let least = if proven > 20 { 20 } else { proven / 3 };
+        assert!(written > least, "{} {format}: {written} values", chip.name);
         for at in &mounts {
             gaugefs(&["umount", at]).done();
         }

@@ -11,7 +11,8 @@
 //! its name and acted. Ranges are printed in SLUUA65E (25 rows) and in SLUUCO9A of the bq28z620 (30).
 //!
 //! Writable are the proven rows with a printed range that are no protection, calibration, switch of a FET or sign of
-//! the layout, and the texts. The rest is read-only; what could open FETs or switch a protection off is never written.
+//! the layout, and the texts. The rest is read-only; what could open FETs, switch a protection off or mislead a charger
+//! is never written.
 
 use std::time::Duration;
 
@@ -265,6 +266,7 @@ const RECORD: &str = "it is the part's own record";
 const CALIBRATION: &str = "the board was calibrated with it";
 const LAYOUT: &str = "by it the layout of data flash is recognised";
 const SWITCHES: &str = "its bits switch FETs and modes, and not all of them are known";
+const CHARGES: &str = "a charger and the charge FET follow it, and no source prints its range";
 const SWITCHES_OFF: &str = "with a wrong value the part switches itself off";
 
 /// Above the voltage the gauge would take no further write, this one's repair included.
@@ -689,54 +691,54 @@ static SUBCLASSES: &[Subclass] = &[
         P::any(0x465E, H1, "Charging Configuration", "hex").never(SWITCHES).by(BLANK),
     ] },
     Subclass { class: "Advanced Charge Algorithm", name: "Temperature Ranges", id: FLAT, length: 7, kind: Plain, parameters: &[
-        P::any(0x465F, I1, "T1 Temp", "°C").unproven().by(PLAUSIBLE),
-        P::any(0x4660, I1, "T2 Temp", "°C").unproven().by(PLAUSIBLE),
-        P::any(0x4661, I1, "T5 Temp", "°C").unproven().by(PLAUSIBLE),
-        P::any(0x4662, I1, "T6 Temp", "°C").unproven().by(PLAUSIBLE),
-        P::any(0x4663, I1, "T3 Temp", "°C").unproven().by(PLAUSIBLE),
-        P::any(0x4664, I1, "T4 Temp", "°C").unproven().by(PLAUSIBLE),
-        P::any(0x4665, I1, "Hysteresis Temp", "°C").unproven().by(PLAUSIBLE),
+        P::any(0x465F, I1, "T1 Temp", "°C").never(CHARGES).by(PLAUSIBLE),
+        P::any(0x4660, I1, "T2 Temp", "°C").never(CHARGES).by(PLAUSIBLE),
+        P::any(0x4661, I1, "T5 Temp", "°C").never(CHARGES).by(PLAUSIBLE),
+        P::any(0x4662, I1, "T6 Temp", "°C").never(CHARGES).by(PLAUSIBLE),
+        P::any(0x4663, I1, "T3 Temp", "°C").never(CHARGES).by(PLAUSIBLE),
+        P::any(0x4664, I1, "T4 Temp", "°C").never(CHARGES).by(PLAUSIBLE),
+        P::any(0x4665, I1, "Hysteresis Temp", "°C").never(CHARGES).by(PLAUSIBLE),
     ] },
     Subclass { class: "Advanced Charge Algorithm", name: "Low Temp Charging", id: FLAT, length: 8, kind: Plain, parameters: &[
-        P::any(0x4666, I2, "Voltage", "mV").unproven().by(PLAUSIBLE),
-        P::any(0x4668, I2, "Current Low", "mA").unproven().by(PLAUSIBLE),
-        P::any(0x466A, I2, "Current Med", "mA").unproven().by(PLAUSIBLE),
-        P::any(0x466C, I2, "Current High", "mA").unproven().by(PLAUSIBLE),
+        P::any(0x4666, I2, "Voltage", "mV").never(CHARGES).by(PLAUSIBLE),
+        P::any(0x4668, I2, "Current Low", "mA").never(CHARGES).by(PLAUSIBLE),
+        P::any(0x466A, I2, "Current Med", "mA").never(CHARGES).by(PLAUSIBLE),
+        P::any(0x466C, I2, "Current High", "mA").never(CHARGES).by(PLAUSIBLE),
     ] },
     Subclass { class: "Advanced Charge Algorithm", name: "Standard Temp Charging", id: FLAT, length: 8, kind: Plain, parameters: &[
-        P::any(0x466E, I2, "Voltage", "mV").unproven().by(PLAUSIBLE),
-        P::any(0x4670, I2, "Current Low", "mA").unproven().by(PLAUSIBLE),
-        P::any(0x4672, I2, "Current Med", "mA").unproven().by(PLAUSIBLE),
-        P::any(0x4674, I2, "Current High", "mA").unproven().by(PLAUSIBLE),
+        P::any(0x466E, I2, "Voltage", "mV").never(CHARGES).by(PLAUSIBLE),
+        P::any(0x4670, I2, "Current Low", "mA").never(CHARGES).by(PLAUSIBLE),
+        P::any(0x4672, I2, "Current Med", "mA").never(CHARGES).by(PLAUSIBLE),
+        P::any(0x4674, I2, "Current High", "mA").never(CHARGES).by(PLAUSIBLE),
     ] },
     Subclass { class: "Advanced Charge Algorithm", name: "High Temp Charging", id: FLAT, length: 8, kind: Plain, parameters: &[
-        P::any(0x4676, I2, "Voltage", "mV").unproven().by(PLAUSIBLE),
-        P::any(0x4678, I2, "Current Low", "mA").unproven().by(PLAUSIBLE),
-        P::any(0x467A, I2, "Current Med", "mA").unproven().by(PLAUSIBLE),
-        P::any(0x467C, I2, "Current High", "mA").unproven().by(PLAUSIBLE),
+        P::any(0x4676, I2, "Voltage", "mV").never(CHARGES).by(PLAUSIBLE),
+        P::any(0x4678, I2, "Current Low", "mA").never(CHARGES).by(PLAUSIBLE),
+        P::any(0x467A, I2, "Current Med", "mA").never(CHARGES).by(PLAUSIBLE),
+        P::any(0x467C, I2, "Current High", "mA").never(CHARGES).by(PLAUSIBLE),
     ] },
     Subclass { class: "Advanced Charge Algorithm", name: "Rec Temp Charging", id: FLAT, length: 8, kind: Plain, parameters: &[
-        P::any(0x467E, I2, "Voltage", "mV").unproven().by(PLAUSIBLE),
-        P::any(0x4680, I2, "Current Low", "mA").unproven().by(PLAUSIBLE),
-        P::any(0x4682, I2, "Current Med", "mA").unproven().by(PLAUSIBLE),
-        P::any(0x4684, I2, "Current High", "mA").unproven().by(PLAUSIBLE),
+        P::any(0x467E, I2, "Voltage", "mV").never(CHARGES).by(PLAUSIBLE),
+        P::any(0x4680, I2, "Current Low", "mA").never(CHARGES).by(PLAUSIBLE),
+        P::any(0x4682, I2, "Current Med", "mA").never(CHARGES).by(PLAUSIBLE),
+        P::any(0x4684, I2, "Current High", "mA").never(CHARGES).by(PLAUSIBLE),
     ] },
     Subclass { class: "Advanced Charge Algorithm", name: "Pre-Charging", id: FLAT, length: 2, kind: Plain, parameters: &[
-        P::any(0x4686, I2, "Current", "mA").unproven().by(PLAUSIBLE),
+        P::any(0x4686, I2, "Current", "mA").never(CHARGES).by(PLAUSIBLE),
     ] },
     Subclass { class: "Advanced Charge Algorithm", name: "Maintenance Charging", id: FLAT, length: 2, kind: Plain, parameters: &[
-        P::any(0x4688, I2, "Current", "mA").unproven().by(PLAUSIBLE),
+        P::any(0x4688, I2, "Current", "mA").never(CHARGES).by(PLAUSIBLE),
     ] },
     Subclass { class: "Advanced Charge Algorithm", name: "Voltage Range", id: FLAT, length: 9, kind: Plain, parameters: &[
-        P::any(0x468A, I2, "Precharge Start Voltage", "mV").unproven().by(PLAUSIBLE),
-        P::any(0x468C, I2, "Charging Voltage Low", "mV").unproven().by(PLAUSIBLE),
-        P::any(0x468E, I2, "Charging Voltage Med", "mV").unproven().by(PLAUSIBLE),
-        P::any(0x4690, I2, "Charging Voltage High", "mV").unproven().by(PLAUSIBLE),
-        P::any(0x4692, U1, "Charging Voltage Hysteresis", "mV").unproven().by(BLANK),
+        P::any(0x468A, I2, "Precharge Start Voltage", "mV").never(CHARGES).by(PLAUSIBLE),
+        P::any(0x468C, I2, "Charging Voltage Low", "mV").never(CHARGES).by(PLAUSIBLE),
+        P::any(0x468E, I2, "Charging Voltage Med", "mV").never(CHARGES).by(PLAUSIBLE),
+        P::any(0x4690, I2, "Charging Voltage High", "mV").never(CHARGES).by(PLAUSIBLE),
+        P::any(0x4692, U1, "Charging Voltage Hysteresis", "mV").never(CHARGES).by(BLANK),
     ] },
     Subclass { class: "Advanced Charge Algorithm", name: "Termination Config", id: FLAT, length: 6, kind: Plain, parameters: &[
         P::within(0x4693, I2, "Charge Term Taper Current", 0, 32767, "mA").unproven().by(SET_OTHERS),
-        P::any(0x4697, I2, "Charge Term Voltage", "mV").unproven().by(PLAUSIBLE),
+        P::any(0x4697, I2, "Charge Term Voltage", "mV").never(CHARGES).by(PLAUSIBLE),
     ] },
     Subclass { class: "Settings", name: "Configuration", id: FLAT, length: 2, kind: Plain, parameters: &[
         P::any(0x469A, H1, "Temperature Enable", "hex").never(SWITCHES).by(PLAUSIBLE),
@@ -862,11 +864,11 @@ static SUBCLASSES: &[Subclass] = &[
         P::any(0x470A, H1, "Balancing Configuration", "hex").never(SWITCHES).by(PLAUSIBLE),
     ] },
     Subclass { class: "Advanced Charge Algorithm", name: "Cell Balancing Config", id: FLAT, length: 10, kind: Plain, parameters: &[
-        P::any(0x470B, U2, "Bal Time/mAh Cell 1", "").unproven().by(PLAUSIBLE),
-        P::any(0x470D, U2, "Bal Time/mAh Cell 2", "").unproven().by(PLAUSIBLE),
-        P::any(0x470F, U1, "Min Start Balance Delta", "mV").unproven().by(PLAUSIBLE),
-        P::any(0x4710, U4, "Relax Balance Interval", "s").unproven().by(PLAUSIBLE),
-        P::any(0x4714, U1, "Min Rsoc for Balancing", "%").unproven().by(PLAUSIBLE),
+        P::any(0x470B, U2, "Bal Time/mAh Cell 1", "").never(CHARGES).by(PLAUSIBLE),
+        P::any(0x470D, U2, "Bal Time/mAh Cell 2", "").never(CHARGES).by(PLAUSIBLE),
+        P::any(0x470F, U1, "Min Start Balance Delta", "mV").never(CHARGES).by(PLAUSIBLE),
+        P::any(0x4710, U4, "Relax Balance Interval", "s").never(CHARGES).by(PLAUSIBLE),
+        P::any(0x4714, U1, "Min Rsoc for Balancing", "%").never(CHARGES).by(PLAUSIBLE),
     ] },
     Subclass { class: "Permanent Fail", name: "VIMR", id: FLAT, length: 9, kind: Plain, parameters: &[
         P::any(0x4715, I2, "Check Voltage", "mV").never(PROTECTION).by(BLANK),

@@ -127,6 +127,7 @@ fn what_opens_fets_or_switches_a_protection_off_is_never_written() {
         (0x4000, "12101"),
         (0x4006, "3.58"),
         (0x460C, "2500"),
+        (0x466E, "4200"),
     ] {
         let error = refusal(address, text);
         assert_eq!(error.cause(), Cause::NotPermitted, "0x{address:04x}: {error}");
