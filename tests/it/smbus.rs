@@ -11,7 +11,7 @@ use gauge_bus::linux::{Adapter, LinuxBus};
 use gauge_bus::{Bus, BusError, Reach};
 use nix::errno::Errno;
 
-use super::room::{CHIP, Folder, Server, can_mount, gaugefs};
+use super::room::{CHIP, Folder, Server, can_mount, gaugefs, within};
 
 /// A gauge that is mounted from a bus behind an adapter.
 struct Mounted {
@@ -147,7 +147,9 @@ fn a_host_carries_what_its_functions_say_and_nothing_else_is_sent() {
     if !can_mount() {
         return;
     }
-    for (adapter, reach) in [("i801", Reach::smbus(32, true)), ("piix4", Reach::smbus(2, false))] {
+    for (adapter, reach) in
+        [("i801", Reach::smbus(32, true).with_blocks()), ("piix4", Reach::smbus(2, false).with_blocks())]
+    {
         let folder = Folder::new();
         let server = Server::start(&folder, &[CHIP, "--fast", "--adapter", adapter]);
         let adapter = Adapter::find(Path::new(&server.path)).expect("a bus");
@@ -166,5 +168,51 @@ fn a_host_carries_what_its_functions_say_and_nothing_else_is_sent() {
             Err(BusError::Other(Errno::EOPNOTSUPP as i32)),
             "a quick command"
         );
+    }
+}
+
+#[test]
+fn a_pack_behind_smbus_commands_shows_what_it_shows_behind_plain_i2c() {
+    if !can_mount() {
+        return;
+    }
+    let mut plain = Vec::new();
+    for (adapter, pec) in [
+        (&[][..], "checked"),
+        (&["--adapter", "i801"], "checked by the adapter"),
+        (&["--adapter", "piix4"], "not checked, not carried"),
+        (&["--adapter", "i2c-stub"], "checked"),
+    ] {
+        let folder = Folder::new();
+        let server = Server::start(&folder, &[&["sbs", "--fast"], adapter].concat());
+        let found = gaugefs(&["probe", "--bus", &server.path]).done();
+        assert!(found.contains("0x0b     Smart Battery"), "{adapter:?}: {found}");
+        let at = folder.file("m");
+        gaugefs(&["mount", "--bus", &server.path, "--chip", "sbs", "--poll", "0.5", &at]).done();
+        let cat = |name: &str| fs::read_to_string(format!("{at}/BAT0/{name}"));
+        within("all of it has been read", || cat("cycle_count").is_ok());
+        let names = [
+            "manufacturer",
+            "model_name",
+            "technology",
+            "serial_number",
+            "voltage_now",
+            "capacity",
+            "charge_full",
+            "cycle_count",
+        ];
+        let shown: Vec<_> =
+            names.map(|name| cat(name).unwrap_or_else(|error| panic!("{adapter:?}: {name}: {error}"))).into();
+        assert_eq!(cat("gauge/pec").expect("a file").trim(), pec, "{adapter:?}");
+        let checked: u32 =
+            cat("gauge/statistics/pec_checked").expect("a count").trim().parse().expect("a number");
+        assert_eq!(checked > 20, pec.starts_with("checked"), "{adapter:?}");
+        assert_eq!(cat("gauge/last_error").expect("a file"), "", "{adapter:?}");
+        gaugefs(&["umount", &at]).done();
+        if plain.is_empty() {
+            plain = shown;
+        } else {
+            assert_eq!(shown, plain, "{adapter:?}");
+        }
     }
 }

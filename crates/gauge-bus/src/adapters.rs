@@ -209,7 +209,7 @@ static ADAPTERS: [AdapterModel; 12] = [
         driver: "i801_smbus",
         nacks: &[Nack(Errno::NXIO, STRETCHED); 2],
         functions: 0x1fff_8008,
-        reach: Reach::smbus(32, true),
+        reach: Reach::smbus(32, true).with_blocks(),
         patience: HOST,
         ..USUAL
     },
@@ -220,7 +220,7 @@ static ADAPTERS: [AdapterModel; 12] = [
         nacks: &[Nack(Errno::NXIO, STRETCHED); 2],
         arbitration: Errno::IO,
         functions: 0x037f_0000,
-        reach: Reach::smbus(2, false),
+        reach: Reach::smbus(2, false).with_blocks(),
         patience: HOST,
         ..USUAL
     },
@@ -427,6 +427,7 @@ pub fn error_of(errno: i32) -> BusError {
         Errno::AGAIN => BusError::ArbitrationLost,
         // The adapter waited in vain for both lines to be high.
         Errno::TIMEDOUT | Errno::BUSY => BusError::Timeout,
+        Errno::BADMSG => BusError::Pec,
         Errno::NODEV | Errno::NOENT => BusError::Gone,
         _ => BusError::Other(errno),
     }

@@ -13,7 +13,7 @@ use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
 use crate::clock::Clock;
-use crate::{Bus, BusError, Reach};
+use crate::{Bus, BusError, Packet, Reach};
 
 /// Longest wait for a transfer. The kernel's adapters give up after at most 5 s, most of them after 1 s.
 pub const PATIENCE: Duration = Duration::from_secs(8);
@@ -40,6 +40,7 @@ pub(crate) fn name(adapter: u64) -> String {
 
 enum Job {
     Transfer { write: Vec<u8>, read: usize },
+    Packet(Packet),
     Claim,
     Release,
 }
@@ -145,6 +146,10 @@ fn run(mut bus: impl Bus, jobs: &Receiver<Job>, outcomes: &Sender<Outcome>) {
                     let mut bytes = vec![0; read];
                     (bus.transfer(&write, &mut bytes), bytes)
                 }
+                Job::Packet(packet) => match bus.packet(packet) {
+                    Ok(bytes) => (Ok(()), bytes),
+                    Err(error) => (Err(error), Vec::new()),
+                },
                 Job::Claim => (bus.claim(), Vec::new()),
                 Job::Release => {
                     bus.release_if_gone();
@@ -164,6 +169,10 @@ impl Bus for Bounded {
         let bytes = self.carry_out(Job::Transfer { write: write.to_vec(), read: read.len() })?;
         read.copy_from_slice(&bytes);
         Ok(())
+    }
+
+    fn packet(&mut self, packet: Packet) -> Result<Vec<u8>, BusError> {
+        self.carry_out(Job::Packet(packet))
     }
 
     fn reach(&mut self) -> Reach {

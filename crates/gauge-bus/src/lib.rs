@@ -129,6 +129,9 @@ const DISTURBED: [Errno; 7] = [
 ];
 
 impl BusError {
+    /// What a host answers for a block whose length is none.
+    pub const NO_LENGTH: Self = Self::Other(Errno::PROTO.raw_os_error());
+
     fn row(self) -> (Cow<'static, str>, i32, bool) {
         let (text, errno, is_transient) = match self {
             BusError::NoAck => ("not acknowledged; is the gauge powered and connected?", Errno::NXIO, true),
@@ -258,6 +261,17 @@ impl fmt::Display for BusError {
 
 impl std::error::Error for BusError {}
 
+/// What a host reads as one command of SMBus.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Packet {
+    /// The command code.
+    pub code: u8,
+    /// A block, whose length the target says; else a word.
+    pub is_block: bool,
+    /// The host compares the packet error code behind it.
+    pub pec: bool,
+}
+
 /// Access to one target address.
 pub trait Bus: Send {
     /// One transfer: START, `write` to the target, then, if `read` is not empty, a repeated START and
@@ -266,6 +280,13 @@ pub trait Bus: Send {
     ///
     /// After an error, it may be unknown whether the transfer had its effect on the target.
     fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), BusError>;
+
+    /// A word or a block of SMBus, by hosts that have commands alone ([`Reach::smbus`]). Returns the word, or the block with its
+    /// length before it.
+    fn packet(&mut self, packet: Packet) -> Result<Vec<u8>, BusError> {
+        let nobody = Err(BusError::Other(Errno::OPNOTSUPP.raw_os_error()));
+        self.inner().map_or(nobody, |bus| bus.packet(packet))
+    }
 
     /// The bus below a layer. What else a bus is told goes there by itself: `set_secret` must reach a recorder.
     fn inner(&mut self) -> Option<&mut dyn Bus> {

@@ -7,7 +7,7 @@
 
 use rustix::io::Errno;
 
-use crate::BusError;
+use crate::{BusError, Packet};
 
 /// The limits of a bus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -22,6 +22,8 @@ pub struct Reach {
     pub smbus: bool,
     /// Packet error codes are sent and compared (`I2C_FUNC_SMBUS_PEC`).
     pub pec: bool,
+    /// Blocks that begin with their length are read (`I2C_FUNC_SMBUS_READ_BLOCK_DATA`).
+    pub blocks: bool,
 }
 
 impl Default for Reach {
@@ -32,7 +34,8 @@ impl Default for Reach {
 
 impl Reach {
     /// No limit; the length of a message is a 16-bit number in the kernel.
-    pub const FULL: Self = Self { write: u16::MAX, read: u16::MAX, first: u16::MAX, smbus: false, pec: true };
+    pub const FULL: Self =
+        Self { write: u16::MAX, read: u16::MAX, first: u16::MAX, smbus: false, pec: true, blocks: true };
 
     /// One byte a write, and the register before it.
     pub const ONE_BYTE_A_WRITE: Self = Self { write: 2, ..Self::FULL };
@@ -44,7 +47,13 @@ impl Reach {
 
     /// SMBus commands with that much data at most: 1 with bytes alone, 2 with words, 32 with I2C blocks.
     pub const fn smbus(most: u16, pec: bool) -> Self {
-        Self { first: 1, smbus: true, pec, ..Self::of_data(most) }
+        Self { first: 1, smbus: true, pec, blocks: false, ..Self::of_data(most) }
+    }
+
+    /// With blocks that begin with their length.
+    #[must_use]
+    pub const fn with_blocks(self) -> Self {
+        Self { blocks: true, ..self }
     }
 
     /// What passes through both.
@@ -56,6 +65,16 @@ impl Reach {
             first: self.first.min(other.first),
             smbus: self.smbus || other.smbus,
             pec: self.pec && other.pec,
+            blocks: self.blocks && other.blocks,
+        }
+    }
+
+    /// Refuses a packet that it does not carry as one command.
+    pub fn check_packet(self, packet: Packet) -> Result<(), BusError> {
+        let has = if packet.is_block { self.blocks } else { self.read >= 2 };
+        match self.smbus && has && (self.pec || !packet.pec) {
+            true => Ok(()),
+            false => Err(BusError::Other(Errno::OPNOTSUPP.raw_os_error())),
         }
     }
 
@@ -103,6 +122,20 @@ mod tests {
         assert_eq!(blocks.narrowed(Reach::FULL), blocks);
         assert_eq!(Reach::FULL.narrowed(blocks), blocks);
         let both = blocks.narrowed(Reach { read: 16, pec: false, ..Reach::ONE_BYTE_A_WRITE });
-        assert_eq!(both, Reach { write: 2, read: 16, first: 1, smbus: true, pec: false });
+        assert_eq!(both, Reach { write: 2, read: 16, first: 1, smbus: true, pec: false, blocks: false });
+    }
+
+    #[test]
+    fn a_packet_is_a_command_of_hosts_that_have_it() {
+        let packet = |is_block, pec| Packet { code: 0x20, is_block, pec };
+        let carries = |reach: Reach| {
+            [(false, false), (true, false), (false, true), (true, true)]
+                .map(|(is_block, pec)| reach.check_packet(packet(is_block, pec)).is_ok())
+        };
+        assert_eq!(carries(Reach::FULL), [false; 4], "it has messages");
+        assert_eq!(carries(Reach::smbus(32, true).with_blocks()), [true; 4]);
+        assert_eq!(carries(Reach::smbus(2, false).with_blocks()), [true, true, false, false]);
+        assert_eq!(carries(Reach::smbus(32, false)), [true, false, false, false]);
+        assert_eq!(carries(Reach::smbus(1, true)), [false; 4]);
     }
 }

@@ -14,7 +14,7 @@ use std::time::Duration;
 use crate::clock::Clock;
 use crate::error::{Error, Result};
 use crate::regular::{self, Replace};
-use crate::{Bus, BusError};
+use crate::{Bus, BusError, Packet};
 
 /// The record of one transfer.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -120,6 +120,18 @@ impl Bus for Trace {
         let result = self.bus.transfer(write, read);
         self.note(write, read, result);
         result
+    }
+
+    /// As the messages that the host makes of it.
+    fn packet(&mut self, packet: Packet) -> Result<Vec<u8>, BusError> {
+        let read = self.bus.packet(packet);
+        let nothing = [0];
+        let (bytes, result) = match &read {
+            Ok(bytes) => (&**bytes, Ok(())),
+            Err(error) => (&nothing[..], Err(*error)),
+        };
+        self.note(&[packet.code], bytes, result);
+        read
     }
 
     fn inner(&mut self) -> Option<&mut dyn Bus> {

@@ -11,6 +11,14 @@ use gauge_bus::{BusError, Reach};
 /// Its errno for what is lost between a host and its adapter.
 const EIO: i32 = 5;
 
+/// The longest block of SMBus with its length and its packet error code.
+pub(super) const PACKET: usize = 34;
+
+/// Whether a host sends that as a command of its own.
+fn is_packet(reach: Reach, write: usize, read: usize) -> bool {
+    reach.smbus && reach.blocks && write == 1 && read <= PACKET
+}
+
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Adapter {
     model: Option<&'static AdapterModel>,
@@ -36,7 +44,7 @@ impl Adapter {
     /// The parts in which a transfer is sent, as bytes written and read; or its errno.
     pub(super) fn parts(&self, write: usize, read: usize) -> Result<Vec<(usize, usize)>, BusError> {
         match self.model {
-            Some(model) if !model.reach().carries(write, read) => {
+            Some(model) if !model.reach().carries(write, read) && !is_packet(model.reach(), write, read) => {
                 model.excess(write, read).map_err(BusError::Other)
             }
             _ => Ok(vec![(write, read)]),

@@ -48,7 +48,7 @@ use std::time::Duration;
 
 use gauge_bus::clock::Clock;
 use gauge_bus::error::{Error, ErrorKind, Result};
-use gauge_bus::{AdapterModel, Bus, BusError, Reach, wire_bits, wire_bytes};
+use gauge_bus::{AdapterModel, Bus, BusError, Packet, Reach, wire_bits, wire_bytes};
 
 mod adapter;
 mod analog;
@@ -605,13 +605,9 @@ impl SimBus {
         }
         Ok(())
     }
-}
 
-impl Bus for SimBus {
-    fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
-        if !self.reach().carries(write.len(), read.len()) {
-            return Err(BusError::Other(EOPNOTSUPP));
-        }
+    /// A transfer, which the log has with its outcome.
+    fn logged(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
         let begun = self.sim.clock.now();
         let result = self.call(write, read);
         let took = self.sim.clock.now().saturating_sub(begun);
@@ -631,6 +627,30 @@ impl Bus for SimBus {
             });
         }
         result
+    }
+}
+
+impl Bus for SimBus {
+    fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
+        if !self.reach().carries(write.len(), read.len()) {
+            return Err(BusError::Other(EOPNOTSUPP));
+        }
+        self.logged(write, read)
+    }
+
+    fn packet(&mut self, packet: Packet) -> Result<Vec<u8>, BusError> {
+        self.reach().check_packet(packet)?;
+        let mut bytes =
+            vec![0; usize::from(packet.pec) + if packet.is_block { adapter::PACKET - 1 } else { 2 }];
+        self.logged(&[packet.code], &mut bytes)?;
+        if packet.is_block {
+            let length @ 1..=32 = usize::from(bytes[0]) else { return Err(BusError::NO_LENGTH) };
+            bytes.truncate(1 + length + usize::from(packet.pec));
+        }
+        let Some(pec) = packet.pec.then(|| bytes.pop()).flatten() else { return Ok(bytes) };
+        let [to, from] = [self.address << 1, self.address << 1 | 1];
+        let sum = smbus::crc(&[&[to, packet.code, from], &*bytes].concat());
+        if sum == pec { Ok(bytes) } else { Err(BusError::Pec) }
     }
 
     fn reach(&mut self) -> Reach {

@@ -190,7 +190,7 @@ impl SmartBattery {
 }
 
 /// CRC-8 of SMBus: x^8 + x^2 + x + 1, from 0.
-fn crc(bytes: &[u8]) -> u8 {
+pub(super) fn crc(bytes: &[u8]) -> u8 {
     let shift = |crc: u8| if crc & 0x80 == 0 { crc << 1 } else { crc << 1 ^ 0x07 };
     bytes.iter().fold(0, |crc, byte| (0..8).fold(crc ^ byte, |crc, _| shift(crc)))
 }

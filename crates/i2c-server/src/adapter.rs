@@ -10,7 +10,7 @@ use std::time::Duration;
 
 use rustix::io::Errno;
 
-use crate::functions::FUNCTIONS;
+use crate::functions::{FUNCTIONS, I2C, READ_BLOCK};
 use crate::message::{M_RD, Message};
 
 /// A device at an address.
@@ -82,7 +82,9 @@ impl Adapter {
 
     /// What it is able to do, as the bits of I2C_FUNCS.
     pub(crate) fn functions(&self) -> u64 {
-        self.manner.functions & FUNCTIONS
+        // Where the kernel emulates SMBus with messages, it reads no blocks whose length the target says.
+        let blocks = if self.manner.functions & I2C == 0 { READ_BLOCK } else { 0 };
+        self.manner.functions & (FUNCTIONS | blocks)
     }
 
     /// Gives transfers the time of their bits at this clock.

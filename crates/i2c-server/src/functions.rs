@@ -9,3 +9,5 @@ pub const FUNCTIONS: u64 = 0x0000_0001 | 0x0000_0008 | 0x00ff_0000 | 0x0200_0000
 /// The bits of whole messages, and of packet error codes.
 pub(crate) const I2C: u64 = 0x0000_0001;
 pub(crate) const PEC: u64 = 0x0000_0008;
+/// Blocks that are read and begin with their length, which only hosts without messages have.
+pub(crate) const READ_BLOCK: u64 = 0x0100_0000;

@@ -5,7 +5,7 @@
 use rustix::io::Errno;
 
 use crate::adapter::Adapter;
-use crate::functions::{I2C, PEC};
+use crate::functions::{I2C, PEC, READ_BLOCK};
 use crate::message::{BLOCK, Memory, Message};
 
 /// A transaction's size field: I2C_SMBUS_QUICK and those after it.
@@ -98,8 +98,8 @@ impl Transaction {
 
     pub(crate) fn answer(&self) -> Option<usize> {
         let has = match self.kind {
-            Kind::Quick | Kind::Block | Kind::BlockProcessCall => false,
-            Kind::Byte | Kind::ByteData | Kind::WordData | Kind::I2cBlock => self.is_read,
+            Kind::Quick | Kind::BlockProcessCall => false,
+            Kind::Byte | Kind::ByteData | Kind::WordData | Kind::Block | Kind::I2cBlock => self.is_read,
             Kind::ProcessCall => true,
         };
         has.then_some(self.data.len())
@@ -122,7 +122,8 @@ impl Transaction {
         // Bytes written after the command, and number of bytes read.
         let (written, read): (&[u8], usize) = match (self.kind, self.is_read) {
             (Kind::Quick, _) => return self.quick(adapter, address),
-            (Kind::Block, true) | (Kind::BlockProcessCall, _) => return Err(Errno::OPNOTSUPP),
+            (Kind::Block, true) => return self.block(adapter, address, pec),
+            (Kind::BlockProcessCall, _) => return Err(Errno::OPNOTSUPP),
             (Kind::Byte, true) => (&[], 1),
             (Kind::Byte, false) => (&[], 0),
             (Kind::ByteData | Kind::WordData, true) => (&[], self.data.len()),
@@ -160,6 +161,26 @@ impl Transaction {
             _ if is_word => self.data = swapped(answer),
             _ => self.data = answer.to_vec(),
         }
+        Ok(Some(self.data))
+    }
+
+    /// A block whose length the target says. All that it could send is read, as more than a block is harmless here.
+    fn block(mut self, adapter: &Adapter, address: u16, pec: bool) -> Result<Option<Vec<u8>>, Errno> {
+        if adapter.functions() & READ_BLOCK == 0 {
+            return Err(Errno::OPNOTSUPP);
+        }
+        let pec = usize::from(pec && adapter.functions() & PEC != 0);
+        let read = Message::read(address, 1 + BLOCK + pec);
+        let mut messages = [Message::write(address, vec![self.command]), read];
+        adapter.transfer(&mut messages)?;
+        let [_, answer] = &mut messages;
+        let length @ 1..=BLOCK = usize::from(answer.data[0]) else { return Err(Errno::PROTO) };
+        answer.data.truncate(1 + length + pec);
+        let read = answer.data[..=length].to_vec();
+        if pec == 1 && messages.iter().fold(0, code) != 0 {
+            return Err(Errno::BADMSG);
+        }
+        self.data[..=length].copy_from_slice(&read);
         Ok(Some(self.data))
     }
 

@@ -13,7 +13,7 @@ use super::{crates, files, without_tests};
 
 /// The most lines of each crate.
 const LINES: [(&str, usize); 10] = [
-    ("gauge-bus", 3_260),
+    ("gauge-bus", 3_380),
     ("gauge-owner", 7_690),
     ("gauge-sim", 12_150),
     ("gauge-station", 3_800),
@@ -21,8 +21,8 @@ const LINES: [(&str, usize); 10] = [
     ("gaugefs-client", 2_850),
     ("gaugefs-host", 600),
     ("gaugefs-screen", 6_160),
-    ("i2c-server", 1_280),
-    ("ti-gauge", 34_900),
+    ("i2c-server", 1_300),
+    ("ti-gauge", 34_960),
 ];
 
 /// The least lines of code to one of comment in each crate, in tenths. What others use has a line for each public item.

@@ -9,8 +9,10 @@ use i2cdev::core::I2CDevice;
 use nix::libc::c_ulong;
 
 use super::I2C_FUNC_SMBUS_PEC;
-use crate::Reach;
+use crate::{Packet, Reach};
 
+/// I2C_FUNC_SMBUS_READ_BLOCK_DATA.
+const BLOCKS: c_ulong = 0x0100_0000;
 // Bits of I2C_FUNCS: byte data, word data and I2C blocks.
 const READS: [(u16, c_ulong); 3] = [(1, 0x0008_0000), (2, 0x0020_0000), (32, 0x0400_0000)];
 const WRITES: [(u16, c_ulong); 3] = [(1, 0x0010_0000), (2, 0x0040_0000), (32, 0x0800_0000)];
@@ -25,8 +27,18 @@ pub(super) fn reach(functions: c_ulong) -> Reach {
     Reach {
         write: 1 + most(WRITES),
         read: most(READS),
+        blocks: functions & BLOCKS != 0,
         ..Reach::smbus(0, functions & I2C_FUNC_SMBUS_PEC != 0)
     }
+}
+
+/// One packet, which the adapter's [`reach`] carries.
+pub(super) fn packet<D: I2CDevice>(device: &mut D, packet: Packet) -> Result<Vec<u8>, D::Error> {
+    if packet.is_block {
+        let block = device.smbus_read_block_data(packet.code)?;
+        return Ok([&[block.len() as u8], &*block].concat());
+    }
+    Ok(device.smbus_read_word_data(packet.code)?.to_le_bytes().to_vec())
 }
 
 /// One transfer, which the adapter's [`reach`] carries. Returns whether all of it was moved.
@@ -132,8 +144,8 @@ mod tests {
             unreachable!("a process call writes before it reads")
         }
 
-        fn smbus_read_block_data(&mut self, _: u8) -> Result<Vec<u8>, Errno> {
-            unreachable!("its first byte is taken for a length")
+        fn smbus_read_block_data(&mut self, code: u8) -> Result<Vec<u8>, Errno> {
+            self.note(&format!("read block {code:02x}"), vec![code, code + 1, code + 2])
         }
 
         fn smbus_read_i2c_block_data(&mut self, code: u8, length: u8) -> Result<Vec<u8>, Errno> {
@@ -156,8 +168,8 @@ mod tests {
 
     #[test]
     fn the_functions_of_an_adapter_say_what_it_carries() {
-        assert_eq!(reach(I801), Reach::smbus(32, true));
-        assert_eq!(reach(PIIX4), Reach::smbus(2, false));
+        assert_eq!(reach(I801), Reach::smbus(32, true).with_blocks());
+        assert_eq!(reach(PIIX4), Reach::smbus(2, false).with_blocks());
         assert_eq!(reach(STUB), Reach::smbus(32, false));
         // ICH4 and older write I2C blocks, and read none.
         let older = reach(I801 & !0x0400_0000);
@@ -227,5 +239,14 @@ mod tests {
         assert_eq!(transfer(&mut gauge, &[0x08], &mut [0; 2]), Err(Errno::ENXIO));
         let mut gauge = Gauge { short: 1, ..Gauge::default() };
         assert_eq!(transfer(&mut gauge, &[0x40], &mut [0; 32]), Ok(false));
+    }
+
+    #[test]
+    fn a_packet_is_one_command() {
+        let mut gauge = Gauge::default();
+        let mut read = |is_block| packet(&mut gauge, Packet { code: 0x20, is_block, pec: true });
+        assert_eq!(read(false), Ok(vec![0x20, 0x21]));
+        assert_eq!(read(true), Ok(vec![3, 0x20, 0x21, 0x22]));
+        assert_eq!(gauge.commands, ["read word 20", "read block 20"]);
     }
 }

@@ -20,7 +20,7 @@ use crate::adapters::{AdapterModel, error_of};
 use crate::bounded::{Bounded, PATIENCE};
 use crate::clock::Clock;
 use crate::error::{Driver, Error, ErrorKind, Result};
-use crate::{Bus, BusError, Reach};
+use crate::{Bus, BusError, Packet, Reach};
 
 /// Bus-free time that the gauges need between transfers at 400 kHz; it costs little at 100 kHz.
 const BUS_FREE: Duration = Duration::from_micros(66);
@@ -140,8 +140,14 @@ impl Target {
     }
 }
 
-impl Bus for Target {
-    fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
+impl Target {
+    /// Lets the device be asked once, and says what its error means. The transfer writes and reads so many bytes.
+    fn ask<T>(
+        &mut self,
+        (write, read): (usize, usize),
+        check: impl FnOnce(Reach) -> Result<(), BusError>,
+        ask: impl FnOnce(&mut LinuxI2CDevice, Reach) -> Result<Result<T, BusError>, LinuxI2CError>,
+    ) -> Result<T, BusError> {
         let clock = self.clock.clone();
         let since = clock.now().saturating_sub(self.last);
         if since < BUS_FREE {
@@ -150,13 +156,13 @@ impl Bus for Target {
         self.device()?;
         let (reach, device) = (self.reach, self.device.as_mut().ok_or(BusError::Gone)?);
         // A driver that gets more may move a part of it and report success.
-        reach.check(write.len(), read.len())?;
+        check(reach)?;
         let begun = clock.now();
-        let moved = send(device, reach, write, read);
+        let moved = ask(device, reach);
         self.last = clock.now();
-        let is_write = read.is_empty();
+        let is_write = read == 0;
         match moved {
-            Ok(answer) => answer.inspect(|()| {
+            Ok(answer) => answer.inspect(|_| {
                 if is_write {
                     self.writes.passed();
                 }
@@ -167,7 +173,7 @@ impl Bus for Target {
             }
             Err(error) => {
                 let (errno, took) = (errno(&error), self.last.saturating_sub(begun));
-                let wrote = !write.is_empty();
+                let wrote = write > 0;
                 let error = match self.model {
                     Some(model) => model.error(errno as i32, wrote, took),
                     None => transfer_error(errno),
@@ -179,6 +185,31 @@ impl Bus for Target {
                 }
             }
         }
+    }
+}
+
+impl Bus for Target {
+    fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
+        let lengths = (write.len(), read.len());
+        self.ask(
+            lengths,
+            |reach| reach.check(lengths.0, lengths.1),
+            |device, reach| send(device, reach, write, read),
+        )
+    }
+
+    fn packet(&mut self, packet: Packet) -> Result<Vec<u8>, BusError> {
+        self.ask(
+            (1, 2),
+            |reach| reach.check_packet(packet),
+            |device, _| {
+                // The switch is this file's; other transfers are without.
+                device.set_smbus_pec(packet.pec)?;
+                let read = smbus::packet(device, packet);
+                device.set_smbus_pec(false)?;
+                read.map(Ok)
+            },
+        )
     }
 
     fn reach(&mut self) -> Reach {

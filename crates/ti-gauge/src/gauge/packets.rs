@@ -20,10 +20,13 @@ pub enum Pec {
     Wrong,
     /// The adapter carries no byte behind a word.
     Unseen,
+    /// The adapter compares them itself: a host of SMBus.
+    Host,
 }
 
 impl Pec {
-    const ALL: [Self; 6] = [Self::Unasked, Self::None, Self::Right, Self::Split, Self::Wrong, Self::Unseen];
+    const ALL: [Self; 7] =
+        [Self::Unasked, Self::None, Self::Right, Self::Split, Self::Wrong, Self::Unseen, Self::Host];
 
     pub(super) fn number(self) -> u64 {
         Self::ALL.iter().position(|one| *one == self).unwrap_or_default() as u64
@@ -34,7 +37,7 @@ impl Pec {
     }
 
     pub(super) fn is_checked(self) -> bool {
-        matches!(self, Self::Right | Self::Split)
+        matches!(self, Self::Right | Self::Split | Self::Host)
     }
 
     /// A word for it.
@@ -46,12 +49,13 @@ impl Pec {
             Self::Split => "checked, split",
             Self::Wrong => "not checked, wrong",
             Self::Unseen => "not checked, not carried",
+            Self::Host => "checked by the adapter",
         }
     }
 
     pub(super) fn told(self) -> Option<&'static str> {
         match self {
-            Self::Unasked | Self::None | Self::Right => None,
+            Self::Unasked | Self::None | Self::Right | Self::Host => None,
             Self::Split => Some(
                 "the adapter puts a STOP between a command and its answer: the packet error codes cover the answer alone, \
                  and are compared so",

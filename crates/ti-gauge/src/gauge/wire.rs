@@ -15,7 +15,7 @@ use super::statistics::Statistics;
 use crate::codec::WINDOW;
 use crate::error::{Cause, Error, Reason, Result, Step};
 use gauge_bus::trace::Event;
-use gauge_bus::{Bus, BusError, Reach, wire_bytes};
+use gauge_bus::{Bus, BusError, Packet, Reach, wire_bytes};
 
 mod pace;
 mod recognise;
@@ -177,14 +177,35 @@ impl Gauge {
         self.recognise()
     }
 
+    /// A word or a block of SMBus, as one command of the host. Returns how many bytes it has.
+    pub(super) fn packet(&mut self, packet: Packet, into: &mut [u8]) -> Result<usize, BusError> {
+        self.make_ready()?;
+        self.pass_by(&[packet.code], into, |bus, into| {
+            let bytes = bus.packet(packet)?;
+            into.iter_mut().zip(&bytes).for_each(|(to, byte)| *to = *byte);
+            Ok(bytes.len().min(into.len()))
+        })
+    }
+
     pub(super) fn pass(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {
+        let send = |bus: &mut dyn Bus, read: &mut [u8]| bus.transfer(write, read).map(|()| read.len());
+        self.pass_by(write, read, send).map(drop)
+    }
+
+    fn pass_by(
+        &mut self,
+        write: &[u8],
+        read: &mut [u8],
+        send: impl FnOnce(&mut dyn Bus, &mut [u8]) -> Result<usize, BusError>,
+    ) -> Result<usize, BusError> {
         if let Some(stopped) = self.wire.stopped {
             self.wait_until(stopped + BUS_FREE);
         }
         let begun = self.clock.now();
         Statistics::count(&self.statistics.transfers);
+        let moved = send(&mut *self.wire.bus, read);
+        let (read, outcome) = (&read[..moved.unwrap_or(read.len())], moved.map(drop));
         self.statistics.bytes.fetch_add(wire_bytes(write.len(), read.len()), Ordering::Relaxed);
-        let outcome = self.wire.bus.transfer(write, read);
         let stopped = self.clock.now();
         self.wire.stopped = Some(stopped);
         self.presence.note_duration(stopped.saturating_sub(begun));
@@ -222,7 +243,7 @@ impl Gauge {
                 self.presence.doubt();
             }
         }
-        outcome
+        moved
     }
 
     /// Starts recording the transfers.

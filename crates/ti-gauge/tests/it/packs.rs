@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use gauge_bus::clock::{Clock, SimClock};
-use gauge_bus::{Bus, BusError, Reach};
+use gauge_bus::{AdapterModel, Bus, BusError, Reach};
 use gauge_sim::{Options, Sim};
 use ti_gauge::chip::{Chip, Role, Tier};
 use ti_gauge::error::{Cause, Result};
@@ -175,11 +175,51 @@ fn a_misread_version_does_not_end_the_packet_error_codes() {
 #[test]
 fn an_adapter_that_carries_words_only_is_told_and_not_called_right() {
     let mut bench = Bench::new();
-    bench.sim.set_reach(Reach::smbus(2, true));
+    bench.sim.set_reach(Reach::smbus(2, false));
     let registers = bench.read().expect("it answers");
     assert_eq!(bench.gauge.statistics.pec(), Pec::Unseen);
     assert_eq!((registers.property(Role::VoltageNow), bench.counts()), (Some(15420), (0, 0)));
     assert_eq!(bench.text(Role::Manufacturer), None, "no block passes, and none is filled up");
+}
+
+/// i801 compares them, piix4 has blocks and no packet error codes, i2c-stub neither, but messages of 32 bytes.
+#[test]
+fn behind_an_smbus_host_it_is_words_and_blocks_of_the_host() {
+    let texts = [Role::Manufacturer, Role::ModelName, Role::Technology];
+    for (adapter, pec) in [("i801", Pec::Host), ("piix4", Pec::Unseen), ("i2c-stub", Pec::Right)] {
+        let model = AdapterModel::by_name(adapter).expect("a model");
+        let mut bench = Bench::new();
+        bench.sim.set_adapter(model, false);
+        let read = shown(&bench.read().expect("it answers"));
+        assert_eq!(read, shown(&Bench::new().read().expect("it answers")), "{adapter}");
+        assert_eq!(bench.gauge.statistics.pec(), pec, "{adapter}");
+        assert_eq!(bench.counts().0 > 40, pec != Pec::Unseen, "{adapter}");
+        bench.codes();
+        // A text that is no block, or empty: EPROTO of the host.
+        bench.set("answers", "20=00 21=21414243 22=-");
+        let registers = bench.read().expect("the others are there");
+        let texts = texts.map(|role| registers.text(sbs().register(role).expect("a row")).is_none());
+        assert_eq!(texts, [true; 3], "{adapter}");
+        assert_eq!(registers.property(Role::VoltageNow), Some(15420), "{adapter}");
+    }
+}
+
+#[test]
+fn a_flipped_bit_is_counted_behind_a_host_too() {
+    for at in [2, 5, 9] {
+        for bit in 0..8 {
+            let mut bench = Bench::new();
+            bench.sim.set_adapter(AdapterModel::by_name("i801").expect("a model"), false);
+            let right = shown(&bench.read().expect("it answers"));
+            bench.set("fault", &format!("flip {at} 1 {bit}"));
+            assert_eq!(shown(&bench.read().expect("it answers")), right, "transfer {at} bit {bit}");
+            assert_eq!(bench.counts().1, 1, "transfer {at} bit {bit}");
+        }
+    }
+    let mut bench = Bench::with(&[("pec", "missing")]);
+    bench.sim.set_adapter(AdapterModel::by_name("i801").expect("a model"), false);
+    bench.read().expect("it answers");
+    assert_eq!(bench.gauge.statistics.pec(), Pec::Wrong);
 }
 
 #[test]

@@ -13,11 +13,13 @@ use crate::gauge::packets::{Pec, crc};
 use crate::gauge::state::{Answer, Rows, Shown};
 use crate::gauge::statistics::Statistics;
 use crate::gauge::{Gauge, TRIES};
-use gauge_bus::BusError;
+use gauge_bus::{BusError, Packet};
 
 const VOLTAGE: u8 = 0x09;
 const BATTERY_STATUS: u8 = 0x16;
 const LONGEST: u8 = 32;
+/// The kernel's errno of a block whose length is no length.
+const EPROTO: i32 = 71;
 /// If at least so many words are read, and all of them are the same, no pack has answered.
 const FEW: usize = 4;
 /// The address byte of a read, twice.
@@ -132,7 +134,10 @@ fn packet(gauge: &mut Gauge, code: u8, into: &mut [u8]) -> Result<(), BusError> 
         return Err(BusError::ReadOnly);
     }
     let pec = gauge.wire.packets.pec;
-    if !pec.is_checked() || into.len() < 2 || !gauge.reach().carries(1, into.len() + 1) {
+    if pec == Pec::Host && into.len() == 2 {
+        return by_host(gauge, code, into).map(drop);
+    }
+    if !pec.is_checked() || pec == Pec::Host || into.len() < 2 || !gauge.reach().carries(1, into.len() + 1) {
         return gauge.transfer(&[code], into);
     }
     let mut bytes = vec![0; into.len() + 1];
@@ -145,6 +150,19 @@ fn packet(gauge: &mut Gauge, code: u8, into: &mut [u8]) -> Result<(), BusError> 
     }
     into.copy_from_slice(data);
     Ok(())
+}
+
+/// A word, or with room for more a block with its length, as one command of an SMBus host. Returns how long it is.
+fn by_host(gauge: &mut Gauge, code: u8, into: &mut [u8]) -> Result<usize, BusError> {
+    let pec = gauge.wire.packets.pec == Pec::Host;
+    let read = gauge.packet(Packet { code, is_block: into.len() > 2, pec }, into);
+    if pec && matches!(read, Ok(_) | Err(BusError::Pec)) {
+        Statistics::count(&gauge.statistics.pec_checked);
+    }
+    if read == Err(BusError::Pec) {
+        Statistics::count(&gauge.statistics.pec_wrong);
+    }
+    read
 }
 
 fn sum(gauge: &Gauge, pec: Pec, code: u8, data: &[u8]) -> u8 {
@@ -205,24 +223,39 @@ fn says_pec(gauge: &mut Gauge, info: [u8; 2]) -> Result<bool> {
 }
 
 fn try_pec(gauge: &mut Gauge) -> Result<Pec, BusError> {
-    if !gauge.reach().carries(1, 3) {
+    let reach = gauge.reach();
+    let is_host = reach.smbus && reach.pec;
+    if !is_host && !reach.carries(1, 3) {
         return Ok(Pec::Unseen);
     }
-    let (mut right, mut split) = (0, 0);
+    let (mut right, mut split, mut host) = (0, 0, 0);
     // The same byte behind an answer may be its sum by chance.
     for code in [SPECIFICATION_INFO, VOLTAGE, BATTERY_STATUS] {
         let mut bytes = [0; 3];
-        match gauge.again(|gauge| gauge.transfer(&[code], &mut bytes)) {
+        let packet = Packet { code, is_block: false, pec: true };
+        let read = match is_host {
+            true => gauge.again(|gauge| gauge.packet(packet, &mut bytes[..2]).map(drop)),
+            false => gauge.again(|gauge| gauge.transfer(&[code], &mut bytes)),
+        };
+        match read {
+            Ok(()) if is_host => {
+                host += 1;
+                continue;
+            }
             Ok(()) => {}
+            Err(BusError::Pec) => continue,
+            // A recording from behind such an adapter.
+            Err(BusError::NotRecorded) => return Ok(Pec::Unseen),
             Err(error) if error.may_be_no_ack() => continue,
             Err(error) => return Err(error),
         }
         let is = |pec| u32::from(sum(gauge, pec, code, &bytes[..2]) == bytes[2]);
         (right, split) = (right + is(Pec::Right), split + is(Pec::Split));
     }
-    Ok(match (right, split) {
-        (2.., _) => Pec::Right,
-        (_, 2..) => Pec::Split,
+    Ok(match (right, split, host) {
+        (.., 2..) => Pec::Host,
+        (2.., ..) => Pec::Right,
+        (_, 2.., _) => Pec::Split,
         _ => Pec::Wrong,
     })
 }
@@ -408,6 +441,16 @@ fn text(gauge: &mut Gauge, code: u8) -> Result<Option<Vec<u8>>, BusError> {
 
 /// A block as the pack sends it; `None` for one without a valid length, or that the bus does not carry whole.
 fn block(gauge: &mut Gauge, code: u8) -> Result<Option<Vec<u8>>, BusError> {
+    let reach = gauge.reach();
+    if reach.smbus && reach.blocks {
+        let mut bytes = vec![0; 1 + usize::from(LONGEST)];
+        return match attempt_by_host(gauge, code, &mut bytes) {
+            Ok(whole) => Ok(shortened(bytes, whole)),
+            // No valid length.
+            Err(BusError::Other(EPROTO)) => Ok(None),
+            Err(error) => Err(error),
+        };
+    }
     let mut length = [0];
     attempt(gauge, code, &mut length)?;
     let whole = 1 + usize::from(length[0]);
@@ -419,10 +462,23 @@ fn block(gauge: &mut Gauge, code: u8) -> Result<Option<Vec<u8>>, BusError> {
     if bytes[0] != length[0] {
         return Ok(None);
     }
-    let end = bytes[1..].iter().position(|byte| *byte == 0).map_or(whole, |at| 1 + at);
+    Ok(shortened(bytes, whole))
+}
+
+/// [`attempt`] of a block by the host.
+fn attempt_by_host(gauge: &mut Gauge, code: u8, into: &mut [u8]) -> Result<usize, BusError> {
+    let mut whole = 0;
+    let mut read = |gauge: &mut Gauge| by_host(gauge, code, into).map(|read| whole = read);
+    let outcome = if gauge.wire.packets.is_lacking(code) { read(gauge) } else { gauge.again(read) };
+    outcome.map(|()| whole)
+}
+
+/// The text of a block up to a NUL, as a row has it.
+fn shortened(mut bytes: Vec<u8>, whole: usize) -> Option<Vec<u8>> {
+    let end = bytes[1..whole].iter().position(|byte| *byte == 0).map_or(whole, |at| 1 + at);
     bytes.truncate(end);
     bytes[0] = (end - 1) as u8;
     // A row has room for the longest.
     bytes.resize(1 + usize::from(LONGEST), 0);
-    Ok(Some(bytes))
+    (whole > 1).then_some(bytes)
 }
