@@ -13,12 +13,12 @@
 use std::collections::BTreeMap;
 use std::ops::RangeInclusive;
 
-use super::{RESULT, fetch};
+use super::{RESULT, fetch, repeat};
 use crate::chip::sbs::{SPECIFICATION_INFO, is_specification};
 use crate::error::Result;
 use crate::probe::answers_in_rom;
 use gauge_bus::clock::Clock;
-use gauge_bus::{Bus, BusError};
+use gauge_bus::{Bus, BusError, Packet};
 
 const TEMPERATURE: u8 = 0x08;
 const VOLTAGE: u8 = 0x09;
@@ -89,11 +89,24 @@ fn has(read: std::result::Result<(), BusError>) -> Result<bool> {
 
 /// The text of DeviceChemistry(); empty if it is no block.
 fn chemistry(bus: &mut dyn Bus, clock: &dyn Clock) -> Result<Vec<u8>> {
+    let reach = bus.reach();
+    if reach.smbus && reach.blocks {
+        let packet = Packet { code: DEVICE_CHEMISTRY, is_block: true, pec: false };
+        let mut block = Vec::new();
+        return match repeat(clock, || bus.packet(packet).map(|read| block = read)) {
+            Ok(()) => Ok(block.split_off(1)),
+            Err(error) if error == BusError::NO_LENGTH || error.may_be_no_ack() => Ok(Vec::new()),
+            Err(error) => Err(error.into()),
+        };
+    }
     let mut length = [0];
     if !has(fetch(bus, clock, DEVICE_CHEMISTRY, &mut length))? || !(1..=32).contains(&length[0]) {
         return Ok(Vec::new());
     }
     let mut block = vec![0; 1 + usize::from(length[0])];
+    if !reach.carries(1, block.len()) {
+        return Ok(Vec::new());
+    }
     let read = has(fetch(bus, clock, DEVICE_CHEMISTRY, &mut block))?;
     Ok(if read && block[0] == length[0] { block.split_off(1) } else { Vec::new() })
 }

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use gauge_bus::clock::{Clock, SimClock};
-use gauge_bus::{Bus, BusError, GAUGE_ADDRESS, Reach};
+use gauge_bus::{AdapterModel, Bus, BusError, GAUGE_ADDRESS, Reach};
 use gauge_sim::firmware::{self, Writer};
 use gauge_sim::{Options, Sim};
 use ti_gauge::chip::{CHIPS, Chip};
@@ -314,6 +314,31 @@ fn nothing_is_written_to_what_may_be_a_smart_battery() {
         assert!(matches!(error.cause(), Cause::Gone), "{error}");
         let error = error.to_string();
         assert!(error.starts_with("address 0x0b: ") && error.contains("Smart Battery"), "{error}");
+    }
+}
+
+/// A host for words has a command for the text, or none: without it, nothing can be told apart.
+#[test]
+fn a_pack_and_a_boot_loader_are_told_apart_behind_smbus_hosts() {
+    for host in ["i801", "piix4", "i2c-stub"] {
+        let model = AdapterModel::by_name(host).expect("a model");
+        let bench = Bench::in_rom_mode(CHIPS[0]);
+        bench.sim.set_adapter(model, false);
+        let device = rom::device(&mut bench.sim.bus_at(ROM_ADDRESS), &*bench.clock);
+        assert_eq!(device, Ok(Device::BootLoader), "{host}");
+        let clock = Arc::new(SimClock::new());
+        let pack = Sim::new("sbs", &Options::default(), clock.clone()).expect("it is simulated");
+        clock.sleep(Duration::from_secs(1));
+        pack.set_adapter(model, false);
+        assert_eq!(rom::device(&mut pack.bus(), &*clock), Ok(Device::SmartBattery), "{host}");
+        for answer in ["22=00", "22=21414243", "22=-"] {
+            pack.set("answers", answer).expect("a knob");
+            assert_eq!(rom::device(&mut pack.bus(), &*clock), Ok(Device::Unclear), "{host} {answer}");
+        }
+        pack.set("answers", "own").expect("a knob");
+        pack.set_reach(Reach::smbus(2, false));
+        assert_eq!(rom::device(&mut pack.bus(), &*clock), Ok(Device::Unclear), "{host}, words alone");
+        assert_eq!(pack.get("written").as_deref(), Some("0"), "{host}");
     }
 }
 
