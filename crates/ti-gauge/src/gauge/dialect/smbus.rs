@@ -18,8 +18,6 @@ use gauge_bus::{BusError, Packet};
 const VOLTAGE: u8 = 0x09;
 const BATTERY_STATUS: u8 = 0x16;
 const LONGEST: u8 = 32;
-/// The kernel's errno of a block whose length is no length.
-const EPROTO: i32 = 71;
 /// If at least so many words are read, and all of them are the same, no pack has answered.
 const FEW: usize = 4;
 /// The address byte of a read, twice.
@@ -301,6 +299,11 @@ impl Poll {
                 }
                 Ok(None)
             }
+            // A word decides much, a text nothing.
+            Err(error @ BusError::Pec) if row.text => {
+                log::warn!("{}; it is left out", of(gauge, code, error));
+                Ok(None)
+            }
             Err(error) => Err(of(gauge, code, error)),
         }
     }
@@ -446,8 +449,7 @@ fn block(gauge: &mut Gauge, code: u8) -> Result<Option<Vec<u8>>, BusError> {
         let mut bytes = vec![0; 1 + usize::from(LONGEST)];
         return match attempt_by_host(gauge, code, &mut bytes) {
             Ok(whole) => Ok(shortened(bytes, whole)),
-            // No valid length.
-            Err(BusError::Other(EPROTO)) => Ok(None),
+            Err(BusError::NO_LENGTH) => Ok(None),
             Err(error) => Err(error),
         };
     }
