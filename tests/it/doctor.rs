@@ -272,6 +272,27 @@ fn a_mux_is_shown_with_the_buses_to_use() {
     system.says("ok", "muxes of i2c-0", &[says]);
 }
 
+/// The channels of the kernel's sbs-manager are one after the other the bus of the packs, and nothing parts them from it.
+#[test]
+fn a_manager_of_packs_is_shown_with_the_buses_of_its_packs() {
+    let system = System::new();
+    bridge(&system, 0, "mcp2221", "MCP2221 usb-i2c bridge");
+    system.write("sys/devices/usb/0/i2c-0/0-000a/name", "ltc1760\n");
+    for channel in [2, 3] {
+        let folder = format!("sys/devices/usb/0/i2c-0/i2c-{channel}");
+        system.write(&format!("{folder}/name"), &format!("i2c-0-mux (chan_id {})\n", channel - 2));
+        symlink("../0-000a", system.0.join(&folder).join("mux_device")).expect("a link");
+        let link = system.0.join(format!("sys/bus/i2c/devices/i2c-{channel}"));
+        symlink(system.0.join(folder), link).expect("a link");
+    }
+    let says = "i2c-0 has a mux, ltc1760 at 0x0a: use i2c-2 to i2c-3";
+    system.says("ok", "muxes of i2c-0", &[says]);
+    system.write("etc/gaugefs/i2c-0.toml", "[[gauge]]\nchip = \"sbs\"\n");
+    system.says("problem", "muxes of i2c-0", &[says, "Configure the gauges on these buses."]);
+    let text = String::from_utf8(system.doctor(&[]).stdout).expect("text");
+    assert!(!text.contains("idle_state"), "{text}");
+}
+
 #[test]
 fn a_host_that_lets_no_write_through_is_found() {
     let system = System::new();

@@ -172,11 +172,14 @@ fn mux(host: &Host, number: u64, wanted: bool) -> Option<Finding> {
     let (what, says) = (format!("muxes of i2c-{number}"), described(number, &muxes)?);
     Some(match connected(&muxes) {
         Some(stays) if wanted => {
-            let remedy = format!(
-                "Configure the gauges on these buses. One in front of the mux can be used only if the mux connects no channel \
-                 while it is idle: {}/idle_state is -2 (i2c-mux-idle-disconnect in the device tree)",
-                stays.device
-            );
+            let mut remedy = "Configure the gauges on these buses.".to_string();
+            if stays.disconnects.is_some() {
+                remedy += &format!(
+                    " One in front of the mux can be used only if the mux connects no channel while it is idle: \
+                     {}/idle_state is -2 (i2c-mux-idle-disconnect in the device tree)",
+                    stays.device
+                );
+            }
             problem(what, format!("{says}; but a gauge is configured on i2c-{number}"), remedy)
         }
         _ => ok(what, says),

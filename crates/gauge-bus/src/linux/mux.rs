@@ -22,8 +22,8 @@ pub struct Mux {
     pub address: Option<u8>,
     /// The adapters that are its channels, by their numbers.
     pub channels: Vec<u64>,
-    /// It connects no channel while nobody uses one.
-    pub disconnects: bool,
+    /// It connects no channel while nobody uses one; `None` for one that cannot, as the manager of Smart Batteries.
+    pub disconnects: Option<bool>,
 }
 
 pub(super) fn device(root: &Path, number: u64) -> PathBuf {
@@ -85,7 +85,10 @@ impl Mux {
             name: text("name").unwrap_or_else(|| device.clone()),
             address: address(&device),
             channels: vec![channel],
-            disconnects: text("idle_state").as_deref() == Some(DISCONNECT),
+            disconnects: folder
+                .join("idle_state")
+                .exists()
+                .then(|| text("idle_state").as_deref() == Some(DISCONNECT)),
             device,
         }
     }
@@ -115,7 +118,7 @@ pub fn described(number: u64, muxes: &[Mux]) -> Option<String> {
 
 /// The mux that keeps a channel connected, if one does: in front of it the gauge changes whenever somebody uses another one.
 pub fn connected(muxes: &[Mux]) -> Option<&Mux> {
-    muxes.iter().find(|mux| !mux.disconnects)
+    muxes.iter().find(|mux| mux.disconnects != Some(true))
 }
 
 fn channels(numbers: &[u64]) -> String {
@@ -185,14 +188,29 @@ mod tests {
         assert_eq!(path(system.root(), 8), "i2c-5.i2c_mux_gpio_0.1");
     }
 
+    /// The kernel's sbs-manager makes a channel of each pack that an LTC1760 has: the first and the fourth here.
+    #[test]
+    fn each_pack_of_a_manager_is_a_bus_with_a_path_of_its_own() {
+        let system = system("manager");
+        system.channel(5, 10, "5-000a", 0);
+        system.channel(5, 13, "5-000a", 3);
+        system.write("sys/devices/usb/0/i2c-5/5-000a/name", b"ltc1760\n");
+        let muxes = muxes(system.root(), 5);
+        let says = described(5, &muxes);
+        assert_eq!(says.as_deref(), Some("i2c-5 has a mux, ltc1760 at 0x0a: use i2c-10, i2c-13"));
+        assert_eq!((connected(&muxes), muxes[0].disconnects), (Some(&muxes[0]), None));
+        assert_eq!([10, 13].map(|number| path(system.root(), number)), ["i2c-5.0a.0", "i2c-5.0a.3"]);
+        assert_eq!(above(system.root(), 13), [5]);
+    }
+
     #[test]
     fn only_a_mux_that_says_so_connects_nothing_while_it_is_idle() {
         let system = system("idle");
         let disconnects = || muxes(system.root(), 0)[0].disconnects;
-        assert!(!disconnects(), "it has no such file");
+        assert_eq!(disconnects(), None, "it has no such file");
         for (state, expected) in [("-1", false), ("0", false), ("-2", true), ("", false)] {
             system.write("sys/devices/usb/0/i2c-0/0-0070/idle_state", format!("{state}\n").as_bytes());
-            assert_eq!(disconnects(), expected, "{state}");
+            assert_eq!(disconnects(), Some(expected), "{state}");
         }
     }
 }
