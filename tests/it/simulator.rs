@@ -139,6 +139,7 @@ const KNOBS: &[(&str, &str, Option<&str>)] = &[
     ("sealed_load_ms", "block access", Some("40")),
     ("block_ms", "data flash", Some("50")),
     ("early", "data flash", Some("blank")),
+    ("uncommitted", "data flash", Some("stored")),
     ("word_ms", "data flash", Some("4")),
     ("commit_ms", "data flash", Some("250")),
     ("commit_busy", "data flash", Some("old")),

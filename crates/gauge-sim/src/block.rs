@@ -253,7 +253,7 @@ impl Block {
         if sum != checksum(&window.data) {
             return;
         }
-        window.sum = sum;
+        window.commit(sum);
         let mut content = window.bytes().to_vec();
         if id == CODES && self.ram.seal.level != Level::FullAccess {
             // Keys change in FULL ACCESS only (SLUSBZ5D 7.3.3.4), here the authentication key too. A part without that
@@ -615,7 +615,7 @@ impl Wire for Block {
             0x3E | 0x3F | 0x60 | 0x61 if self.withheld(register) => 0,
             0x3E => window.class,
             0x3F => window.block,
-            0x40..=0x5F => window.read(usize::from(register - 0x40), device.now),
+            0x40..=0x5F => window.read(usize::from(register - 0x40), device.envelope.uncommitted, device.now),
             0x60 => window.read_sum(device.now),
             0x61 => window.control,
             _ => {

@@ -20,6 +20,13 @@ pub(super) enum Early {
     Blank,
 }
 
+/// What a block shows whose bytes were written, until their sum commits them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Uncommitted {
+    Written,
+    Stored,
+}
+
 /// A row after a loss of power while it was programmed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Tear {
@@ -64,6 +71,11 @@ impl KnobChoice for Early {
     const WORDS: &'static [(&'static str, Self)] = &[("previous", Early::Previous), ("blank", Early::Blank)];
 }
 
+impl KnobChoice for Uncommitted {
+    const WORDS: &'static [(&'static str, Self)] =
+        &[("written", Uncommitted::Written), ("stored", Uncommitted::Stored)];
+}
+
 impl KnobChoice for Tear {
     const WORDS: &'static [(&'static str, Self)] = &[
         ("rest-old", Tear::RestOld),
@@ -103,6 +115,7 @@ pub(super) struct Envelope {
     /// Largest extra load time of a block.
     block: Duration,
     pub(super) early: Early,
+    pub(super) uncommitted: Uncommitted,
     pub(super) commit_busy: Busy,
     pub(super) tear: Tear,
     /// Time after the first answer in which Voltage() is 0 and predictions are wrong.
@@ -140,6 +153,7 @@ pub(super) struct Envelope {
 pub(super) const DRAWN: &[&str] = &[
     "block_ms",
     "early",
+    "uncommitted",
     "commit_ms",
     "commit_busy",
     "tear",
@@ -172,6 +186,7 @@ impl Envelope {
             seed,
             block: Duration::ZERO,
             early: Early::Previous,
+            uncommitted: Uncommitted::Written,
             commit_busy: Busy::Stretch,
             tear: Tear::RestOld,
             first: Duration::ZERO,
@@ -263,6 +278,8 @@ impl Envelope {
             new.drop_updates = u32::from(random.roll(8) == 0);
             new.reseals = random.roll(4) == 0;
         }
+        // Libraries sum what they have written by reading it back (sparkfun/SparkFun_BQ27441_Arduino_Library); no manual says so.
+        new.uncommitted = random.pick(&[Uncommitted::Written, Uncommitted::Stored]);
         new
     }
 
@@ -270,6 +287,7 @@ impl Envelope {
         Some(match name {
             "block_ms" => &mut self.block,
             "early" => &mut self.early,
+            "uncommitted" => &mut self.uncommitted,
             "commit_busy" => &mut self.commit_busy,
             "tear" => &mut self.tear,
             "first_ms" => &mut self.first,

@@ -140,6 +140,10 @@ pub(super) static KNOBS: &[Knob] = &[
         "`previous` or `blank`: what is read of a block that is not loaded, with a valid checksum",
     ),
     Of::Gauge.set(
+        "uncommitted",
+        "`written` or `stored`: what is read of a block that was written, before its checksum commits it",
+    ),
+    Of::Gauge.set(
         "tear",
         "`rest-old`, `rest-erased`, `old`, `erased` or `neighbour`: what a loss of power leaves of a commit",
     ),

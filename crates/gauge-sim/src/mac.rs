@@ -12,7 +12,7 @@ use std::time::Duration;
 
 use super::analog::Thermistor;
 use super::device::{Device, Gauge, Wire};
-use super::envelope::{Early, First, Lost};
+use super::envelope::{Early, First, Lost, Uncommitted};
 use super::flash::{BLOCK, Flash};
 use super::flat::{DATA_FLASH, PRIVATE, i16_at, u8_at, u16_at};
 use super::knob::{self, KnobValue};
@@ -74,6 +74,8 @@ fn sum(word: u16, data: &[u8]) -> u8 {
 #[derive(Default)]
 struct Buffer {
     shown: Answer,
+    /// Its bytes, as they were loaded or committed.
+    loaded: [u8; BLOCK],
     /// An answer in preparation, and its time. It overwrites what the host writes before.
     coming: Option<(Answer, Duration)>,
     /// The sum, until the length is written.
@@ -83,8 +85,13 @@ struct Buffer {
 impl Buffer {
     fn settle(&mut self, now: Duration) {
         if let Some((answer, _)) = self.coming.take_if(|(_, ready)| now >= *ready) {
-            self.shown = answer;
+            self.show(answer);
         }
+    }
+
+    fn show(&mut self, answer: Answer) {
+        self.loaded = answer.data;
+        self.shown = answer;
     }
 }
 
@@ -328,7 +335,7 @@ impl Mac {
         if let Some(at) = self.locate(&device.flash, next) {
             let length = BLOCK.min(device.flash.size(DATA_FLASH) - at);
             self.ram.echo = next;
-            self.ram.buffer.shown = Answer::new(next, device.flash.bytes_at(DATA_FLASH, at, length));
+            self.ram.buffer.show(Answer::new(next, device.flash.bytes_at(DATA_FLASH, at, length)));
         }
     }
 
@@ -337,7 +344,7 @@ impl Mac {
         let ready = device.now + device.timing.load + late;
         self.ram.buffer.coming = Some((Answer::new(word, bytes), ready));
         if device.envelope.early == Early::Blank {
-            self.ram.buffer.shown = Answer::new(word, &[0; BLOCK]);
+            self.ram.buffer.show(Answer::new(word, &[0; BLOCK]));
         }
         self.ram.buffer.settle(device.now);
     }
@@ -438,6 +445,7 @@ impl Wire for Mac {
             0x61 => {
                 buffer.shown.length = byte;
                 if let Some(told) = buffer.sum_sent.take() {
+                    buffer.loaded = buffer.shown.data;
                     self.commit(device, told, byte);
                 }
             }
@@ -459,7 +467,7 @@ impl Wire for Mac {
             0x61 => self.ram.reads = self.ram.reads.map(|_| true),
             _ => {}
         }
-        let shown = &self.ram.buffer.shown;
+        let Buffer { shown, loaded, .. } = &self.ram.buffer;
         match register {
             0x00 | 0x01 => {
                 self.ram.elsewhere_seen |= self.ram.elsewhere;
@@ -467,6 +475,9 @@ impl Wire for Mac {
                 word.to_le_bytes()[usize::from(register)]
             }
             0x3E | 0x3F => self.ram.echo.to_le_bytes()[usize::from(register - 0x3E)],
+            0x40..=0x5F if device.envelope.uncommitted == Uncommitted::Stored => {
+                loaded[usize::from(register - 0x40)]
+            }
             0x40..=0x5F => shown.data[usize::from(register - 0x40)],
             0x60 => shown.sum,
             0x61 => shown.length,

@@ -5,6 +5,7 @@
 
 use std::time::Duration;
 
+use super::envelope::Uncommitted;
 use super::flash::BLOCK;
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -34,6 +35,8 @@ pub(super) struct Window {
     pub(super) block: u8,
     pub(super) source: Source,
     pub(super) data: [u8; BLOCK],
+    /// As it was loaded or committed.
+    loaded: [u8; BLOCK],
     /// Bytes after it stay 0.
     length: usize,
     /// The checksum as loaded or committed, which may not be that of `data`.
@@ -65,11 +68,21 @@ impl Window {
         };
         self.data[..bytes.len()].copy_from_slice(bytes);
         self.sum = checksum(&self.data);
+        self.loaded = self.data;
         self.ready = ready;
     }
 
-    pub(super) fn read(&self, index: usize, now: Duration) -> u8 {
-        if now < self.ready { self.early.0[index] } else { self.data[index] }
+    /// The sum has come that commits what the buffer has now.
+    pub(super) fn commit(&mut self, sum: u8) {
+        (self.sum, self.loaded) = (sum, self.data);
+    }
+
+    pub(super) fn read(&self, index: usize, uncommitted: Uncommitted, now: Duration) -> u8 {
+        match uncommitted {
+            _ if now < self.ready => self.early.0[index],
+            Uncommitted::Stored if matches!(self.source, Source::Flash(..)) => self.loaded[index],
+            Uncommitted::Stored | Uncommitted::Written => self.data[index],
+        }
     }
 
     pub(super) fn read_sum(&self, now: Duration) -> u8 {

@@ -362,6 +362,17 @@ mod flash {
         assert_eq!(bench.sim.get("wear").unwrap(), "58/0 1");
     }
 
+    /// sparkfun/SparkFun_BQ27441_Arduino_Library (5ca0dbe8) and its ports sum what they have written by reading it back.
+    #[test]
+    fn what_is_written_shows_before_its_sum_or_only_after_it() {
+        let bench = Bench::unsealed();
+        let write = "W 61 00 ; W 3E 3A ; W 3F 00 ; W 40 01 ; W 41 02 ; W 42 03";
+        bench.replay(&format!("{write} ; R 40 3 -> 01 02 03 ; W 3F 00"));
+        bench.set("uncommitted", "stored");
+        bench.replay(&format!("{write} ; R 40 3 -> 00 00 00 ; W 60 F8 ; R 40 3 -> 00 00 00"));
+        bench.replay("W 60 F9 ; R 40 3 -> 01 02 03 ; W 3F 00 ; R 40 3 -> 01 02 03");
+    }
+
     #[test]
     fn a_short_block_ends_in_zeros_that_are_not_stored() {
         let bench = Bench::unsealed();

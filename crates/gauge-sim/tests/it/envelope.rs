@@ -594,6 +594,8 @@ mod draws {
         for word in [
             "early previous",
             "early blank",
+            "uncommitted written",
+            "uncommitted stored",
             "commit_busy nack",
             "commit_busy stretch",
             "commit_busy old",

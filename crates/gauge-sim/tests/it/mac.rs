@@ -156,6 +156,17 @@ mod protocol {
     }
 
     #[test]
+    fn what_is_written_shows_before_its_sum_or_only_after_it() {
+        let bench = unsealed("bq35100");
+        bench.replay(
+            "W 3E 00 40 ; W 40 12 34 56 78 ; R 40 4 -> 12 34 56 78 ; W 3E 00 40 ; R 40 3 -> 7F 71 20",
+        );
+        bench.set("uncommitted", "stored");
+        bench.replay("W 40 12 34 56 78 ; R 40 3 -> 7F 71 20 ; W 60 AB 08 ; R 40 4 -> 12 34 56 78 ; X 100");
+        bench.replay("W 3E 00 40 ; R 40 4 -> 12 34 56 78");
+    }
+
+    #[test]
     fn writes_below_the_voltage_limit_are_dropped() {
         for (chip, address) in [("bq34110", "57 41"), ("bq35100", "B6 41")] {
             let bench = unsealed(chip);
