@@ -251,9 +251,10 @@ fn look_twice<T: PartialEq>(
     };
     gauge.wait_until(selected + SECOND_LOOK.max(first_at + gauge.chip.access.select));
     let mut before = whole(gauge);
-    if let (Some(Early { stale, is_new, .. }), Ok((now, sum))) = (early.filter(|_| !is_ram), &before)
+    // What does not differ enough to count early says nothing of how long a load takes.
+    if let (Some(Early { stale, is_new, is_far, .. }), Ok((now, sum))) = (early.filter(|_| !is_ram), &before)
         && !stale.contains(sum)
-        && is_new(now)
+        && (if care == Care::Sure { is_far } else { is_new })(now)
     {
         gauge.note_load_time(later_than(gauge.load_time()));
     }

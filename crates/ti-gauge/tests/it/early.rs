@@ -487,3 +487,23 @@ fn a_gauge_that_is_quick_is_read_in_a_quarter_of_the_time() {
         assert!(taken < Duration::from_millis(most_ms) * selections as u32, "{part}: {taken:?}");
     }
 }
+
+/// A block of a bq34110 with four bytes that are not 0 differs in too few from a blank one to count early.
+#[test]
+fn regression_a_block_that_is_nearly_blank_made_a_quick_gauge_a_slow_one() {
+    let mut rig = Rig::new("bq34110");
+    rig.sim.clear_log();
+    rig.write(FLAT, 0x41f5, "2300").expect("it is written");
+    let (mut selected, mut late, mut looks) = (Duration::ZERO, 0, 0);
+    for record in rig.sim.log() {
+        match (&record.write[..], record.read.len()) {
+            (&[0x3e, _, _], 0) => selected = record.at,
+            (&[0x3e], 36) => {
+                looks += 1;
+                late += u32::from(record.at - selected >= Duration::from_millis(30));
+            }
+            _ => {}
+        }
+    }
+    assert!(late * 2 < looks, "{late} of {looks} looks are late");
+}
