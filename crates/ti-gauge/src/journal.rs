@@ -5,8 +5,9 @@
 //! A host that loses power during a write leaves the gauge unsealed or data flash half written. The journal holds the
 //! seal state and the blocks from before the write, and what distinguishes the pack. It never holds keys.
 //!
-//! The file is created before the gauge is touched; the plan is appended before the first block is written. A power cut
-//! in between leaves a plan without its last line, which is ignored: nothing had been written yet.
+//! The file is created before a sealed gauge is opened; the plan is appended before the first block is written. A power cut
+//! in between leaves a plan without its last line, which is ignored: nothing had been written yet. A gauge that was found
+//! open is owed nothing before there is a plan, with which its file is created.
 //!
 //! A journal belongs to a pack, and a pack can come back at any place. So the folder is searched as a whole, and a
 //! journal leaves it only with its own pack, or because a person says so:
@@ -368,7 +369,13 @@ impl Journal {
     }
 
     /// Starts an entry with room for so many blocks, on disk and locked on return. An existing one is not replaced.
-    pub(crate) fn begin(&self, identity: &Identity, found: Seal, blocks: usize) -> Result<OpenJournal> {
+    pub(crate) fn begin(
+        &self,
+        identity: &Identity,
+        found: Seal,
+        blocks: usize,
+        plan: Option<&Plan>,
+    ) -> Result<OpenJournal> {
         if self.disk.exists(&self.folder) {
             self.check_folder()?;
         }
@@ -381,7 +388,7 @@ impl Journal {
                 let what = "an interrupted write is not settled yet; see gaugefs settle".into();
                 return Err(Error::of(path.display().to_string(), Reason::Owed { decision: false, what }));
             }
-            match self.store(&path, true, identity, found, blocks) {
+            match self.store(&path, true, identity, found, blocks, plan) {
                 Err(error) if error.kind() == ErrorKind::AlreadyExists && self.disk.exists(&path) => {}
                 stored => return stored.map_err(|error| refused(&path, &error)),
             }
@@ -391,7 +398,7 @@ impl Journal {
 
     /// Replaces an entry that owes only a seal.
     pub(crate) fn replace(&self, path: &Path, identity: &Identity, found: Seal) -> Result<OpenJournal> {
-        self.store(path, false, identity, found, 0).map_err(|error| refused(path, &error))
+        self.store(path, false, identity, found, 0, None).map_err(|error| refused(path, &error))
     }
 
     fn store(
@@ -401,14 +408,16 @@ impl Journal {
         identity: &Identity,
         found: Seal,
         blocks: usize,
+        plan: Option<&Plan>,
     ) -> io::Result<OpenJournal> {
         let Identity { chip, device_type, firmware, serial } = identity;
         let text = format!(
             "{HEAD}\ngauge {}\npart {chip} {device_type:04x} {firmware:04x} {serial:04x}\nfound {}\n\
-             {}\n",
+             {}\n{}",
             self.gauge,
             found.as_str(),
-            self.machine
+            self.machine,
+            plan.map(render).unwrap_or_default()
         );
         // Nobody else writes to a file of that name.
         let mut random = [0; 4];

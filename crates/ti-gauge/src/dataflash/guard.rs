@@ -113,8 +113,12 @@ impl DataFlash {
         let entry = Entry { identity: identity.clone(), machine: None, found: session.found, plan: None };
         session.entry = Some(entry);
         self.knowledge.refer(gauge, session);
-        if let Some(journal) = self.records.journal() {
-            session.journal = Some(journal.begin(&identity, session.found, blocks)?);
+        match self.records.journal() {
+            Some(journal) if session.found == Seal::Sealed => {
+                session.journal = Some(journal.begin(&identity, session.found, blocks, None)?);
+            }
+            Some(_) => session.room = Some(blocks),
+            None => {}
         }
         Ok(())
     }
@@ -147,8 +151,12 @@ impl DataFlash {
     }
 
     pub(super) fn note(&self, session: &mut Session, plan: Plan) -> Result<()> {
-        if let Some(journal) = &mut session.journal {
-            journal.plan(&plan)?;
+        match (&mut session.journal, session.room.take(), self.records.journal(), &session.entry) {
+            (Some(journal), ..) => journal.plan(&plan)?,
+            (None, Some(blocks), Some(journal), Some(Entry { identity, found, .. })) => {
+                session.journal = Some(journal.begin(identity, *found, blocks, Some(&plan))?);
+            }
+            _ => {}
         }
         if let Some(entry) = &mut session.entry {
             entry.plan = Some(plan);

@@ -57,6 +57,8 @@ pub(super) struct Session {
     /// What would have to be settled if the session ended now.
     pub(super) entry: Option<Entry>,
     pub(super) journal: Option<OpenJournal>,
+    /// For so many blocks the journal of a gauge that was found open has room. It is made with the plan.
+    pub(super) room: Option<usize>,
 }
 
 /// How long the seal state of a gauge is restored whose keys have been tried.
@@ -104,6 +106,7 @@ impl Session {
             pack: Assurance::default(),
             entry: None,
             journal: None,
+            room: None,
         }
     }
 

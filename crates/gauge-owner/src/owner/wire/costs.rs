@@ -18,6 +18,7 @@ use gauge_bus::{Bus, BusError, Reach, wire_bits};
 use gauge_sim::SimBus;
 use ti_gauge::chip::Chip;
 use ti_gauge::dataflash::{Change, Row};
+use ti_gauge::gauge::Seal;
 use ti_gauge::journal::{Disk, File, Host, Journal};
 use ti_gauge::value::Value;
 
@@ -269,6 +270,23 @@ fn a_write_costs_no_more_than_that() {
         }
     }
     assert!(over.is_empty(), "{over:#?}");
+}
+
+/// A gauge that was found open is owed nothing before it is known what is written.
+#[test]
+fn a_gauge_that_is_open_has_a_journal_for_what_is_written_only() {
+    for (chip, parameter, _) in &CASES {
+        let chip = Chip::by_name(chip).expect("it has a table");
+        let mut bench = Bench::new(chip, parameter);
+        bench.rig.ask(&op::SEAL, Seal::Unsealed).expect("the default key");
+        let value = bench.value();
+        for value in [value ^ 1, value, value] {
+            bench.write(value);
+        }
+        let syncs: Vec<u64> = bench.costs.iter().map(|&[.., syncs]| syncs).collect();
+        // The file, its name, and its removal.
+        assert_eq!(syncs, [3, 3, 0], "{}", chip.name);
+    }
 }
 
 #[test]

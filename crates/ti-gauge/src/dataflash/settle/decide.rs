@@ -183,7 +183,7 @@ fn leave_as_it_is(flash: &mut DataFlash, gauge: &mut Gauge, entry: Entry, waited
             session.inherit_modes(gauge)?;
         }
         if let Some(journal) = this.records.journal().filter(|_| owes) {
-            session.journal = Some(journal.begin(&entry.identity, entry.found, 0)?);
+            session.journal = Some(journal.begin(&entry.identity, entry.found, 0, None)?);
         }
         (session.now, session.entry) = (None, Some(entry));
         session.pack.pack = Some(reference);
