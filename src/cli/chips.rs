@@ -177,13 +177,17 @@ fn details(chip: &'static Chip) -> String {
             "{} parameters in {} are read by their names; not one is proven, so nothing is written, whatever is allowed",
             row.readable, row.data_flash
         ),
-        true => format!(
-            "{} parameters in {}, {} can be written; {} are uncertain and read-only without --allow-unproven",
-            row.readable,
-            row.data_flash,
-            row.writable,
-            row.readable - row.writable
-        ),
+        true => {
+            let never = chip.rows().filter(|(_, row)| row.never.is_some()).count();
+            let other = if never > 0 { format!("; {never} are never written") } else { String::new() };
+            format!(
+                "{} parameters in {}, {} can be written; {} are uncertain and read-only without --allow-unproven{other}",
+                row.readable,
+                row.data_flash,
+                row.writable,
+                row.readable - row.writable - never
+            )
+        }
     };
     let keys = match (&chip.security.storage, row.keys) {
         (KeyStorage::Fixed(why), "unseal") => format!("it can be unsealed; changing keys: {why}"),

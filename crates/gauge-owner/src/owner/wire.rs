@@ -39,12 +39,12 @@ const CASES: [Case; 14] = [
     ("bq27621-g1", "Terminate Voltage", RAM),
     ("bq27220", "Taper Current", ["Design Capacity", "Sleep Current", "Dsg Current Threshold"]),
     ("bq34110", "Taper Current", ["Design Capacity mAh", "Taper Voltage", "Dsg Current Threshold"]),
-    ("bq28z610", "Pack Resistance", ["Resistance Parameter Filter", "Voltage Time", "Device Name"]),
     (
         "bq35100",
         "Cell Terminate Voltage",
         ["Cell Design Capacity mAh", "Cell Design Voltage", "Under Temperature Set Time"],
     ),
+    ("bq28z610", "Pack Resistance", ["Resistance Parameter Filter", "Voltage Time", "Ra Max Delta"]),
 ];
 const RAM: [&str; 3] = ["Design Capacity", "SOC1 Set Threshold", "Dsg Current Threshold"];
 

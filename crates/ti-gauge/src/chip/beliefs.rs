@@ -3,7 +3,7 @@
 //! Beliefs that the tables and the simulator share although no document, image or part has confirmed them: a test
 //! against the simulator cannot refute them. `docs/BELIEFS.md` is this list.
 
-use super::{Chip, Gate, Row, Scale, Scheme, kernel};
+use super::{Chip, Evidence, Gate, Row, Scale, Scheme, kernel};
 
 /// An unconfirmed belief.
 #[derive(Debug)]
@@ -146,7 +146,7 @@ pub static BELIEFS: &[Belief] = &[
     },
     Belief {
         name: "commits of MACData()",
-        parts: "bq27220, bq34110, bq35100",
+        parts: "bq27220, bq28z610, bq34110, bq35100",
         holds: "MACDataSum() and MACDataLen(), in this order, commit what was written to MACData(), within 250 ms",
         decided_by: "writes, then a report: `Commits` has the time from the length to the new content, between two looks",
         otherwise: "nothing is stored, which eight looks 80 ms apart show: the write is EIO",
@@ -169,7 +169,7 @@ pub static BELIEFS: &[Belief] = &[
         holds: "addresses above 0x4100 are not lower than printed, as one owner found them (E2E 668766)",
         decided_by: "the block above 0x4100 in a report, beside the printed defaults",
         otherwise: "values that cannot be there show it before the first write, which is refused (ENODEV)",
-        of: |chip| chip.access.scheme == Scheme::Mac,
+        of: |chip| chip.access.scheme == Scheme::Mac && !chip.evidence.contains(&Evidence::Image),
         rows: none,
     },
     Belief {

@@ -6,10 +6,11 @@ use std::collections::BTreeSet;
 use std::time::Duration;
 
 use gauge_bus::Bus;
-use ti_gauge::chip::{Chip, FLAT, Parameter, Row, bq28z610};
+use ti_gauge::chip::{Chip, FLAT, Limited, Parameter, Recognised, Row, bq28z610, recognise};
 use ti_gauge::dataflash::Change;
 use ti_gauge::error::{Cause, Error};
 use ti_gauge::gauge::Seal;
+use ti_gauge::image::{Format, Image};
 use ti_gauge::notation;
 use ti_gauge::value::Value;
 
@@ -232,4 +233,77 @@ fn no_write_resets() {
     rig.write(FLAT, 0x4202, "40").expect("written");
     let log = rig.log();
     assert!(!log.iter().any(|line| line.contains("00 12 00") || line.contains("00 41 00")), "{log:?}");
+}
+
+/// Answers to FW_VERSION with another build.
+fn of_another_build(rig: &mut Rig) {
+    rig.through(|bus, write, read| {
+        let done = bus.transfer(write, read);
+        if write == [0x40] && read.len() > 5 && read[..4] == [0x26, 0x10, 0x00, 0x17] {
+            read[5] = 0x17;
+        }
+        done
+    });
+}
+
+/// It is read by its standard commands, and says of which build the table is.
+#[test]
+fn another_build_is_only_read() {
+    let mut rig = Rig::new("bq28z610");
+    of_another_build(&mut rig);
+    let answers = rig.gauge.identify().expect("it answers");
+    assert_eq!((answers.firmware_version, answers.build), (0x0017, Some(0x0017)));
+    assert!(matches!(recognise(&answers), Recognised::Unproven(found) if found.len() == 1));
+    let why = Limited::Unproven.why(CHIP, &answers);
+    assert!(why.contains("firmware 0x0017 build 0x0017"), "{why}");
+    assert!(why.contains("proven only for firmware 0x0017 build 0x0016"), "{why}");
+}
+
+/// The pack was exchanged for one with another build between the mount and the write.
+#[test]
+fn a_build_that_came_later_is_not_written() {
+    let mut rig = Rig::calibrated("bq28z610", Seal::Sealed);
+    let before = rig.sim.flash();
+    of_another_build(&mut rig);
+    let error = rig.write(FLAT, 0x4202, "40").expect_err("another build").to_string();
+    assert!(error.contains("build is 0x0017"), "{error}");
+    assert!(rig.sim.flash() == before, "{error}");
+}
+
+/// The second dump.
+fn image() -> Image {
+    let flash = bytes(DUMPS[1]);
+    let read = CHIP.subclasses.iter().enumerate().map(|(index, subclass)| {
+        let at = usize::from(subclass.start()) - BASE;
+        (index, &flash[at..at + usize::from(subclass.length)])
+    });
+    Image::of_flash(CHIP, Some(0x0017), read)
+}
+
+/// Another tool that plays it must not reset the part, and finds none of the rows that are never written.
+#[test]
+fn a_flashstream_has_what_may_be_written_and_no_reset() {
+    let text = image().write(Format::FlashStream, |_| Ok(Vec::new())).expect("a file");
+    let words: Vec<&str> = text.lines().filter_map(|line| line.strip_prefix("W: AA 00 ")).collect();
+    assert!(!words.iter().any(|word| ["12 00", "41 00"].contains(word)), "{words:?}");
+    let rows = Image::parse(&text, None).unwrap_or_else(|error| panic!("{error}")).entries;
+    let written: BTreeSet<u16> = rows.iter().map(|entry| entry.parameter.offset).collect();
+    assert!(written.contains(&0x4594) && !written.contains(&0x4600) && written.len() == 16, "{written:x?}");
+}
+
+/// What a file has for such a row is passed over with the reason; the rest is imported.
+#[test]
+fn an_import_leaves_out_what_is_never_written() {
+    let text = "chip = \"bq28z610\"\n\n[configuration]\nfet-options = 0x20\n\n\
+                [it-cfg]\npack-resistance = 40\n";
+    let file = Image::parse(text, None).unwrap_or_else(|error| panic!("{error}"));
+    let here = image();
+    let changes = here.changes(&file, &[], true).expect("values in range");
+    assert_eq!(changes.changes.len(), 1);
+    let [fets] = &changes.passed_over[..] else { panic!("{:?}", changes.passed_over) };
+    assert!(fets.contains("fet-options") || fets.contains("FET Options"), "{fets}");
+    assert!(
+        fets.ends_with(CHIP.parameter(FLAT, 0x4600).and_then(|row| row.never).expect("a reason")),
+        "{fets}"
+    );
 }

@@ -332,7 +332,9 @@ fn a_gauge_that_answers_at_once_is_identified_in_a_moment() {
         let begun = rig.clock.now();
         rig.gauge.identify().expect("it answers");
         let taken = rig.clock.now() - begun;
-        assert!(taken < Duration::from_millis(45), "{part}: {taken:?}");
+        // The build takes the time that every answer has.
+        let build = if rig.gauge.chip.identity.build.is_some() { 55 } else { 0 };
+        assert!(taken < Duration::from_millis(45 + build), "{part}: {taken:?}");
     }
 }
 

@@ -169,6 +169,7 @@ fn what_is_advised_in_place_of_a_file_can_be_done() {
         (rom.to_string(), None, "if it is for a gauge that `gaugefs chips` lists with data flash"),
         (rom.to_string(), Some("bq27541"), "gaugefs only reads the registers of a bq27541"),
         (rom.to_string(), Some("bq34110"), "use a .gm.fs or .gg.csv of a bq34110"),
+        (rom.to_string(), Some("bq28z610"), "use a .gm.fs or .gg.csv of a bq28z610"),
         (of_type("41 05"), None, "gaugefs only reads the registers of a bq27541"),
         (of_type("26 04"), None, "use a .gm.fs or .gg.csv of a BQ27426"),
     ] {
