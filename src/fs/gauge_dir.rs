@@ -14,7 +14,7 @@ use super::attribute::Kind;
 use super::caller::Caller;
 use super::supply::Supply;
 use super::{Content, Item, Mode, Node, Operations, Shape, find, not_writable};
-use crate::{check, report};
+use crate::report;
 use gauge_owner::{Answers, Done, Failure, FileOperation, Operation, operations as op};
 use ti_gauge::authentication;
 use ti_gauge::chip::{Bit, Limited, Register, Role, Tier, snake_case};
@@ -59,10 +59,7 @@ static FILES: &[File] = &[
     asks(&op::KEYS, Mode::OwnerWrite, |gauge| gauge.has_own_table().then(String::new)),
     asks(&op::AUTHENTICATE, Mode::ReadWrite, digest),
     file("auth_order", Mode::Public, challenge_order),
-    file("check", Mode::Public, |gauge| {
-        let snapshot = gauge.fresh()?;
-        Some(check::text(&check::of(&gauge.handle, &snapshot, gauge.user_scale(Kind::Voltage))))
-    }),
+    file("check", Mode::Public, Supply::checked),
     file("owed", Mode::Public, owed),
     asks(&op::SETTLE, Mode::ReadWrite, settling),
     asks(&op::LEARNED, Mode::ReadWrite, learned),

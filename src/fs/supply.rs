@@ -2,7 +2,7 @@
 
 //! The folder of a gauge: power_supply attributes, `uevent` and `subsystem`, and the folders `df`, `gauge` and `sim`.
 
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use super::attribute::{self, Attribute, Kind, Reading};
 use super::rendered::Rendered;
@@ -10,6 +10,7 @@ use super::transaction::Transaction;
 use super::{
     Content, DfItem, GaugeItem, Item, Knobs, Node, Operations, SUBSYSTEM, Scales, Shape, SimItem, find,
 };
+use crate::check;
 use gauge_owner::{Context, Done, FileOperation, Handle, Published, Snapshot};
 use ti_gauge::chip::Chip;
 
@@ -22,14 +23,24 @@ pub struct Supply {
     pub(super) transaction: Transaction,
     /// `df/index`.
     pub(super) rendered: Rendered,
+    /// The last text of `gauge/check`, and the revision that it is of.
+    checked: Mutex<Option<(u64, String)>>,
     scales: Scales,
 }
 
 impl Supply {
     /// A gauge whose folder has that name, such as `BAT0`. Its measurements are shown as they are.
     pub fn new(name: String, handle: Handle) -> Self {
-        let (transaction, scales) = (Transaction::default(), Scales::default());
-        Self { index: 0, name, handle, knobs: None, transaction, rendered: Rendered::default(), scales }
+        Self {
+            index: 0,
+            name,
+            handle,
+            knobs: None,
+            transaction: Transaction::default(),
+            rendered: Rendered::default(),
+            checked: Mutex::default(),
+            scales: Scales::default(),
+        }
     }
 
     /// Shows its measurements in another way.
@@ -120,6 +131,20 @@ impl Supply {
         let published = self.published();
         let age = self.handle.age()?;
         published.snapshot.clone().filter(|_| age <= published.interval * 3)
+    }
+
+    /// The text of `gauge/check`. It is part of every file of values, and the rules take as long as the rest of one.
+    pub(super) fn checked(&self) -> Option<String> {
+        let (revision, snapshot) = (self.handle.revision(), self.fresh()?);
+        let last = || self.checked.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((of, text)) = &*last()
+            && *of == revision
+        {
+            return Some(text.clone());
+        }
+        let text = check::text(&check::of(&self.handle, &snapshot, self.user_scale(Kind::Voltage)));
+        *last() = Some((revision, text.clone()));
+        Some(text)
     }
 
     /// By what the user's option multiplies a kind of values.

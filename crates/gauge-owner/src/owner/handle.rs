@@ -4,7 +4,7 @@
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::ops::Range;
-use std::sync::atomic::{AtomicU16, Ordering};
+use std::sync::atomic::{AtomicU16, AtomicU64, Ordering};
 use std::sync::mpsc;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::Duration;
@@ -160,6 +160,8 @@ pub(super) struct Shared {
     /// The scales in data flash that have been read, by their places; 0 for a scale that may have changed since.
     flash_scales: Mutex<BTreeMap<(u8, u16), u8>>,
     signal: Arc<Signal>,
+    /// See [`Handle::revision`].
+    revision: AtomicU64,
     /// See [`Handle::show_as`].
     index: AtomicU16,
     /// The beginning of each line of the log: empty if there is only one gauge.
@@ -250,6 +252,7 @@ impl Shared {
             kept: Mutex::new(Cache { now: Epoch::default(), readings: Fact::default() }),
             flash_scales: Mutex::default(),
             signal,
+            revision: AtomicU64::new(0),
             index: AtomicU16::new(NOWHERE),
             prefix: if name.is_empty() { name } else { name + ": " },
         }
@@ -284,6 +287,7 @@ impl Shared {
     }
 
     fn raise(&self) {
+        self.revision.fetch_add(1, Ordering::SeqCst);
         self.signal.raise_for(self.index.load(Ordering::SeqCst));
     }
 
@@ -585,6 +589,11 @@ impl Handle {
     /// The owner's clock.
     pub fn now(&self) -> Duration {
         self.shared.clock.now()
+    }
+
+    /// Another number after each change of what is published, or kept of data flash.
+    pub fn revision(&self) -> u64 {
+        self.shared.revision.load(Ordering::SeqCst)
     }
 
     /// Raises the signal as if something had been published.
