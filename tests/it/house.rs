@@ -933,13 +933,14 @@ fn registers_of_block_access_stand_behind_the_dialect() {
         "ti-gauge image/flashstream",
     ];
     /// Other numbers of that size: where they stand, and how often.
-    const OTHERS: [(&str, &str, usize); 27] = [
+    const OTHERS: [(&str, &str, usize); 28] = [
         // The address of all gauges.
         ("gauge-bus ", "0x55", 1),
         // Subclasses.
         ("ti-gauge dataflash/anonymous", "64", 1),
         ("ti-gauge dataflash/anonymous", "68", 1),
         // Subcommands and their bits.
+        ("ti-gauge chip", "0x0041", 1),
         ("ti-gauge learning", "0x0040", 1),
         // Times.
         ("gauge-bus linux/target", "66", 1),

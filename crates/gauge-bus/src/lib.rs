@@ -129,7 +129,7 @@ const DISTURBED: [Errno; 7] = [
 ];
 
 impl BusError {
-    /// What a host answers for a block whose length is none.
+    /// What a host answers for a block whose length cannot be one.
     pub const NO_LENGTH: Self = Self::Other(Errno::PROTO.raw_os_error());
 
     fn row(self) -> (Cow<'static, str>, i32, bool) {

@@ -66,7 +66,7 @@ impl Presence {
     }
 
     /// A whole block was read from its selection on. The gauge may show the selection of the next one from now on.
-    pub(super) fn may_advance(&mut self, by: u16) {
+    pub(super) fn note_advance(&mut self, by: u16) {
         let next = |selected: &[u8; 2]| u16::from_le_bytes(*selected).wrapping_add(by).to_le_bytes();
         let next: Vec<_> = self.selected.iter().map(next).collect();
         self.selected.extend(next);

@@ -229,7 +229,7 @@ impl Gauge {
             && read.len() > WINDOW
             && outcome.is_ok()
         {
-            self.presence.may_advance(WINDOW as u16);
+            self.presence.note_advance(WINDOW as u16);
         }
         match outcome {
             Ok(()) => {
