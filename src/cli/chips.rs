@@ -190,7 +190,9 @@ fn details(chip: &'static Chip) -> String {
         }
     };
     let keys = match (&chip.security.storage, row.keys) {
-        (KeyStorage::Fixed(why), "unseal") => format!("it can be unsealed; changing keys: {why}"),
+        (KeyStorage::Fixed(why) | KeyStorage::Kept(why), "unseal") => {
+            format!("it can be unsealed; changing keys: {why}")
+        }
         (_, "unseal, change") => "it can be unsealed, and its keys changed".to_string(),
         _ => "none".to_string(),
     };
@@ -231,7 +233,7 @@ fn yes(is: bool) -> &'static str {
 fn keys(chip: &Chip) -> &'static str {
     match chip.security.storage {
         _ if !chip.has_table() => "none",
-        KeyStorage::Fixed(_) => "unseal",
+        KeyStorage::Fixed(_) | KeyStorage::Kept(_) => "unseal",
         KeyStorage::Flash(_) => "unseal, change",
     }
 }

@@ -79,7 +79,9 @@ static FILES: &[File] = &[
     file("age_ms", Mode::Public, |gauge| gauge.fresh().and(line(gauge.handle.age()?.as_millis()))),
     file("last_error", Mode::Public, last_error),
     file("last_error_facts", Mode::Public, |gauge| {
-        gauge.published().failed.as_ref().map_or_else(empty, |failed| line(&failed.facts))
+        let published = gauge.published();
+        let failed = published.failed.as_ref().map(|failed| failed.facts.to_string());
+        failed.or_else(|| published.waiting()).map_or_else(empty, line)
     }),
     file("progress", Mode::Public, |gauge| line(gauge.handle.progress().as_deref().unwrap_or("idle"))),
     file(values::ALL, Mode::Public, |gauge| Some(values::text(gauge, Mode::Public))),

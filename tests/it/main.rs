@@ -45,6 +45,7 @@ mod packs;
 mod pages;
 mod production;
 mod program;
+mod protector;
 mod readme;
 mod reads;
 mod refused;

@@ -99,7 +99,7 @@ fn an_export_that_is_imported_into_another_gauge_is_exported_the_same() {
         return;
     }
     let chips = || CHIPS.iter().filter(|chip| chip.is_proven());
-    assert_eq!(chips().count(), 14);
+    assert_eq!(chips().count(), 15);
     let check = |chip: &'static Chip, format, end| {
         let folder = Folder::new();
         let mounts = ["m", "n"].map(|name| folder.file(name));

@@ -22,6 +22,7 @@ use super::model::{Host, Place};
 use super::model::{Kept, Model, Registers, bits};
 use super::options::Options;
 use super::part::{Action, BlockPart, Detection, Flag, Part, Scale, Status};
+use super::protector::Fets;
 use super::rom::ROM_ADDRESS;
 use super::rom::{Boot, Effect};
 use super::seal::{self, Level, Seal};
@@ -53,6 +54,7 @@ pub(super) struct Block {
     /// Challenge and digest go most significant byte first.
     as_sent: bool,
     before: Registers,
+    fets: Fets,
 }
 
 #[derive(Default)]
@@ -174,6 +176,7 @@ impl Block {
             is_away: false,
             as_sent: false,
             before: [0; 0x80],
+            fets: Fets::default(),
         };
         Ok(Gauge::new(device, block, options.envelope))
     }
@@ -238,6 +241,17 @@ impl Block {
         let voltage_mv = self.gauging.voltage_mv();
         let scales = self.part.scale(flash).zip(self.board);
         scales.map_or(voltage_mv, |(scale, board)| scale.shows(board, voltage_mv))
+    }
+
+    fn protect(&mut self, device: &Device) {
+        let Some(part) = &self.part.protector else { return };
+        match device.is_on() {
+            true => {
+                let (flash, gauging) = (&device.flash, &self.gauging);
+                self.fets.run(part, flash, device.now, gauging.voltage_mv(), gauging.temperature());
+            }
+            false => self.fets.lose_power(),
+        }
     }
 
     /// Stores a value of the gauge's own.
@@ -474,7 +488,14 @@ impl Block {
             Action::ExitCalibration if self.ram.calibration => self.mark(Status::Calibrating, false),
             Action::EnterCalibration if self.ram.calibration => self.mark(Status::Calibrating, true),
             Action::Reset if device.loses(Lost::Reset) => {}
-            Action::Reset => device.reset(self),
+            Action::Reset => {
+                self.fets.open("reset");
+                device.reset(self);
+            }
+            Action::OpenFets(why) => self.fets.open(why),
+            Action::ProtectorChecksum => {
+                self.ram.answer = self.part.protector.as_ref().map_or(0, |part| part.answer(&device.flash));
+            }
             Action::ConfigUpdate => self.ram.update.enter(device.timing.update_enter, now),
             Action::Leave(exit) => self.ram.update.leave(exit, device.timing.update_leave, now),
             Action::Chemistry(id) if matches!(self.ram.update, Mode::On(_)) => self.ram.chemistry = Some(id),
@@ -694,6 +715,7 @@ impl Wire for Block {
             self.gauging.take_offsets(&device.flash);
         }
         self.ram.offset_until.take_if(|until| device.now >= *until);
+        self.protect(device);
         if self.gauges() {
             self.ram.registers = None;
         }
@@ -781,6 +803,7 @@ impl Wire for Block {
             "temperature_error" => self.gauging.analog.temperature.to_string(),
             "noise_mv" => self.gauging.analog.noise_mv.to_string(),
             "noise_ma" => self.gauging.analog.noise_ma.to_string(),
+            "fets" => self.fets.show(),
             _ => return None,
         })
     }

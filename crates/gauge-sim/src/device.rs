@@ -662,8 +662,9 @@ impl Gauge {
             (Of::Gauge, Scheme::Registers(_)) => knob::OF_REGISTERS.contains(&knob.name),
             (Of::Gauge, Scheme::Smbus) => knob::OF_PACKS.contains(&knob.name),
             (Of::Volts, Scheme::Registers(part)) => part.in_volts,
+            (Of::Fets, Scheme::Block(part)) => part.protector.is_some(),
             (Of::Smart, scheme) => matches!(scheme, Scheme::Smbus),
-            (Of::Block | Of::Mac | Of::Volts, _) => false,
+            (Of::Block | Of::Mac | Of::Fets | Of::Volts, _) => false,
         }
     }
 

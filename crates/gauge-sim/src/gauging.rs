@@ -606,7 +606,7 @@ impl Gauging {
         self.sensed() + self.settings.internal_offset
     }
 
-    fn temperature(&self) -> f64 {
+    pub(super) fn temperature(&self) -> f64 {
         if self.settings.host_temperature {
             return self.ram.host_temperature.map_or(self.die(), f64::from);
         }

@@ -45,6 +45,8 @@ pub(super) enum Of {
     Gauge,
     Block,
     Mac,
+    /// A gauge that drives FETs.
+    Fets,
     /// A gauge that counts the voltage of its sense resistor.
     Volts,
     /// A Smart Battery.
@@ -182,6 +184,11 @@ pub(super) static KNOBS: &[Knob] = &[
     Of::Gauge.set("bus_free_us", "time after STOP in microseconds within which START is not acknowledged"),
     Of::Gauge.set("endurance", "how often a block can be programmed until some of its bits stay 0; 0 always"),
     Of::Mac.set("df_shift", "bytes by which data flash lies lower than printed from 0x4100 on: 0 or 1"),
+    Of::Fets.show(
+        "fets",
+        "`closed`, or what has opened them since the gauge was made, for a moment or longer: `reset`, `checksum`, `test`, \
+         `shutdown`, `over-voltage`, `under-voltage`, `hot-charge`, `hot-discharge`",
+    ),
     Of::Volts.set("battery", "`out`: nothing is behind the registers, and all of them read 0xff; `in`"),
     Of::Smart.set("series", "cells in series, 1 to 16; words 0x3c to 0x3f have the first four"),
     Of::Smart.set(

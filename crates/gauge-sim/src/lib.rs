@@ -68,6 +68,7 @@ mod model;
 mod options;
 mod part;
 mod parts;
+mod protector;
 mod random;
 mod register;
 mod rom;

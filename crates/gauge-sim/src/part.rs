@@ -5,6 +5,7 @@
 use super::flash::{Flash, Image};
 use super::gauging::Map;
 use super::model::{Host, MacModel, Place};
+use super::protector::Protector;
 use super::rom::{Firmware, Layout};
 use super::seal::Level;
 use super::timing::Timing;
@@ -116,6 +117,8 @@ pub(super) struct BlockPart {
     pub(super) own: Own,
     /// Places of the classes in the boot loader's data flash, if the boot loader is simulated.
     pub(super) rom: Option<Layout>,
+    /// For a part that drives the pack's FETs.
+    pub(super) protector: Option<Protector>,
 }
 
 /// How the gauge learns that a battery is there.
@@ -225,6 +228,9 @@ pub(super) enum Action {
     Shutdown,
     Rom,
     Hdq,
+    ProtectorChecksum,
+    /// Opens both FETs, for this reason.
+    OpenFets(&'static str),
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -4,7 +4,7 @@
 
 // Parts name them as `super::part` and so on.
 use super::part::Part;
-use super::{battery, flash, flat, gauging, learning, model, part, rom, seal, timing, update};
+use super::{battery, flash, flat, gauging, learning, model, part, protector, rom, seal, timing, update};
 
 mod bq27220;
 mod bq27426;
@@ -15,6 +15,7 @@ mod bq27520_g3;
 mod bq27541_g1;
 mod bq27542_g1;
 mod bq27621_g1;
+mod bq27742_g1;
 mod bq28z610;
 mod bq34110;
 mod bq34z100_g1;
@@ -32,6 +33,7 @@ static PARTS: &[&Part] = &[
     &bq27541_g1::PART,
     &bq27542_g1::PART,
     &bq27541_g1::BQ27545,
+    &bq27742_g1::PART,
     &bq27441_g1::PART,
     &bq27441_g1::BQ27421,
     &bq27426::PART,

@@ -21,6 +21,7 @@ pub mod bq27520_g3;
 pub mod bq27541_g1;
 pub mod bq27542_g1;
 pub mod bq27621_g1;
+pub mod bq27742_g1;
 pub mod bq28z610;
 pub mod bq34110;
 pub mod bq34z100_g1;
@@ -62,6 +63,7 @@ pub static CHIPS: &[&Chip] = &[
     &bq27541_g1::CHIP,
     &bq27542_g1::CHIP,
     &bq27541_g1::BQ27545_G1,
+    &bq27742_g1::CHIP,
     &bq27441_g1::CHIP,
     &bq27421_g1::CHIP,
     &bq27426::CHIP,
@@ -533,8 +535,10 @@ pub struct Security {
 /// Where and how a part stores its keys.
 #[derive(Clone, Debug)]
 pub enum KeyStorage {
-    /// Changing them is not supported; the text gives the reason.
+    /// In ROM, or nobody knows where. Changing them is not supported; the text gives the reason.
     Fixed(&'static str),
+    /// In data flash, where those of two packs may differ, and where changing them is not supported for this reason.
+    Kept(&'static str),
     /// Together in one block of data flash.
     Flash(KeyBlock),
 }

@@ -57,7 +57,7 @@ mod window;
 pub use anonymous::{anonymous, sample, samples};
 use blocks::{blocks, gather, old_bytes};
 pub use change::{Change, Row};
-use checks::check_safe;
+use checks::{check_now, check_safe};
 use debts::Debts;
 pub use debts::Owed;
 use erased::erased_in;
@@ -602,6 +602,7 @@ impl DataFlash {
         let in_window = planned.len() == 1 && !sequence(gauge).always_finishes() && !is_restoration;
         for change in changes {
             check_safe(gauge.chip, change, &planned)?;
+            check_now(gauge, change, &planned)?;
         }
         let old: Vec<_> = changes.iter().map(|change| old_bytes(change, &planned)).collect();
         if is_restoration && !options.lost && !found.lost && !is_forgotten(gauge.chip, changes, &old) {

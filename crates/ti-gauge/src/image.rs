@@ -407,7 +407,9 @@ impl Image {
 
 fn is_written(entry: &Entry, format: Format) -> bool {
     // Other FlashStreams have whole blocks.
-    !(format == Format::FlashStream && entry.subclass.id == FLAT && entry.parameter.unproven)
+    let is_left_out =
+        entry.subclass.id == FLAT && entry.parameter.unproven || entry.parameter.never.is_some();
+    !(format == Format::FlashStream && is_left_out)
 }
 
 fn listed(subclasses: &[&Subclass]) -> String {

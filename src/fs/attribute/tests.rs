@@ -501,7 +501,7 @@ const OF_THE_DRIVER: &[(&[&str], &str)] = &[
     (&["bq27530", "bq27531"], "capacity charge_full charge_now current_now cycle_count power_avg temp time_to_empty_now voltage_now"),
     // The driver shows no state_of_health.
     (&["bq27545"], "capacity charge_full charge_now current_now cycle_count power_avg state_of_health temp time_to_empty_now voltage_now"),
-    (&["bq27541", "bq27742"], "capacity charge_full charge_full_design charge_now current_now cycle_count power_avg state_of_health temp time_to_empty_now voltage_now"),
+    (&["bq27541"], "capacity charge_full charge_full_design charge_now current_now cycle_count power_avg state_of_health temp time_to_empty_now voltage_now"),
     // At the place of the driver's power_avg is a threshold.
     (&["bq27542", "bq27546"], "capacity charge_full charge_full_design charge_now current_now cycle_count state_of_health temp time_to_empty_now voltage_now"),
     (&["bq27411", "bq27425"], "capacity charge_full charge_full_design charge_now current_now temp voltage_now"),

@@ -91,7 +91,11 @@ impl Supply {
                     .as_ref()
                     .map_or("-".into(), |bytes| column(value_text(self.chip(), subclass, parameter, bytes)));
                 let unit = if parameter.unit.is_empty() { "-" } else { parameter.unit };
-                let (kind, name, flags) = (parameter.kind, parameter.name, flags(subclass, parameter));
+                let (kind, name, flags) = (
+                    parameter.kind,
+                    parameter.name,
+                    flags(subclass, parameter, self.chip().is_never_reset()),
+                );
                 lines += &format!(
                     "{id}\t{offset}\t{kind}\t{name}\t{unit}\t{min}\t{max}\t{default}\t{flags}\t{value}\n"
                 );
@@ -101,10 +105,11 @@ impl Supply {
     }
 }
 
-fn flags(subclass: &Subclass, parameter: &Parameter) -> String {
+fn flags(subclass: &Subclass, parameter: &Parameter, is_never_reset: bool) -> String {
     let flags = [
         ("learned", parameter.learned),
-        ("reset", subclass.kind == Kind::Reset),
+        ("reset", subclass.kind == Kind::Reset && !is_never_reset),
+        ("next-start", subclass.kind == Kind::Reset && is_never_reset),
         ("safe-limit", parameter.safe.is_some()),
         ("security", subclass.kind == Kind::Security),
         ("unproven", parameter.unproven && parameter.never.is_none()),

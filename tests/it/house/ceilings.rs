@@ -14,15 +14,15 @@ use super::{crates, files, without_tests};
 /// The most lines of each crate.
 const LINES: [(&str, usize); 10] = [
     ("gauge-bus", 3_380),
-    ("gauge-owner", 7_720),
-    ("gauge-sim", 12_260),
+    ("gauge-owner", 7_760),
+    ("gauge-sim", 12_570),
     ("gauge-station", 3_800),
     ("gaugefs", 19_330),
     ("gaugefs-client", 2_850),
     ("gaugefs-host", 600),
     ("gaugefs-screen", 6_160),
     ("i2c-server", 1_300),
-    ("ti-gauge", 34_960),
+    ("ti-gauge", 35_620),
 ];
 
 /// The least lines of code to one of comment in each crate, in tenths. What others use has a line for each public item.

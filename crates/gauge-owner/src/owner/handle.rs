@@ -93,6 +93,8 @@ pub struct Published {
     pub last_error: Arc<str>,
     /// The facts about it; `None` without a failure.
     pub failed: Option<Failure>,
+    /// See [`Self::waiting`].
+    pub(super) waiting: Fact<BTreeSet<(u8, u16)>, Presence>,
     /// What is wrong with the gauge as long as it answers, one line, and since when.
     pub amiss: Option<(Timestamp, Arc<str>)>,
     /// The work that a failed access has left, one line; empty for none.
@@ -128,6 +130,13 @@ impl Published {
     /// The last challenge and its answer; `None` while this gauge has given none.
     pub fn digest(&self) -> Option<&(Message, Message)> {
         self.digest.get(self.presence)
+    }
+
+    /// The values that this gauge has stored and uses from its next start on, as a JSON object; `None` if there are none.
+    pub fn waiting(&self) -> Option<String> {
+        let places = self.waiting.get(self.presence)?.iter();
+        let places: Vec<_> = places.map(|(id, offset)| format!("\"{id}/{offset}\"")).collect();
+        Some(format!("{{\"waits_for\":\"next-start\",\"places\":[{}]}}", places.join(",")))
     }
 
     /// The last subcommand that was asked for, and the answer; `None` while this gauge has given none.
@@ -233,6 +242,7 @@ impl Shared {
             interval,
             last_error: "".into(),
             failed: None,
+            waiting: Fact::default(),
             amiss: None,
             owed: "".into(),
             owed_since: Timestamp::UNIX_EPOCH,
@@ -314,6 +324,15 @@ impl Shared {
     pub(super) fn succeeded(&self, attempt: &Attempt) {
         if self.published().failed.as_ref().is_some_and(|failed| attempt.includes(&failed.attempt)) {
             self.clear_error();
+        }
+    }
+
+    /// Notes what this gauge has stored and uses from its next start on.
+    pub(super) fn note_waiting(&self, changes: &[Change]) {
+        let waits = changes.iter().filter(|change| change.waits(self.chip));
+        let places: Vec<(u8, u16)> = waits.map(|change| change.place().into()).collect();
+        if !places.is_empty() {
+            self.publish(|published| published.waiting.in_epoch(published.presence).extend(places));
         }
     }
 

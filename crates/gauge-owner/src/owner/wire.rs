@@ -26,12 +26,13 @@ use super::{GaugeOptions, Run, Seal, operations as op};
 /// A part, the parameter of its write, and those of its transaction.
 type Case = (&'static str, &'static str, [&'static str; 3]);
 
-const CASES: [Case; 14] = [
+const CASES: [Case; 15] = [
     ("bq34z100-g1", "Cell Terminate Voltage", ["Design Capacity", "Taper Current", "Sleep Current"]),
     ("bq34z100-r2", "Cell Terminate Voltage", ["Design Capacity", "Taper Current", "Sleep Current"]),
     ("bq27520-g3", "Terminate Voltage", ["Design Capacity", "Taper Current", "Sleep Current"]),
     ("bq27500", "Terminate Voltage", ["Design Capacity", "Charging Voltage", "Sleep Current"]),
     ("bq27500-v130", "Terminate Voltage", ["Design Capacity", "Taper Current", "Sleep Current"]),
+    ("bq27742-g1", "Terminate Voltage", ["Design Capacity", "Body Diode Threshold", "Sleep Current"]),
     ("bq27441-g1", "Terminate Voltage", RAM),
     ("bq27421-g1", "Terminate Voltage", RAM),
     ("bq27426", "Terminate Voltage", RAM),

@@ -120,6 +120,11 @@ pub(super) fn subcommand(context: &Context, data: &[u8]) -> Result<u16> {
                 Some(code) if code == context.chip.security.seal => "; write sealed to gauge/seal",
                 None if means(&["seal", "sealed"]) => "; write sealed to gauge/seal",
                 None if means(&["unseal", "unsealed"]) => "; write unsealed to gauge/seal",
+                Some(_)
+                    if found.is_some_and(|found| found.name == "RESET") && context.chip.is_never_reset() =>
+                {
+                    "; what is written counts from the gauge's next start on"
+                }
                 _ if means(&["reset", "soft_reset"]) || found.is_some_and(|found| found.name == "RESET") => {
                     "; gaugefs resets the gauge itself after a write that needs it"
                 }

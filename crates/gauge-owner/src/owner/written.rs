@@ -9,6 +9,9 @@ use ti_gauge::quantity;
 use ti_gauge::text;
 use ti_gauge::unit;
 
+/// What is said of a value that no reset makes the gauge use.
+const NEXT_START: &str = "; it counts from the gauge's next start on";
+
 /// Logs what each change of a write has replaced, and notes the scales among them.
 pub(super) fn log(shared: &Shared, changes: &[Change], outcome: &Outcome) {
     let prefix = format!("{}{}", shared.prefix, serial(shared));
@@ -23,8 +26,11 @@ pub(super) fn log(shared: &Shared, changes: &[Change], outcome: &Outcome) {
             }
         }
         Outcome::Written { old, .. } => {
+            shared.note_waiting(changes);
             for (change, old) in changes.iter().zip(old) {
-                log::info!("{prefix}{}: {}, written and verified", change.name(), difference(change, old));
+                let counts = if change.waits(shared.chip) { NEXT_START } else { "" };
+                let what = difference(change, old);
+                log::info!("{prefix}{}: {what}, written and verified{counts}", change.name());
             }
         }
     }

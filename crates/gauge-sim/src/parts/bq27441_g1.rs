@@ -71,6 +71,7 @@ pub(super) const SCHEME: BlockPart = BlockPart {
     detection: Detection::PinIf(64, 0, 0x20),
     own: OWN,
     rom: None,
+    protector: None,
 };
 
 /// Bit 7 of Update Status (6.4.2.3.2).

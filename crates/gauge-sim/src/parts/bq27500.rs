@@ -64,6 +64,7 @@ const fn scheme(settings: fn(&Flash) -> Settings, subcommands: Subcommands) -> B
             chemistry: None,
         },
         rom: None,
+        protector: None,
     }
 }
 

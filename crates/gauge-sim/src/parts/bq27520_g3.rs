@@ -66,6 +66,7 @@ static SCHEME: BlockPart = BlockPart {
         chemistry: None,
     },
     rom: Some(LAYOUT),
+    protector: None,
 };
 
 /// Only the device name is known to be in its place in the rows of an image for ROM mode.

@@ -59,6 +59,7 @@ pub(super) const fn scheme(
             chemistry: None,
         },
         rom: None,
+        protector: None,
     }
 }
 

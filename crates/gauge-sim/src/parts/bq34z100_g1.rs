@@ -78,6 +78,7 @@ pub(super) const SCHEME: BlockPart = BlockPart {
         chemistry: Some(88),
     },
     rom: Some(LAYOUT),
+    protector: None,
 };
 
 /// The places of the classes in the rows of an image for ROM mode (bq34z100_dffs.h of github.com/tibms/kernel-4.4 for

@@ -27,6 +27,7 @@ pub(super) static PART: Part = Part {
         subcommands: &SUBCOMMANDS,
         gate: Some(Gate { limit: (68, 0), divider: Some(((104, 14), (64, 0, 0x0800))), cell_divider: None }),
         rom: Some(LAYOUT),
+        protector: None,
         ..g1::SCHEME
     }),
     rewrites: g1::REWRITES,

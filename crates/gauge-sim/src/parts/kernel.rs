@@ -49,7 +49,6 @@ pub(super) static PARTS: &[&Part] = &[
     &const { named("bq27541", const { &of(BQ27541, OTDC, 0x0541, 0x0200) }) },
     &const { named("bq27542", const { &of(BQ27546, OTDC, 0x0542, 0x0200) }) },
     &const { named("bq27546", const { &of(BQ27546, OTDC, 0x0541, 0x0100) }) },
-    &const { named("bq27742", const { &of(BQ27742, OTDC, 0x0742, 0x0100) }) },
     &const { named("bq27545", const { &of(BQ27545, OTDC, 0x0545, 0x0200) }) },
     &const { named("bq27411", const { &of(BQ27411, UTOT, 0x0421, 0x0109) }) },
     &const { named("bq27425", const { &of(BQ27411, UTOT, 0x0425, 0x0205) }) },
@@ -145,14 +144,6 @@ static BQ27546: &[Row] = &[
     (0x10, 2, Q::Remaining), (0x12, 2, Q::Full), (0x14, 2, Q::AverageCurrent), (0x16, 2, Q::TimeToEmpty),
     (0x24, 2, Q::DesignCapacity), (0x2A, 2, Q::CycleCount), (0x2C, 2, Q::Percent), (0x2E, 1, Q::Health),
     (0x2F, 1, Q::HealthStatus), (0x3C, 2, Q::DesignCapacity),
-];
-
-#[rustfmt::skip]
-static BQ27742: &[Row] = &[
-    (0x06, 2, Q::Temperature), (0x08, 2, Q::Voltage), (0x0A, 2, Q::Flags), (0x0C, 2, Q::NominalRemaining),
-    (0x10, 2, Q::Remaining), (0x12, 2, Q::Full), (0x14, 2, Q::AverageCurrent), (0x16, 2, Q::TimeToEmpty),
-    (0x24, 2, Q::DesignCapacity), (0x2A, 2, Q::CycleCount), (0x2C, 2, Q::Percent), (0x2E, 1, Q::Health),
-    (0x2F, 1, Q::HealthStatus), (0x3C, 2, Q::DesignCapacity), (0x76, 2, Q::AveragePower),
 ];
 
 #[rustfmt::skip]

@@ -10,6 +10,7 @@ mod driver;
 mod envelope;
 mod libraries;
 mod mac;
+mod protector;
 mod ram;
 mod register;
 mod sick;

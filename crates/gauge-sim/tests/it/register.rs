@@ -67,7 +67,7 @@ fn it_answers_for_its_type_and_takes_nothing_else() {
 
 #[test]
 fn it_has_the_knobs_that_have_an_effect() {
-    let (gauge, _) = sim("bq27742");
+    let (gauge, _) = sim("bq27546");
     let knobs: Vec<_> = gauge.knobs().iter().map(|knob| knob.name).collect();
     for knob in ["load_ma", "soc", "temperature", "speed", "voltage_mv", "power", "fault", "transfers"] {
         assert!(knobs.contains(&knob), "{knob}");

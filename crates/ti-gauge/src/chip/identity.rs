@@ -141,7 +141,6 @@ pub static SIBLINGS: &[Sibling] = &[
     Sibling::new("bq27541", 0x0541, &[], &[], Some(&kernel::BQ27541)),
     Sibling::new("bq27546", 0x0541, &[], &[], Some(&kernel::BQ27546)),
     Sibling::new("bq27542", 0x0542, &[], &[], Some(&kernel::BQ27542)),
-    Sibling::new("bq27742", 0x0742, &[], &[], Some(&kernel::BQ27742)),
     // Its block access is another one, but DEVICE_TYPE at Control() is the same.
     Sibling::new("bq27z561", 0x1561, &[], &[], Some(&kernel::BQ27Z561)),
 ];

@@ -12,17 +12,16 @@
 //!   SLUSAB7A (bq27520-G2), SLUSAL5 (bq27530-G1), SLUSBE7 (bq27531-G1), SLUS861 and SLUSAL6C (bq27541), SLUSAT0E (bq27545).
 //!   The driver takes it for 10 mW. Of bq27z561, bq28z620 and bq78z100 nobody says what it is, so these have no
 //!   `power_avg`.
-//! - AveragePower() of the bq27742 is at 0x76; at 0x24, where the driver reads it, is BTPSOC1Set(), a threshold that the
-//!   host sets (SLUSBV9C, Table 8). The bq27546-G1 (SLUSC53, Table 7) has it there, too, and the bq27542-G1 has the
-//!   battery trip points (SLUSC33): no `power_avg`.
+//! - At 0x24, where the driver reads AveragePower(), the bq27546-G1 has BTPSOC1Set(), a threshold that the host sets
+//!   (SLUSC53, Table 7), and the bq27542-G1 has the battery trip points (SLUSC33): no `power_avg`.
 //! - `energy_now` of the bq27510-G2: SLUS948 says mWh in its Table 1, and 10 mWh in the text of AvailableEnergy().
 //! - `charge_now` is RemainingCapacity() where there is one, because StateOfCharge() is that divided by
 //!   FullChargeCapacity() (SLUSAL6C). The driver shows NominalAvailableCapacity(), which is not compensated for the load and
 //!   may be above `charge_full`.
 //! - `capacity_level` is `Critical` with the final threshold, which is below the first (SLUS914A): the driver asks for the
 //!   first one first, and never says `Critical`. `health` is `Dead` with the final one only.
-//! - `state_of_health` of bq27541, bq27542, bq27545, bq27546 and bq27742 is in StateOfHealth() at 0x2E, a percentage and a
-//!   status (SLUSAL6C, SLUSAT0E, SLUSC53, SLUSBV9C). The bq27541-V200 has an impedance there (SLUSA11), which reads as not
+//! - `state_of_health` of bq27541, bq27542, bq27545 and bq27546 is in StateOfHealth() at 0x2E, a percentage and a
+//!   status (SLUSAL6C, SLUSAT0E, SLUSC53). The bq27541-V200 has an impedance there (SLUSA11), which reads as not
 //!   valid. The driver shows no health.
 //! - bq27000 and bq27010: a step of charge is 3.57 µVh (SLUS556), 178.5 µAh with 20 mΩ. The driver rounds it down to 178.
 
@@ -38,7 +37,7 @@ use gauge_bus::GAUGE_ADDRESS;
 pub static GAUGES: &[&Chip] = &[
     &BQ27000, &BQ27010, &BQ2750X, &BQ2751X, &BQ2752X, &BQ27510_G1, &BQ27510_G2, &BQ27510_G3,
     &BQ27520_G1, &BQ27520_G2, &BQ27520_G4, &BQ27521, &BQ27530, &BQ27531, &BQ27541, &BQ27542, &BQ27546,
-    &BQ27742, &BQ27545, &BQ27411, &BQ27425, &BQ27Z561, &BQ28Z620, &BQ78Z100,
+    &BQ27545, &BQ27411, &BQ27425, &BQ27Z561, &BQ28Z620, &BQ78Z100,
 ];
 
 /// The driver's names (its I2C ids, which follow `ti,` in a device tree), and what gaugefs has for each.
@@ -62,7 +61,7 @@ pub static DRIVER: &[(&str, &str)] = &[
     ("bq27541", "bq27541"),
     ("bq27542", "bq27542"),
     ("bq27546", "bq27546"),
-    ("bq27742", "bq27742"),
+    ("bq27742", "bq27742-g1"),
     ("bq27545", "bq27545"),
     ("bq27411", "bq27411"),
     ("bq27421", "bq27421-g1"),
@@ -84,7 +83,6 @@ static WHOLE: &[(&str, &str)] = &[
     ("bq27530-g1", "bq27530"),
     ("bq27531-g1", "bq27531"),
     ("bq27546-g1", "bq27546"),
-    ("bq27742-g1", "bq27742"),
 ];
 
 /// The other names of a chip: the driver's, and TI's full one. A name of another chip belongs to that chip.
@@ -242,7 +240,6 @@ static BQ27531: Chip = gauge("bq27531", "bq27531", REGISTERS_27530, Utot);
 pub(super) static BQ27541: Chip = gauge("bq27541", "bq27541", REGISTERS_27541, Otdc);
 pub(super) static BQ27542: Chip = gauge("bq27542", "bq27542", REGISTERS_27546, Otdc);
 pub(super) static BQ27546: Chip = gauge("bq27546", "bq27546", REGISTERS_27546, Otdc);
-pub(super) static BQ27742: Chip = gauge("bq27742", "bq27742", REGISTERS_27742, Otdc);
 static BQ27545: Chip = gauge("bq27545", "bq27545", REGISTERS_27545, Otdc);
 static BQ27411: Chip = gauge("bq27411", "bq27411", REGISTERS_27411, Utot);
 static BQ27425: Chip = gauge("bq27425", "bq27425", REGISTERS_27411, Utot);
@@ -308,12 +305,6 @@ static REGISTERS_27541: &[Register] = &[
 static REGISTERS_27546: &[Register] = &[
     temperature(0x06), voltage(0x08), flags(0x0a, Otdc), nominal(0x0c), remaining(0x10), full(0x12), current(0x14),
     to_empty(0x16), cycles(0x2a), percent(0x2c), health(0x2e), health_status(0x2f), design(0x3c),
-];
-
-#[rustfmt::skip]
-static REGISTERS_27742: &[Register] = &[
-    temperature(0x06), voltage(0x08), flags(0x0a, Otdc), nominal(0x0c), remaining(0x10), full(0x12), current(0x14),
-    to_empty(0x16), cycles(0x2a), percent(0x2c), health(0x2e), health_status(0x2f), design(0x3c), power(0x76),
 ];
 
 #[rustfmt::skip]

@@ -5,6 +5,7 @@
 use super::{Bit, Role};
 use crate::codec::WINDOW;
 use crate::date;
+use crate::error::{Cause, Error, Step};
 use crate::value::Type;
 
 /// The id of every group on a part with a flat address space, where offsets are addresses.
@@ -113,7 +114,7 @@ pub struct Parameter {
     pub safe: Option<Safe>,
     /// Address or range is uncertain: read-only unless the user insists.
     pub unproven: bool,
-    /// Why it is never written, whatever the user insists on.
+    /// Why it is never written, whatever the user insists on; nor is the block that it is in, where blocks are written whole.
     pub never: Option<&'static str>,
     /// What shows that it is where it is; empty if the table's documents do.
     pub source: &'static str,
@@ -274,7 +275,7 @@ impl Parameter {
         self
     }
 
-    /// It is never written. Whatever leaves unproven rows out leaves it out as well.
+    /// It is never written, nor is its block where blocks are written whole. Whatever leaves unproven rows out leaves it out.
     #[must_use]
     pub const fn never(mut self, why: &'static str) -> Self {
         (self.unproven, self.never) = (true, Some(why));
@@ -286,6 +287,12 @@ impl Parameter {
     pub const fn by(mut self, source: &'static str) -> Self {
         self.source = source;
         self
+    }
+
+    /// The refusal of a row that is never written.
+    pub(crate) fn check_never(&self) -> Option<Error> {
+        let why = format!("never written: {}", self.never?);
+        Some(Error::new(self.name, Cause::NotPermitted, why).at(Step::Check))
     }
 
     /// The property it feeds.
@@ -340,17 +347,31 @@ pub enum Safe {
     Under(u16, i32, &'static str),
     /// At least so much above the row at that offset of its subclass, with the transaction's values.
     Over(u16, i32, &'static str),
+    /// At least so much above what the register of that property shows now.
+    AboveNow(Role, i32, &'static str),
+    /// At least so much below what the register of that property shows now.
+    BelowNow(Role, i32, &'static str),
     /// The bits of this mask must keep their values.
     Keep(u32, &'static str),
+    /// All of these.
+    All(&'static [Safe]),
 }
 
 impl Safe {
-    /// The smallest and the largest number that it allows by itself, and the reason.
+    /// The limits that it consists of.
+    pub fn each(&self) -> &[Self] {
+        match self {
+            Self::All(all) => all,
+            one => std::slice::from_ref(one),
+        }
+    }
+
+    /// The smallest and the largest number that it allows by itself, and the reason. A row has one limit of this kind.
     pub fn limits(&self) -> Option<(i64, i64, &'static str)> {
-        match *self {
+        self.each().iter().find_map(|one| match *one {
             Self::AtLeast(least, why) => Some((least.into(), i64::MAX, why)),
             Self::Within(least, most, why) => Some((least.into(), most.into(), why)),
-            Self::BelowVoltage(_) | Self::Under(..) | Self::Over(..) | Self::Keep(..) => None,
-        }
+            _ => None,
+        })
     }
 }

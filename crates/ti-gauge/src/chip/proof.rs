@@ -2,7 +2,8 @@
 
 //! What may be done to a part at all: whether enough of its table is proven to be written, and whether it is reset.
 
-use super::{Chip, Effect, Kind};
+use super::{Chip, Effect, Kind, Parameter};
+use crate::codec::WINDOW;
 use crate::error::{Error, Reason, Result, Step};
 
 impl Chip {
@@ -20,6 +21,17 @@ impl Chip {
     /// Whether RESET is never sent: to a part that is only read, or to which it does harm.
     pub fn is_never_reset(&self) -> bool {
         self.subcommands.iter().any(|one| one.code == self.access.resets && one.effect == Effect::Never)
+    }
+
+    /// Refuses a block that is written whole and has a row that is never written, whoever asks: an undo as well, or a journal.
+    pub(crate) fn check_block(&self, subclass: u8, base: u16) -> Result<()> {
+        if self.access.scheme.is_flat() {
+            return Ok(());
+        }
+        let block = usize::from(base)..usize::from(base) + WINDOW;
+        let rows = self.subclasses.iter().filter(|row| row.id == subclass).flat_map(|row| row.parameters);
+        let mut rows = rows.filter(|row| block.contains(&usize::from(row.offset)));
+        rows.find_map(Parameter::check_never).map_or(Ok(()), Err)
     }
 
     /// Whether no source prints what it answers, so that only the user can say that it is this part.

@@ -174,8 +174,21 @@ impl Change {
         }
     }
 
-    /// What its subclass needs; an undocumented subclass is assumed to need a reset.
+    /// What a write of it needs. A part that is never reset needs none.
     pub(super) fn kind(&self, chip: &Chip) -> Kind {
+        match self.needs(chip) {
+            Kind::Reset if chip.is_never_reset() => Kind::Plain,
+            kind => kind,
+        }
+    }
+
+    /// Whether it counts from the gauge's next start on only.
+    pub fn waits(&self, chip: &Chip) -> bool {
+        self.needs(chip) == Kind::Reset && chip.is_never_reset()
+    }
+
+    /// What its subclass needs; an undocumented subclass is assumed to need a reset.
+    fn needs(&self, chip: &Chip) -> Kind {
         let table = self.row.map(|(subclass, _)| subclass).or_else(|| chip.subclass(self.place.subclass));
         table.map_or(Kind::Reset, |subclass| subclass.kind)
     }
@@ -186,8 +199,8 @@ fn check_row(chip: &Chip, (subclass, parameter): Row, also_unproven: bool) -> Re
         let why = "keys cannot be changed like other parameters";
         return Err(Error::new(parameter.name, Cause::NotPermitted, why));
     }
-    if let Some(why) = parameter.never {
-        return Err(Error::new(parameter.name, Cause::NotPermitted, format!("never written: {why}")));
+    if let Some(never) = parameter.check_never() {
+        return Err(never);
     }
     chip.check_proven()?;
     if parameter.unproven && !also_unproven {
@@ -199,6 +212,11 @@ fn check_row(chip: &Chip, (subclass, parameter): Row, also_unproven: bool) -> Re
 
 fn check_raw(chip: &Chip, Place { subclass: id, offset }: Place, length: usize) -> Result<()> {
     chip.check_proven()?;
+    if chip.is_never_reset() {
+        let why = "bytes that nobody has documented are not written to this part, which drives the pack's FETs; leave them \
+                   out (gaugefs import --exclude undocumented)";
+        return Err(Error::new("", Cause::NotPermitted, why));
+    }
     if chip.access.scheme.is_flat() || id == FLAT {
         return Err(invalid("bytes without a parameter are written in subclasses only".into()));
     }

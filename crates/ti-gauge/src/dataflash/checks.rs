@@ -17,26 +17,77 @@ use crate::value::Value;
 
 pub(super) fn check_safe(chip: &Chip, change: &Change, planned: &[Planned]) -> Result<()> {
     let Some((_, parameter)) = change.row else { return Ok(()) };
-    match &parameter.safe {
-        Some(Safe::Under(other, by, why)) => {
-            let greatest = value_at(chip, change, planned, *other, why)? - i64::from(*by);
-            let number = integer(chip.layout, parameter, &change.bytes);
-            let reason = Reason::UnsafeAbove { number, greatest, why };
-            if number <= greatest { Ok(()) } else { Err(Error::of(change.subject(), reason).at(Step::Check)) }
+    let number = integer(chip.layout, parameter, &change.bytes);
+    let refuse = |reason| Err(Error::of(change.subject(), reason).at(Step::Check));
+    for limit in parameter.safe.iter().flat_map(Safe::each) {
+        match limit {
+            Safe::Under(other, by, why) => {
+                let greatest = value_at(chip, change, planned, *other, why)? - i64::from(*by);
+                if number > greatest {
+                    return refuse(Reason::UnsafeAbove { number, greatest, why });
+                }
+            }
+            Safe::Over(other, by, why) => {
+                let least = value_at(chip, change, planned, *other, why)? + i64::from(*by);
+                if number < least {
+                    return refuse(Reason::Unsafe { number, least, why });
+                }
+            }
+            Safe::AtLeast(..) | Safe::Within(..) => change.check_limits()?,
+            // `check_gate_after` judges the one together with the other values, `check_now` the others.
+            Safe::BelowVoltage(_) | Safe::AboveNow(..) | Safe::BelowNow(..) | Safe::All(_) => {}
+            Safe::Keep(..) if change.saved => {}
+            Safe::Keep(..) => change.check_reserved(&old_bytes(change, planned))?,
         }
-        Some(Safe::Over(other, by, why)) => {
-            let least = value_at(chip, change, planned, *other, why)? + i64::from(*by);
-            let number = integer(chip.layout, parameter, &change.bytes);
-            let reason = Reason::Unsafe { number, least, why };
-            if number >= least { Ok(()) } else { Err(Error::of(change.subject(), reason).at(Step::Check)) }
-        }
-        Some(Safe::AtLeast(..) | Safe::Within(..)) => change.check_limits(),
-        // `check_gate_after` judges it together with the other values.
-        Some(Safe::BelowVoltage(_)) | None => Ok(()),
-        Some(Safe::Keep(..)) if change.saved => Ok(()),
-        Some(Safe::Keep(..)) => change.check_reserved(&old_bytes(change, planned)),
     }
+    Ok(())
 }
+
+/// Refuses a threshold that what is measured now is beyond: it would take effect at once. One that stays is no matter.
+pub(super) fn check_now(gauge: &mut Gauge, change: &Change, planned: &[Planned]) -> Result<()> {
+    let Some((_, parameter)) = change.row else { return Ok(()) };
+    if old_bytes(change, planned) == change.bytes {
+        return Ok(());
+    }
+    let number = integer(gauge.chip.layout, parameter, &change.bytes);
+    for limit in parameter.safe.iter().flat_map(Safe::each) {
+        let reason = match *limit {
+            Safe::AboveNow(role, by, why) => {
+                let least = measured_now(gauge, role)?.1 + i64::from(by);
+                (number < least).then_some(Reason::Unsafe { number, least, why })
+            }
+            Safe::BelowNow(role, by, why) => {
+                let greatest = measured_now(gauge, role)?.0 - i64::from(by);
+                (number > greatest).then_some(Reason::UnsafeAbove { number, greatest, why })
+            }
+            _ => None,
+        };
+        if let Some(reason) = reason {
+            return Err(Error::of(change.subject(), reason).at(Step::Check));
+        }
+    }
+    Ok(())
+}
+
+/// The least and the greatest of two readings, in the unit of parameters: temperatures in 0.1 degrees Celsius.
+fn measured_now(gauge: &mut Gauge, role: Role) -> Result<(i64, i64)> {
+    let register = gauge.chip.register(role).expect("the tables' tests ask for it");
+    let mut look = || {
+        let reading = i64::from(read_word(gauge, register.source)?);
+        match register.values.hold(reading) {
+            true => Ok(if role == Role::Temp { reading - KELVIN } else { reading }),
+            false => {
+                let why = "not measured yet, and this threshold must not be beyond it; try again";
+                Err(Error::new(format!("{}()", register.name), Cause::NotNow, why).at(Step::Check))
+            }
+        }
+    };
+    let (one, other) = (look()?, look()?);
+    Ok((one.min(other), one.max(other)))
+}
+
+/// 0 degrees Celsius, in 0.1 K.
+const KELVIN: i64 = 2731;
 
 /// What another row of the change's subclass will hold, as the blocks of the write show it.
 fn value_at(chip: &Chip, change: &Change, planned: &[Planned], other: u16, why: &str) -> Result<i64> {

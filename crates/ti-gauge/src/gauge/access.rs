@@ -256,6 +256,10 @@ impl Gauge {
 
     /// RESET, which seals a part that had been sealed (SLUSBZ5D 7.3.3.1 step 11); not to a gauge exchanged since then.
     pub(crate) fn reset_since(&mut self, moment: Moment) -> Result<()> {
+        if self.chip.is_never_reset() {
+            let why = "never sent to this part, to which it does harm";
+            return Err(Error::new("Control(RESET)", Cause::NotPermitted, why).at(Step::Reset));
+        }
         Statistics::count(&self.statistics.resets);
         self.looks.resets();
         self.command_since(self.chip.access.resets, moment).map_err(|error| error.at(Step::Reset))?;

@@ -568,6 +568,10 @@ impl Stream {
             self.update = None;
         }
         match subcommand.effect {
+            Effect::Never if word == self.chip.access.resets => {
+                self.notes.push(format!("line {line}: {}; never sent to this part", subcommand.name));
+                Ok(())
+            }
             Effect::Never => Err(format!("{}: gaugefs never sends it", subcommand.name)),
             Effect::Answers => Ok(()),
             Effect::Guarded
@@ -824,7 +828,9 @@ pub fn write(image: &Image, raw: impl Fn(u8) -> Result<Vec<u8>>) -> Result<Strin
     } else {
         text += &row('W', LENGTH, &[0]);
         let has = |subclass: &Subclass| match subclass.is_opaque() {
-            false => image.entries.iter().any(|entry| std::ptr::eq(entry.subclass, subclass)),
+            false => image.entries.iter().any(|entry| {
+                std::ptr::eq(entry.subclass, subclass) && is_written(entry, Format::FlashStream)
+            }),
             // Other bytes without parameters belong to a circuit.
             true => subclass.is_chemistry() && image.raw.iter().any(|raw| raw.subclass == subclass.id),
         };

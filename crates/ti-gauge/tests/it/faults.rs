@@ -33,6 +33,7 @@ const CASES: &[Case] = &[
     Case { chip: "bq27520-g3", at: (48, 10), text: "1200", found: Seal::Sealed },
     Case { chip: "bq27500", at: (34, 2), text: "4100", found: Seal::Sealed },
     Case { chip: "bq27500-v130", at: (80, 48), text: "3100", found: Seal::Unsealed },
+    Case { chip: "bq27742-g1", at: (2, 0), text: "4350", found: Seal::Sealed },
     Case { chip: "bq27441-g1", at: (82, 10), text: "1200", found: Seal::Sealed },
     Case { chip: "bq27441-g1", at: (82, 10), text: "1200", found: Seal::Unsealed },
     Case { chip: "bq27426", at: (82, 6), text: "1200", found: Seal::Sealed },

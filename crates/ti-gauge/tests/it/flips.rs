@@ -134,6 +134,17 @@ pub(crate) fn a_wrong_bit_in_a_write_changes_nothing_unsaid() {
     .strike();
 }
 
+/// A part that is never reset. The voltage is read once more for the threshold.
+#[test]
+fn a_wrong_bit_in_a_write_to_a_protector_changes_nothing_unsaid() {
+    Operation {
+        name: "write to a protector",
+        rig: |folder| journalled(Rig::calibrated("bq27742-g1", Seal::Sealed), folder),
+        run: |rig| rig.write(2, 0, "4350").map(drop),
+    }
+    .strike();
+}
+
 #[test]
 pub(crate) fn a_wrong_bit_in_a_write_to_an_open_gauge_changes_nothing_unsaid() {
     Operation {

@@ -30,6 +30,7 @@ mod places;
 mod power;
 mod preflight;
 mod probe;
+mod protector;
 mod reach;
 mod recovery;
 mod rescue;

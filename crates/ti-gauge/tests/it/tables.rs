@@ -183,6 +183,7 @@ fn a_poll_reads_the_expected_bursts() {
             "bq27621-g1" => (&[(0x02, 0x10), (0x18, 6)], 28),
             "bq27541-g1" | "bq27545-g1" => (&[(0x06, 0x12), (0x24, 2), (0x2A, 6)], 35),
             "bq27542-g1" => (&[(0x06, 0x12), (0x2A, 6)], 30),
+            "bq27742-g1" => (&[(0x06, 0x12), (0x2A, 6)], 30),
             // Two bytes between 0x06 and 0x1B are read without need. The gap of 14 bytes is not read, because
             // it would cost more than the three bytes of another transfer.
             "bq34110" => (&[(0x06, 0x16), (0x2A, 6)], 34),
@@ -465,16 +466,17 @@ fn ranges_fit_types_and_defaults_and_safe_limits_fit_ranges() {
             Range::Int { min, max, default } => (min, max, default),
             _ => panic!("{at}: a safe limit on what is no integer"),
         };
-        let why = match safe {
+        let check = |one: &Safe| match *one {
             Safe::AtLeast(least, why) => {
-                let least = i64::from(*least);
+                let least = i64::from(least);
                 assert!(min < least && least <= max, "{at}: at least {least} narrows nothing");
                 assert!(default.is_none_or(|default| default >= least), "{at}: unsafe default");
                 why
             }
             Safe::Within(least, greatest, why) => {
-                let (least, greatest) = (i64::from(*least), i64::from(*greatest));
-                assert!(min < least && least < greatest && greatest < max, "{at}: it narrows nothing");
+                let (least, greatest) = (i64::from(least), i64::from(greatest));
+                let narrows = min < least || greatest < max;
+                assert!(min <= least && least < greatest && greatest <= max && narrows, "{at}");
                 assert!(default.is_none_or(|default| (least..=greatest).contains(&default)), "{at}");
                 why
             }
@@ -482,23 +484,25 @@ fn ranges_fit_types_and_defaults_and_safe_limits_fit_ranges() {
             // Both are in one block, so that a write sees the other one.
             Safe::Under(other, by, why) | Safe::Over(other, by, why) => {
                 let block = |offset: u16| usize::from(offset) / WINDOW;
-                assert!(*by >= 0 && block(*other) == block(parameter.offset), "{at}");
-                let other = subclass.parameter(*other).expect(&at);
-                assert!(
-                    matches!(other.safe, Some(Safe::Under(back, ..) | Safe::Over(back, ..)) if back == parameter.offset),
-                    "{at}"
-                );
+                assert!(by >= 0 && block(other) == block(parameter.offset), "{at}");
+                let other = subclass.parameter(other).expect(&at).safe.as_ref();
+                let is_back = |one: &Safe| matches!(one, Safe::Under(back, ..) | Safe::Over(back, ..) if *back == parameter.offset);
+                assert!(other.is_some_and(|safe| safe.each().iter().any(is_back)), "{at}");
                 why
             }
+            Safe::AboveNow(role, by, why) | Safe::BelowNow(role, by, why) => {
+                assert!(by > 0 && matches!(role, Role::Temp | Role::VoltageNow), "{at}");
+                why
+            }
+            Safe::All(_) => panic!("{at}: one within another"),
+            // What keeps bits asks for the only limit.
+            Safe::Keep(..) if safe.each().len() > 1 => panic!("{at}: bits to keep among other limits"),
             Safe::Keep(mask, why) => {
-                assert!(
-                    *mask != 0 && u64::from(*mask) < 1 << (8 * parameter.kind.size()),
-                    "{at}: 0x{mask:x}"
-                );
+                assert!(mask != 0 && u64::from(mask) < 1 << (8 * parameter.kind.size()), "{at}: 0x{mask:x}");
                 why
             }
         };
-        assert!(!why.is_empty(), "{at}");
+        assert!(!safe.each().is_empty() && safe.each().iter().all(|one| !check(one).is_empty()), "{at}");
     }
 }
 
@@ -652,6 +656,7 @@ fn each_chip_has_the_number_of_rows_of_its_manual() {
         ("bq27541-g1", [7, 90, 7, 0, 21, 9]),
         ("bq27542-g1", [7, 71, 39, 0, 19, 9]),
         ("bq27545-g1", [6, 27, 1, 0, 19, 9]),
+        ("bq27742-g1", [23, 256, 49, 16, 29, 12]),
         ("bq27220", [17, 120, 3, 6, 32, 29]),
         ("bq34110", [20, 87, 8, 6, 33, 56]),
         ("bq35100", [20, 186, 81, 5, 21, 21]),
@@ -698,6 +703,7 @@ fn limits(chip: &'static Chip) -> Vec<String> {
                 Safe::Under(other, by, _) => format!("{by} below {other}"),
                 Safe::Over(other, by, _) => format!("{by} above {other}"),
                 Safe::Keep(mask, _) => format!("keep 0x{mask:x}"),
+                other => format!("{other:?}"),
             };
             Some(format!("{}/{} {limit}", class.id, parameter.offset))
         })

@@ -218,12 +218,13 @@ impl Drop for Bench {
 
 /// The most transfers and calls that wait for the disk, besides two for the backup: of a first write with its backup, of a
 /// later one, and of one that changes nothing. Most of those of a part with RAM wait for CONFIG UPDATE.
-const CEILINGS: [(&str, [(u64, u64); 3]); 14] = [
+const CEILINGS: [(&str, [(u64, u64); 3]); 15] = [
     ("bq34z100-g1", [(120, 4), (40, 4), (21, 3)]),
     ("bq34z100-r2", [(128, 4), (40, 4), (21, 3)]),
     ("bq27520-g3", [(130, 4), (42, 4), (25, 3)]),
     ("bq27500", [(129, 4), (42, 4), (25, 3)]),
     ("bq27500-v130", [(129, 4), (42, 4), (25, 3)]),
+    ("bq27742-g1", [(129, 4), (42, 4), (25, 3)]),
     ("bq27441-g1", [(190, 4), (134, 4), (26, 3)]),
     ("bq27421-g1", [(190, 4), (134, 4), (26, 3)]),
     ("bq27426", [(163, 4), (94, 4), (26, 3)]),

@@ -111,6 +111,7 @@ pub(in crate::dataflash) fn put(
     moment: Moment,
     mut commits: impl FnMut(),
 ) -> Result<()> {
+    gauge.chip.check_block(block.place.subclass, block.place.base)?;
     for piece in sequence(gauge).pieces(block) {
         sequence(gauge).fill(gauge, &piece)?;
         if !gauge.is_unbroken_since(moment) {

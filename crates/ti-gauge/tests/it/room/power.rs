@@ -81,6 +81,7 @@ pub(crate) const CASES: &[Case] = &[
     },
     Case { chip: "bq27520-g3", values: &[((48, 10), "1200")], found: Seal::Sealed },
     Case { chip: "bq27500", values: &[((48, 10), "1200"), ((80, 48), "3100")], found: Seal::Sealed },
+    Case { chip: "bq27742-g1", values: &[((2, 0), "4350"), ((48, 12), "1200")], found: Seal::Sealed },
     Case { chip: "bq27441-g1", values: &[((82, 10), "1200")], found: Seal::Sealed },
     Case { chip: "bq27441-g1", values: &[((82, 10), "1200"), ((82, 16), "3100")], found: Seal::Unsealed },
     Case { chip: "bq27426", values: &[((82, 6), "1200")], found: Seal::Sealed },
