@@ -17,7 +17,7 @@ const LINES: [(&str, usize); 10] = [
     ("gauge-owner", 7_760),
     ("gauge-sim", 12_570),
     ("gauge-station", 3_800),
-    ("gaugefs", 19_330),
+    ("gaugefs", 19_340),
     ("gaugefs-client", 2_850),
     ("gaugefs-host", 600),
     ("gaugefs-screen", 6_160),
@@ -88,7 +88,7 @@ const GAUGE: [(&str, &str); 36] = [
     ("ti-gauge", "dataflash/rules.rs Wear"),
 ];
 /// The most fields of all of them. Thirty-one are options that people set, thirteen are counters that the program reads.
-const GAUGE_FIELDS: usize = 268;
+const GAUGE_FIELDS: usize = 269;
 
 /// The files of a crate that are product, and their text without tests.
 fn product(folder: &Path) -> BTreeMap<PathBuf, String> {
