@@ -7,6 +7,7 @@ use std::time::Duration;
 
 use gauge_bus::{regular, trace};
 use gauge_owner::{Effect, Origin, Report, Times};
+use ti_gauge::chip::sbs::failures::failures;
 use ti_gauge::chip::{Chip, Evidence, Role, Tier};
 use ti_gauge::dataflash::Place;
 use ti_gauge::notation;
@@ -76,6 +77,9 @@ fn gauge(chip: &Chip, report: &Report) -> Vec<String> {
     }
     if let Some(limited) = report.limited {
         about.push(format!("Limited: {}", printable(&limited.why(chip, answers))));
+    }
+    for one in failures(chip, |row| report.snapshot.value(row)) {
+        about.push(format!("Permanent failure: {}, {}; check {}", one.name, one.what, one.check));
     }
     let serial = chip.serial_register();
     for register in chip.registers.iter().filter(|register| register.tier != Tier::Window) {

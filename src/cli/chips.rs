@@ -14,7 +14,7 @@ use crate::config::chips;
 use crate::error::Result;
 use crate::output::{print, print_json};
 use gauge_sim::Sim;
-use ti_gauge::chip::{Chip, Evidence, KeyStorage, Kind, Register, Row as ParameterRow};
+use ti_gauge::chip::{Chip, Evidence, KeyStorage, Kind, Question, Register, Row as ParameterRow};
 use ti_gauge::dataflash::Place;
 
 const CHIPS: &str = "\
@@ -213,6 +213,12 @@ fn details(chip: &'static Chip) -> String {
         }
     };
     section("What works", &align(&lines));
+    let questions: Vec<_> = Question::all(chip)
+        .map(|(question, name)| [format!("0x{:04x}", question.code()), name.into()])
+        .collect();
+    if !questions.is_empty() {
+        section("Asked with --ask-the-pack", &align(&questions));
+    }
     section("How far it is proven", &align(&evidence.collect::<Vec<_>>()));
     if !chip.evidence.contains(&Evidence::RealPart) {
         section("Not proven", "on a real part: no report of one has come in; see `gaugefs report --help`");

@@ -172,6 +172,17 @@ impl Options for GaugeOptions {
             ..Opt::NEW
         },
         Opt {
+            name: "ask-the-pack",
+            effect: Effect::Switch(|to, on| to.ask_the_pack = on),
+            doc: "Ask a gauge of TI's in a Smart Battery for what the specification has no word for: sends the codes that \
+                  gauge/questions shows, and nothing else",
+            more: "The part is named by chip, or by the pack's DeviceName().",
+            heading: GAUGE,
+            at: ONE_MOUNTED,
+            not_with: &["replay"],
+            ..Opt::NEW
+        },
+        Opt {
             name: "byte-writes",
             effect: Effect::Switch(|to, on| to.byte_writes = on),
             doc: "Write one byte per transfer, as some gauges need above 100 kHz",

@@ -6,6 +6,7 @@
 
 use gauge_owner::{Handle, Snapshot};
 use ti_gauge::chip::sbs::CONDITION_FLAG;
+use ti_gauge::chip::sbs::failures::failures;
 use ti_gauge::chip::{Chip, Condition, Primary, Register, Role, Scale, Scheme, Signature, power};
 use ti_gauge::value::Value;
 use ti_gauge::{date, text};
@@ -469,6 +470,11 @@ impl Reading<'_> {
     /// In the order of the kernel's driver, which knows no voltages. `Dead` is a pack below the final threshold; in the
     /// driver it already is one below the first, which is `Low` in `capacity_level`.
     pub(super) fn health(&self) -> Option<&'static str> {
+        let word = |row: &Register| self.snapshot.and_then(|last| last.value(row));
+        if !failures(self.chip, word).is_empty() {
+            // As the kernel's `sbs-battery` calls the failure of a bq20z65.
+            return Some("Unspecified failure").filter(|_| self.is_present());
+        }
         let told = self.first_set(&health(&self.chip.condition), "Good");
         told.map(
             |word| if word == "Good" && self.wants_conditioning() { "Calibration required" } else { word },

@@ -17,7 +17,7 @@ use super::{Content, Item, Mode, Node, Operations, Shape, find, not_writable};
 use crate::report;
 use gauge_owner::{Answers, Done, Failure, FileOperation, Operation, operations as op};
 use ti_gauge::authentication;
-use ti_gauge::chip::{Bit, Limited, Register, Role, Tier, snake_case};
+use ti_gauge::chip::{Bit, Limited, Question, Register, Role, Source, Tier, snake_case};
 
 mod values;
 
@@ -73,6 +73,8 @@ static FILES: &[File] = &[
     file("charge_scale", Mode::Public, |gauge| scale(gauge, Kind::Charge)),
     file("energy_scale", Mode::Public, |gauge| scale(gauge, Kind::Energy)),
     file("pec", Mode::Public, |gauge| gauge.handle.pec().and_then(|pec| line(pec.as_str()))),
+    file("questions", Mode::Public, questions),
+    file("permanent_failure", Mode::Public, permanent_failure),
     file("presence", Mode::Public, |gauge| line(gauge.published().presence.number())),
     asks(&op::POLL_INTERVAL, Mode::ReadWrite, |gauge| line(gauge.published().interval.as_secs_f64())),
     asks(&op::REFRESH, Mode::Write, |_| empty()),
@@ -295,6 +297,35 @@ fn itpor(gauge: &Supply) -> Option<String> {
     line(u8::from(flags & i64::from(lost) != 0))
 }
 
+/// What a gauge of TI's in a Smart Battery is asked, or would be.
+fn questions(gauge: &Supply) -> Option<String> {
+    let (is_agreed, asked) = gauge.handle.asked()?;
+    let state = match (is_agreed, gauge.chip().asks) {
+        (_, None) => {
+            "not asked: name TI's gauge in the pack, such as --chip bq40z50-r2; `gaugefs chips` has all"
+                .into()
+        }
+        (true, _) => asked.to_string(),
+        (false, _) => "not asked: with --ask-the-pack these codes are sent".into(),
+    };
+    let rows =
+        Question::all(gauge.chip()).map(|(question, name)| format!("0x{:04x} {name}\n", question.code()));
+    Some(format!("{state}\n{}", rows.collect::<String>()))
+}
+
+/// A line for each reason, and an empty text without one.
+fn permanent_failure(gauge: &Supply) -> Option<String> {
+    let snapshot = gauge.fresh()?;
+    let known = Source::Answer(Question::PF_STATUS);
+    gauge.chip().register_at(known).and_then(|row| snapshot.value(row))?;
+    let failures = gauge.handle.failures().into_iter();
+    Some(
+        failures
+            .map(|failure| format!("{}: {}; check {}\n", failure.name, failure.what, failure.check))
+            .collect(),
+    )
+}
+
 fn scale(gauge: &Supply, kind: Kind) -> Option<String> {
     line(gauge.reading(Some(&*gauge.fresh()?)).scale(kind)?)
 }
@@ -392,7 +423,7 @@ fn register(gauge: &Supply, at: u8) -> Option<String> {
 
 fn bits(gauge: &Supply, at: u8) -> Option<String> {
     let register = &gauge.chip().registers[usize::from(at)];
-    set_bits(register.bits, gauge.fresh()?.value(register)?)
+    line(register.set(gauge.fresh()?.value(register)?).join(" "))
 }
 
 fn statistics(gauge: &Supply) -> Vec<(u8, String)> {

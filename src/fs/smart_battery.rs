@@ -434,6 +434,7 @@ mod tests {
                 }
             }
         }
+        left_out.retain(|name| Chip::by_name(name).is_some_and(|chip| chip.asks.is_none()));
         assert_eq!(left_out, ["bq35100", "bq27521", "sbs"]);
         for status in ["Charging", "Discharging", "Full", "Not charging"] {
             assert!(seen.get(status).is_some_and(|&times| times > 3), "{status}: {seen:?}");

@@ -8,7 +8,7 @@ use std::path::Path;
 
 use nix::errno::Errno;
 
-use super::room::{Folder, can_mount, gaugefs, within};
+use super::room::{Folder, can_mount, command, gaugefs, run, within};
 
 /// Every file below a folder, `sim/` left out: its knobs are turned by no program.
 fn files(folder: &Path, into: &mut Vec<std::path::PathBuf>) {
@@ -151,5 +151,121 @@ fn a_recording_and_a_report_of_a_pack_are_its_replay() {
         assert_eq!(fs::read_to_string(format!("{at}/BAT0/gauge/last_error")).expect("a file"), "");
         assert_eq!(errno(fs::write(format!("{at}/BAT0/gauge/control"), "1")), Some(Errno::EROFS as i32));
         gaugefs(&["umount", &at]).done();
+    }
+}
+
+/// Reads, writes and commands of a pack that is asked: only questions reach it, and it is not harmed.
+#[test]
+fn an_asked_pack_is_sent_its_questions_and_tells_why_it_has_failed() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let at = folder.file("m");
+    let options = ["mount", "--sim", "bq40z50-r2", "--poll", "0.5", "--sim-set", "pf_status=0x00000801"];
+    gaugefs(&[&options[..], &[&at]].concat()).done();
+    let gauge = format!("{at}/BAT0");
+    let cat = |name: &str| fs::read_to_string(format!("{gauge}/{name}")).expect(name).trim().to_string();
+    assert!(
+        cat("gauge/questions")
+            .starts_with("not asked: with --ask-the-pack these codes are sent\n0x0001 DeviceType")
+    );
+    assert!(!Path::new(&gauge).join("gauge/pf_status").exists());
+    assert_eq!((cat("sim/written"), cat("health")), ("0".into(), "Good".into()));
+    gaugefs(&["umount", &at]).done();
+
+    gaugefs(&[&options[..], &["--ask-the-pack", &at]].concat()).done();
+    assert_eq!([cat("gauge/pf_status"), cat("health")], ["VIMR SUV", "Unspecified failure"]);
+    assert_eq!(cat("gauge/operation_status"), "XCHG XDSG PF SEC1 SEC0 PRES");
+    assert_eq!(cat("gauge/registers/da_status1_cell_voltage1"), "3855");
+    let reasons = cat("gauge/permanent_failure");
+    assert!(reasons.contains("SUV: a cell was far below") && reasons.lines().count() == 2, "{reasons}");
+    let error = cat("gauge/last_error");
+    assert!(
+        error.contains("out of use for good, by a permanent failure: VIMR (") && error.contains("SUV ("),
+        "{error}"
+    );
+    let metrics = gaugefs(&["metrics", &at]).done();
+    assert!(
+        metrics.contains("gaugefs_permanent_failure_info{") && metrics.contains("reason=\"SUV\""),
+        "{metrics}"
+    );
+    let top = gaugefs(&["top", "--json", "--count", "1", &at]).done();
+    assert!(top.contains("permanent failure: VIMR"), "{top}");
+    let file = folder.file("report.txt");
+    gaugefs(&["report", "-o", &file, &gauge]).done();
+    let report = fs::read_to_string(&file).expect("a report");
+    assert!(report.contains("Permanent failure: SUV, a cell was far below"), "{report}");
+
+    let key = folder.file("key");
+    fs::write(&key, "unseal = 0414 3672\n").expect("a file");
+    fs::set_permissions(&key, fs::Permissions::from_mode(0o600)).expect("its mode");
+    for command in [
+        &["set", &gauge, "design-capacity=1000"][..],
+        &["export", &gauge],
+        &["calibrate", &gauge, "board-offset"],
+        &["keys", &gauge, "--key-file", &key],
+        &["check", &gauge],
+    ] {
+        gaugefs(command);
+    }
+    let mut all = Vec::new();
+    files(Path::new(&gauge), &mut all);
+    assert!(all.len() > 180, "{}", all.len());
+    for path in &all {
+        let _ = fs::read(path);
+        for text in ["0x0010", "0x0029", "unsealed", "1"] {
+            let _ = fs::write(path, text);
+        }
+    }
+    assert_eq!(errno(fs::write(format!("{gauge}/gauge/control"), "0x0010")), Some(Errno::EPERM as i32));
+    assert_eq!(
+        [cat("sim/harm"), cat("sim/battery_mode"), cat("gauge/pf_status")],
+        ["0", "0x0000", "VIMR SUV"]
+    );
+
+    fs::write(format!("{gauge}/sim/device_type"), "0x9e34").expect("a knob");
+    within("asking ends", || cat("gauge/questions").starts_with("ended: it is another part, of type 0x9e34"));
+    within("its status is not shown", || !Path::new(&gauge).join("gauge/pf_status").exists());
+    gaugefs(&["umount", &at]).done();
+}
+
+/// A chip of a file, and DeviceName() on a bus where none is named.
+#[test]
+fn a_part_that_is_asked_is_named_by_its_user_or_by_its_pack() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let [at, file, bus] = ["m", "gauges.toml", "bus"].map(|name| folder.file(name));
+    fs::write(&file, format!("[[gauge]]\nbus = '{bus}'\nchip = \"bq40z50-r2\"\nask-the-pack = true\n"))
+        .expect("a file");
+    let script = r#"
+mount=$1; shift
+"$gaugefs" mount "$@" "$mount" || exit
+head -n 1 "$mount"/BAT0/gauge/questions
+"$gaugefs" umount "$mount"
+"#;
+    let on_bus = ["--bus", &bus, "--address", "0x0b"];
+    let answers = "answers by blocks at 0x44: firmware 2.11, build 52\n";
+    for (simulated, options, first) in [
+        ("bq40z50-r2", &[&on_bus[..], &["--ask-the-pack"]].concat()[..], answers),
+        ("bq40z50-r2", &["--config", &file], answers),
+        ("bq40z50-r2", &on_bus, "not asked: with --ask-the-pack these codes are sent\n"),
+        (
+            "bq40z50-r2",
+            &["--bus", &bus, "--chip", "bq4050", "--ask-the-pack"],
+            "ended: it is another part, of type 0x4500\n",
+        ),
+        (
+            "sbs",
+            &[&on_bus[..], &["--ask-the-pack"]].concat(),
+            "not asked: name TI's gauge in the pack, such as --chip bq40z50-r2; `gaugefs chips` has all\n",
+        ),
+    ] {
+        let bash = ["--", "bash", "-c", script, "bash", &at];
+        let mut sim = command(&[&["sim", simulated, "--fast", &bus], &bash[..], options].concat());
+        sim.env("gaugefs", env!("CARGO_BIN_EXE_gaugefs"));
+        assert_eq!(run(sim).done(), first, "{options:?}");
     }
 }

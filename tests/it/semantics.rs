@@ -112,9 +112,11 @@ fn semantics_of_the_tree() {
         .collect();
     let (mut seen, mut seen_in_gauge) = (BTreeSet::new(), BTreeSet::new());
     // One attribute is only a bq27000's, and some are a Smart Battery's.
-    let others = ["bq27000", "sbs"].into_iter().filter_map(Chip::by_name);
+    let others = ["bq27000", "sbs", "bq40z50-r2"].into_iter().filter_map(Chip::by_name);
     for chip in CHIPS.iter().copied().chain(others) {
-        let Some(mount) = Mount::new(chip.name, &["--energy", "--poll", "0.5"]) else { return };
+        let all = ["--energy", "--poll", "0.5", "--ask-the-pack"];
+        let options = if chip.asks.is_some() { &all[..] } else { &all[..3] };
+        let Some(mount) = Mount::new(chip.name, options) else { return };
         for load in ["500", "-500"] {
             // A primary cell cannot be charged.
             let set = mount.echo(load, "sim/load_ma");

@@ -39,6 +39,8 @@ pub struct GaugeOptions {
     pub chip: Option<&'static Chip>,
     /// Replay a gauge from this recording.
     pub replay: Option<PathBuf>,
+    /// Send a gauge of TI's in a Smart Battery the questions of its table.
+    pub ask_the_pack: bool,
     /// Write one byte a transfer.
     pub byte_writes: bool,
     /// Image that a gauge without flash gets again after it has lost power.

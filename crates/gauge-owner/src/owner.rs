@@ -202,6 +202,9 @@ impl Owner {
         if run.origin.address != 0 {
             gauge = gauge.at(run.origin.address);
         }
+        if run.options.ask_the_pack {
+            gauge = gauge.asked();
+        }
         if let Some(file) = run.keys_from {
             gauge.key_file = file;
         }

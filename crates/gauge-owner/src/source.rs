@@ -4,6 +4,7 @@
 
 use std::fmt;
 use std::path::{Path, PathBuf};
+use std::ptr;
 use std::sync::Arc;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
@@ -20,9 +21,11 @@ use gauge_bus::{AdapterModel, Bus, BusError, GAUGE_ADDRESS, Reach};
 use gauge_sim::scenario::Scenario;
 use gauge_sim::{self, Level, Sim, SimBus};
 use gaugefs_client::mounts;
-use ti_gauge::chip::{self, Chip, Tier};
-use ti_gauge::gauge::reads;
+use ti_gauge::chip::{self, Chip, Role, Tier};
+use ti_gauge::gauge::{Gauge, reads};
+use ti_gauge::keys::Keys;
 use ti_gauge::probe::{self, ROM_ADDRESS, Target};
+use ti_gauge::registers::Registers;
 use ti_gauge::rom::{self, Device};
 
 /// Longest time from the power-up of a simulated gauge to its first answer.
@@ -320,8 +323,12 @@ fn on_bus(
     };
     let lock = claim(&adapter, address, mountpoint, clock)?;
     let known = match chip {
+        Some(chip) if ptr::eq(chip, &chip::sbs::CHIP) => named_by_pack(open()?, address, clock),
         Some(chip) => chip,
-        None if address == ROM_ADDRESS => smart_battery(&mut *open()?, &**clock, subject)?,
+        None if address == ROM_ADDRESS => {
+            smart_battery(&mut *open()?, &**clock, subject)?;
+            named_by_pack(open()?, address, clock)
+        }
         None => {
             let clock_hz = adapter.clock_hz();
             probe::find(subject, &Target { open: &open, clock, reach, clock_hz }).map_err(named)?
@@ -337,16 +344,27 @@ fn on_bus(
 }
 
 /// What answers at ROM mode's address, by reads alone: any other question might be a command there.
-fn smart_battery(bus: &mut dyn Bus, clock: &dyn Clock, subject: &str) -> Result<&'static Chip> {
+fn smart_battery(bus: &mut dyn Bus, clock: &dyn Clock, subject: &str) -> Result<()> {
     let found = rom::find(bus, clock).map_err(|error| error.within(subject))?;
     match found.ok_or_else(|| Error::from(BusError::NoAck).within(subject))? {
-        Device::SmartBattery => Ok(&chip::sbs::CHIP),
+        Device::SmartBattery => Ok(()),
         Device::BootLoader | Device::Unclear => {
             let why = "it does not read like a Smart Battery, and nothing was written to it; a gauge that answers only \
                        here is in ROM mode (`gaugefs rescue --help`)";
             Err(Error::new(subject, Cause::Gone, why).at(Step::Identify))
         }
     }
+}
+
+/// A Smart Battery, or the gauge of TI's in it whose name is its DeviceName(). It is only read.
+fn named_by_pack(bus: Box<dyn Bus>, address: u8, clock: &Arc<dyn Clock>) -> &'static Chip {
+    let pack = &chip::sbs::CHIP;
+    let mut gauge = Gauge::new(pack, bus, clock.clone(), Keys::default()).at(address);
+    let mut registers = Registers::unread(pack.registers);
+    // A pack that does not answer now is opened as any other.
+    let read = registers.read(&mut gauge, |tier| tier == Tier::Static);
+    let name = pack.register(Role::ModelName).and_then(|row| registers.text(row)).filter(|_| read.is_ok());
+    name.and_then(|name| chip::sbs::ti::by_device_name(name)).unwrap_or(pack)
 }
 
 /// Locks a gauge on a bus, which has no mux.
@@ -432,7 +450,7 @@ pub fn recorded(path: &Path) -> Result<(&'static Chip, Replay)> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use gauge_bus::clock::RealClock;
+    use gauge_bus::clock::{RealClock, SimClock};
 
     #[test]
     fn a_gauge_is_at_the_address_of_its_part_unless_another_is_named() {
@@ -449,5 +467,20 @@ mod tests {
         let bus = gauge_sim::Sim::new(table.name, &gauge_sim::Options::default(), Arc::new(RealClock::new()));
         let bus = Box::new(bus.expect("a part of the simulator").bus());
         assert_eq!(Opened::new(other, bus, String::new()).address, 0x16);
+    }
+
+    #[test]
+    fn a_pack_is_the_part_of_its_device_name_and_is_only_read_for_it() {
+        for (simulated, named) in
+            [("sbs", "sbs"), ("bq40z50-r2", "bq40z50-r2"), ("bq4050", "bq4050"), ("bq40z80", "sbs")]
+        {
+            let clock = Arc::new(SimClock::new());
+            let sim =
+                Sim::new(simulated, &gauge_sim::Options::default(), clock.clone()).expect("it is simulated");
+            clock.sleep(Duration::from_secs(1));
+            let clock: Arc<dyn Clock> = clock;
+            assert_eq!(named_by_pack(Box::new(sim.bus()), 0x0b, &clock).name, named, "{simulated}");
+            assert_eq!(sim.get("written").as_deref(), Some("0"), "{simulated}");
+        }
     }
 }

@@ -307,7 +307,7 @@ impl Device {
     fn program(&mut self, wire: &mut dyn Wire, kept: Kept) {
         let Kept { area, offset, bytes } = match self.part.scheme {
             Scheme::Block(_) => self.whole_block(kept),
-            Scheme::Mac(_) | Scheme::Registers(_) | Scheme::Smbus => kept,
+            Scheme::Mac(_) | Scheme::Registers(_) | Scheme::Smbus(_) => kept,
         };
         let before = self.flash.clone();
         self.flash.program(area, offset, &bytes);
@@ -660,10 +660,11 @@ impl Gauge {
             | (Of::Block, Scheme::Block(_))
             | (Of::Mac, Scheme::Mac(_)) => true,
             (Of::Gauge, Scheme::Registers(_)) => knob::OF_REGISTERS.contains(&knob.name),
-            (Of::Gauge, Scheme::Smbus) => knob::OF_PACKS.contains(&knob.name),
+            (Of::Gauge, Scheme::Smbus(_)) => knob::OF_PACKS.contains(&knob.name),
             (Of::Volts, Scheme::Registers(part)) => part.in_volts,
             (Of::Fets, Scheme::Block(part)) => part.protector.is_some(),
-            (Of::Smart, scheme) => matches!(scheme, Scheme::Smbus),
+            (Of::Ti, scheme) => matches!(scheme, Scheme::Smbus(Some(_))),
+            (Of::Smart, scheme) => matches!(scheme, Scheme::Smbus(_)),
             (Of::Block | Of::Mac | Of::Fets | Of::Volts, _) => false,
         }
     }

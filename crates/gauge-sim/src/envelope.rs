@@ -244,7 +244,7 @@ impl Envelope {
                 timing.lock = lock;
                 new.key_lock = random.pick(&[false, true]);
             }
-            Scheme::Block(_) | Scheme::Registers(_) | Scheme::Smbus => {}
+            Scheme::Block(_) | Scheme::Registers(_) | Scheme::Smbus(_) => {}
             // E2E 888302.
             Scheme::Mac(_) => {
                 timing.refused_quiet = quiet;

@@ -51,6 +51,8 @@ pub(super) enum Of {
     Volts,
     /// A Smart Battery.
     Smart,
+    /// A gauge of TI's in one.
+    Ti,
 }
 
 impl Of {
@@ -208,6 +210,17 @@ pub(super) static KNOBS: &[Knob] = &[
     Of::Smart.set("sleeps", "`on`: after 10 s of silence it answers only 1 s after it was addressed; `off`"),
     Of::Smart.set("failed", "`on`: a permanent failure, after which its switches stay open for good; `off`"),
     Of::Smart.show("written", "messages that were more than a command and a read"),
+    Of::Ti.set("device_type", "DeviceType() in hexadecimal, of another part; or `printed`"),
+    Of::Ti.set("ti_firmware", "the version of its firmware in hexadecimal, two digits behind the point; or `printed`"),
+    Of::Ti.set("pf_status", "PFStatus() in hexadecimal: the reasons of a permanent failure; 0x00000000 for none"),
+    Of::Ti.set("sealed", "`on`; `off`: unsealed, where every command works"),
+    Of::Ti.set("unknown", "codes in hexadecimal that its firmware does not have, or `none`"),
+    Of::Ti.set(
+        "mac",
+        "`right`, `silent` for no acknowledgement, `echo` for another code before the answer, `noise` for other bytes",
+    ),
+    Of::Ti.set("stale", "how many of the next answers are the block before, as while it programs its flash"),
+    Of::Ti.show("harm", "commands that did more than answer"),
     Of::Gauge.set("key_quiet_ms", "silence on the bus without which a key is refused"),
     Of::Gauge.set("full_access_quiet_ms", "the same for the key to FULL ACCESS"),
     Of::Gauge.set("refused_quiet_ms", "the same after a key was refused"),

@@ -258,7 +258,7 @@ fn make(part: &'static Part, options: &Options, now: Duration) -> Result<Gauge> 
         Scheme::Block(scheme) => Block::gauge(part, scheme, options, now),
         Scheme::Mac(scheme) => Mac::gauge(part, scheme, options, now),
         Scheme::Registers(scheme) => Register::gauge(part, scheme, options, now),
-        Scheme::Smbus => SmartBattery::gauge(part, options, now),
+        Scheme::Smbus(ti) => SmartBattery::gauge(part, ti, options, now),
     }?;
     options.seal.map_or(Ok(()), |level| gauge.set_level(level))?;
     Ok(gauge)

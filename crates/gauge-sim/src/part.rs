@@ -30,7 +30,7 @@ impl Part {
         match self.scheme {
             Scheme::Block(part) => part.data_memory.is_none(),
             Scheme::Mac(part) => part.data_memory.is_none(),
-            Scheme::Registers(_) | Scheme::Smbus => false,
+            Scheme::Registers(_) | Scheme::Smbus(_) => false,
         }
     }
 }
@@ -38,13 +38,13 @@ impl Part {
 impl Part {
     /// Its address on the bus.
     pub(super) fn address(&self) -> u8 {
-        if matches!(self.scheme, Scheme::Smbus) { SMART_BATTERY } else { GAUGE_ADDRESS }
+        if matches!(self.scheme, Scheme::Smbus(_)) { SMART_BATTERY } else { GAUGE_ADDRESS }
     }
 
     fn layout(&self) -> Option<Layout> {
         match self.scheme {
             Scheme::Block(part) => part.rom,
-            Scheme::Mac(_) | Scheme::Registers(_) | Scheme::Smbus => None,
+            Scheme::Mac(_) | Scheme::Registers(_) | Scheme::Smbus(_) => None,
         }
     }
 
@@ -81,8 +81,8 @@ pub(super) enum Scheme {
     Block(&'static BlockPart),
     Mac(&'static MacPart),
     Registers(&'static RegisterPart),
-    /// A Smart Battery, which has no registers.
-    Smbus,
+    /// A Smart Battery, which has no registers, and the gauge of TI's in it.
+    Smbus(Option<&'static TiPart>),
 }
 
 /// A bit of the word at a place.
@@ -289,6 +289,22 @@ pub(super) struct MacPart {
     pub(super) predicted: &'static [u8],
     pub(super) initialized: (u8, u16),
     pub(super) model: fn(&Flash) -> Box<dyn MacModel>,
+}
+
+/// A gauge of TI's in a Smart Battery, with ManufacturerAccess().
+#[derive(Debug)]
+pub(super) struct TiPart {
+    pub(super) device_name: &'static str,
+    pub(super) device_type: u16,
+    /// BCD, two digits behind the point.
+    pub(super) version: u16,
+    pub(super) build: u16,
+    /// The command codes of the answers: 0x44 has the command before it, and 0x00 is a word.
+    pub(super) answers_at: &'static [u8],
+    /// Commands that answer, and the length of the answer.
+    pub(super) answers: &'static [(u16, usize)],
+    /// Commands that do something.
+    pub(super) does: &'static [u16],
 }
 
 /// A part known by its standard commands only.

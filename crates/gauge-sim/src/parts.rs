@@ -23,6 +23,7 @@ mod bq34z100_r2;
 mod bq35100;
 mod kernel;
 mod sbs;
+mod ti;
 
 static PARTS: &[&Part] = &[
     &bq34z100_g1::PART,
@@ -45,9 +46,9 @@ static PARTS: &[&Part] = &[
     &bq28z610::PART,
 ];
 
-/// Every part: those with data flash, those known by their standard commands only, and the Smart Battery.
+/// Every part: those with data flash, those known by their standard commands only, the Smart Battery, and TI's gauges in one.
 pub(super) fn all() -> impl Iterator<Item = &'static Part> {
-    PARTS.iter().chain(kernel::PARTS).copied().chain([&sbs::PART])
+    PARTS.iter().chain(kernel::PARTS).copied().chain([&sbs::PART]).chain(ti::PARTS.iter().copied())
 }
 
 /// Compares blocks of an image with the checksums of documents and real parts.

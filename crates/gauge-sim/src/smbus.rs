@@ -13,12 +13,14 @@ use super::flash::Flash;
 use super::knob::{self, KnobChoice, KnobValue};
 use super::model::Model;
 use super::options::Options;
-use super::part::{Part, SMART_BATTERY as ADDRESS};
+use super::part::{Part, SMART_BATTERY as ADDRESS, TiPart};
 use super::seal::Level;
 use gauge_bus::error::{Error, ErrorKind, Result};
 
+mod mac;
 mod pack;
 
+use mac::Mac;
 use pack::{BATTERY_MODE, Pack};
 
 /// Silence after which a pack that sleeps does so, and how long it is not awake after the first message then.
@@ -99,6 +101,10 @@ impl KnobValue for Answers {
 
 pub(super) struct SmartBattery {
     pack: Pack,
+    /// The gauge of TI's in it.
+    mac: Option<Mac>,
+    /// It has turned itself off, until power comes.
+    is_off: bool,
     pec: Pec,
     answers: Answers,
     sleeps: bool,
@@ -113,10 +119,17 @@ pub(super) struct SmartBattery {
 
 impl SmartBattery {
     #[inline(never)] // A gauge as a value is large; those of all schemes are not to be on the stack together.
-    pub(super) fn gauge(part: &'static Part, options: &Options, now: Duration) -> Result<Gauge> {
+    pub(super) fn gauge(
+        part: &'static Part,
+        ti: Option<&'static TiPart>,
+        options: &Options,
+        now: Duration,
+    ) -> Result<Gauge> {
         let device = Device::new(part, options, now, |_| {})?;
         let gauge = Self {
             pack: Pack::new(),
+            mac: ti.map(Mac::new),
+            is_off: false,
             pec: Pec::Right,
             answers: Answers::default(),
             sleeps: false,
@@ -139,9 +152,25 @@ impl SmartBattery {
     }
 
     /// The bytes of an answer without PEC; `None` if the code is not acknowledged.
-    fn answer(&self, code: u8) -> Option<Vec<u8>> {
+    fn answer(&mut self, code: u8) -> Option<Vec<u8>> {
         if let Some(given) = self.answers.of(code) {
             return given.cloned();
+        }
+        if let Some(mac) = &mut self.mac {
+            match code {
+                0x21 => {
+                    let name = mac.device_name().as_bytes();
+                    return Some([&[name.len() as u8], name].concat());
+                }
+                // CellVoltage15() to 5() (SLUUBD3D 17.2).
+                0x31..=0x3B if mac.has_15_cells() => {
+                    return Some(self.pack.cell_mv(0x40 - code).to_le_bytes().to_vec());
+                }
+                code if mac.answers_at(code) => return mac.told(code),
+                0x23 | 0x44 => return None,
+                0x00 => return Some((mac.status() as u16).to_le_bytes().to_vec()),
+                _ => {}
+            }
         }
         if RESERVED.contains(&code) {
             return Some(self.last.to_vec());
@@ -174,8 +203,23 @@ impl SmartBattery {
     }
 
     /// Takes a word, with its PEC or without one.
-    fn write(&mut self, code: u8, data: &[u8]) -> std::result::Result<(), usize> {
+    fn write(&mut self, code: u8, data: &[u8], now: Duration) -> std::result::Result<(), usize> {
         self.written += 1;
+        if let (Some(mac), 0x44, [2, low, high, rest @ ..]) = (&mut self.mac, code, data)
+            && mac.answers_at(0x44)
+        {
+            return match rest {
+                [] => {
+                    self.is_off = mac.command(u16::from_le_bytes([*low, *high]), &self.pack, now);
+                    Ok(())
+                }
+                [pec] if *pec == crc(&[ADDRESS << 1, code, 2, *low, *high]) => {
+                    self.is_off = mac.command(u16::from_le_bytes([*low, *high]), &self.pack, now);
+                    Ok(())
+                }
+                _ => Err(5),
+            };
+        }
         let &[low, high, ref rest @ ..] = data else { return Err(1 + data.len()) };
         let sum = crc(&[ADDRESS << 1, code, low, high]);
         match rest {
@@ -184,7 +228,11 @@ impl SmartBattery {
             [pec] if *pec == sum => {}
             _ => return Err(4),
         }
-        self.pack.set(code, u16::from_le_bytes([low, high]));
+        let word = u16::from_le_bytes([low, high]);
+        match &mut self.mac {
+            Some(mac) if code == 0x00 => self.is_off = mac.command(word, &self.pack, now),
+            _ => self.pack.set(code, word),
+        }
         Ok(())
     }
 }
@@ -207,13 +255,13 @@ impl Wire for SmartBattery {
         read: &mut [u8],
     ) -> Option<std::result::Result<(), usize>> {
         Some(match write {
-            _ if !self.is_awake(device.now) => Err(0),
+            _ if self.is_off || !self.is_awake(device.now) => Err(0),
             [code] if !read.is_empty() => self.read(*code, read).ok_or(1),
             [] => {
                 read.fill(0xFF);
                 Ok(())
             }
-            [code, data @ ..] => self.write(*code, data),
+            [code, data @ ..] => self.write(*code, data, device.now),
         })
     }
 
@@ -239,6 +287,7 @@ impl Wire for SmartBattery {
 
     fn reset(&mut self, _: &mut Device) {
         self.pack.set(BATTERY_MODE, 0);
+        self.is_off = false;
     }
 
     fn run(&mut self, device: &mut Device, settle: bool) {
@@ -265,7 +314,7 @@ impl Wire for SmartBattery {
             "sleeps" => self.sleeps.show(),
             "failed" => self.pack.has_failed.show(),
             "written" => self.written.to_string(),
-            _ => return None,
+            name => return self.mac.as_ref()?.knob(name),
         })
     }
 
@@ -275,6 +324,12 @@ impl Wire for SmartBattery {
             word.turn(name, text)?;
             word.ok_or_else(|| Error::new(name, ErrorKind::Invalid, "not a word; write one such as 0x0031"))
         };
+        if let Some(mac) = &mut self.mac
+            && let Some(turned) = mac.turn(name, text)
+        {
+            self.pack.has_failed = mac.has_failed();
+            return turned;
+        }
         match name {
             "series" => self.pack.set_series(knob::number(name, text, 1.0, 16.0)?.round()),
             "specification" => self.pack.specification = word(text)?,
@@ -285,7 +340,12 @@ impl Wire for SmartBattery {
                 let why = "it has failed for good; put another pack in its place";
                 return Err(Error::new(name, ErrorKind::NotPermitted, why));
             }
-            "failed" => self.pack.has_failed.turn(name, text)?,
+            "failed" => {
+                self.pack.has_failed.turn(name, text)?;
+                if let (Some(mac), true) = (&mut self.mac, self.pack.has_failed) {
+                    mac.fail();
+                }
+            }
             _ => self.answers.turn(name, text)?,
         }
         Ok(())

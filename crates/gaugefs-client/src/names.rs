@@ -111,6 +111,8 @@ static FILES: &[(&str, &str)] = &[
     ("charge_scale", ""),
     ("energy_scale", ""),
     ("pec", ""),
+    ("questions", ""),
+    ("permanent_failure", ""),
     ("presence", ""),
     ("poll_interval", "s"),
     ("age_ms", "ms"),

@@ -38,6 +38,7 @@ mod names;
 mod parameter;
 mod preflight;
 mod proof;
+mod question;
 mod recognise;
 mod source;
 mod values;
@@ -49,6 +50,7 @@ pub use identity::{Answers, Identity, SIBLINGS, Sibling, Signature};
 pub use names::{Unnamed, kebab_case, snake_case};
 pub use parameter::{FLAT, Kind, Parameter, Range, Row, Safe, Stays, Subclass};
 pub use preflight::{Learning, Mode, Pack, Preflight};
+pub use question::{Asks, Question, Way};
 pub use recognise::{Limited, Recognised, recognise};
 pub use source::Source;
 pub use values::Values;
@@ -110,6 +112,8 @@ pub struct Chip {
     pub scaling: Scaling,
     /// How the seal state is read and changed.
     pub security: Security,
+    /// How a gauge of TI's in a Smart Battery is asked; `None` of a part that is not asked so.
+    pub asks: Option<&'static Asks>,
     /// How data flash is read and written, with the delays.
     pub access: Access,
     /// The voltage that a data-flash write needs.
@@ -309,7 +313,7 @@ pub enum Role {
 }
 
 /// A standard command.
-#[derive(Clone, Debug)]
+#[derive(Clone, Copy, Debug)]
 pub struct Register {
     /// Where it is read.
     pub source: Source,
@@ -343,6 +347,8 @@ pub struct Register {
     pub other: Option<Other>,
     /// Names of its bits, if it is a flag word.
     pub bits: &'static [Bit],
+    /// Bits without a name are told as well.
+    pub tells_all: bool,
 }
 
 /// What a register feeds while a bit of another register is set.
@@ -746,12 +752,25 @@ impl Register {
             validity: None,
             other: None,
             bits: &[],
+            tells_all: false,
         }
     }
 
     /// A row that is the answer to a subcommand.
     pub const fn answer(code: u16, kind: Type, name: &'static str, unit: &'static str, tier: Tier) -> Self {
         Self { source: Source::Answer(code), ..Self::new(0, kind, name, unit, tier) }
+    }
+
+    /// A row that is some bytes of the answer to a subcommand.
+    pub const fn within(
+        code: u16,
+        at: u8,
+        kind: Type,
+        name: &'static str,
+        unit: &'static str,
+        tier: Tier,
+    ) -> Self {
+        Self { source: Source::Within(code, at), ..Self::new(0, kind, name, unit, tier) }
     }
 
     /// The property it feeds.
@@ -811,6 +830,13 @@ impl Register {
         self
     }
 
+    /// Its bits without a name are told by their numbers.
+    #[must_use]
+    pub const fn tells_all(mut self) -> Self {
+        self.tells_all = true;
+        self
+    }
+
     /// Names of its bits.
     #[must_use]
     pub const fn bits(mut self, bits: &'static [Bit]) -> Self {
@@ -820,6 +846,20 @@ impl Register {
 }
 
 impl Register {
+    /// The bits that are set in a word of flags, by name. Of the answers of a Smart Battery's gauge one without a name is
+    /// told as well: firmware is newer than documents.
+    pub fn set(&self, word: i64) -> Vec<String> {
+        let is_set = |mask: u32| word & i64::from(mask) != 0;
+        let mut set: Vec<_> =
+            self.bits.iter().filter(|bit| is_set(bit.mask)).map(|bit| bit.name.to_string()).collect();
+        if self.tells_all {
+            let named = self.bits.iter().fold(0, |all, bit| all | i64::from(bit.mask));
+            let others = (0..8 * u32::from(self.size)).filter(|number| word & !named & 1 << number != 0);
+            set.splice(0..0, others.map(|number| format!("bit {number}")).collect::<Vec<_>>());
+        }
+        set
+    }
+
     /// A reading in that fraction of the unit of its role, without the rest.
     pub fn in_unit(&self, value: i64, fraction: i64) -> i64 {
         in_steps(value, fraction, self.step)
@@ -875,9 +915,14 @@ impl Chip {
         }
     }
 
-    /// Every chip: those with a table, those with standard commands only, and the Smart Battery.
+    /// Every chip: those with a table, those with standard commands only, the Smart Battery, and TI's gauges in one.
     pub fn all() -> impl Iterator<Item = &'static Chip> {
-        CHIPS.iter().copied().chain(kernel::GAUGES.iter().copied()).chain([&sbs::CHIP])
+        CHIPS
+            .iter()
+            .copied()
+            .chain(kernel::GAUGES.iter().copied())
+            .chain([&sbs::CHIP])
+            .chain(sbs::ti::GAUGES.iter().copied())
     }
 
     /// The chip of that name on the command line, or else of that name in the kernel's driver or in TI's documents.

@@ -16,6 +16,7 @@ use gauge_bus::clock::Clock;
 use gauge_bus::{Bus, Reach};
 
 mod access;
+mod asked;
 mod control;
 pub(crate) mod dialect;
 mod effects;
@@ -28,6 +29,7 @@ mod wire;
 
 use access::Access;
 pub use access::DEFAULT_FULL_ACCESS;
+pub use asked::Asked;
 use dialect::Dialect;
 pub use dialect::{reads, replay};
 pub use effects::Effects;
@@ -97,6 +99,13 @@ impl Gauge {
     #[must_use]
     pub fn at(mut self, address: u8) -> Self {
         self.wire.at(address);
+        self
+    }
+
+    /// The gauge of TI's in a Smart Battery, which its user lets be asked the questions of its table.
+    #[must_use]
+    pub fn asked(mut self) -> Self {
+        self.dialect = dialect::asking(self.chip);
         self
     }
 

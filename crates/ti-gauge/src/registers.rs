@@ -11,8 +11,6 @@ use crate::codec;
 use crate::error::Result;
 use crate::gauge::{Answer, Gauge};
 
-const ADDRESSES: usize = 128;
-
 /// A number as standard commands have it, least significant byte first.
 pub(crate) fn number(bytes: &[u8]) -> i64 {
     codec::Order::Little.number(bytes)
@@ -58,20 +56,7 @@ impl Registers {
         gauge.read_rows(rows, &wanted, &mut |answer| match answer {
             Answer::Burst(start, bytes) => self.fill(start, bytes),
             Answer::Row(row, bytes) => self.set(row, bytes),
-        })?;
-        let mut bytes = [0; ADDRESSES];
-        for (row, cell) in self.rows.iter().zip(&mut self.cells).filter(|(row, _)| wanted(row.tier)) {
-            match row.source {
-                Source::Command(_) => {}
-                Source::Answer(code) => {
-                    let bytes = &mut bytes[..usize::from(row.size)];
-                    gauge.ask_bytes(code, bytes)?;
-                    *cell = Some(Cell::of(row, bytes));
-                }
-                Source::Status => *cell = Some(Cell::Number(gauge.control_status()?.1.into())),
-            }
-        }
-        Ok(())
+        })
     }
 
     /// Takes the registers whose bytes are all among these, from an address on.

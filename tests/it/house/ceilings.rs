@@ -14,15 +14,15 @@ use super::{crates, files, without_tests};
 /// The most lines of each crate.
 const LINES: [(&str, usize); 10] = [
     ("gauge-bus", 3_380),
-    ("gauge-owner", 7_760),
-    ("gauge-sim", 12_570),
+    ("gauge-owner", 7_830),
+    ("gauge-sim", 13_290),
     ("gauge-station", 3_800),
-    ("gaugefs", 19_340),
+    ("gaugefs", 19_880),
     ("gaugefs-client", 2_850),
     ("gaugefs-host", 600),
-    ("gaugefs-screen", 6_160),
+    ("gaugefs-screen", 6_170),
     ("i2c-server", 1_300),
-    ("ti-gauge", 35_620),
+    ("ti-gauge", 37_400),
 ];
 
 /// The least lines of code to one of comment in each crate, in tenths. What others use has a line for each public item.
@@ -87,8 +87,8 @@ const GAUGE: [(&str, &str); 36] = [
     ("ti-gauge", "dataflash/rules.rs Rules"),
     ("ti-gauge", "dataflash/rules.rs Wear"),
 ];
-/// The most fields of all of them. Thirty-one are options that people set, thirteen are counters that the program reads.
-const GAUGE_FIELDS: usize = 269;
+/// The most fields of all of them. Thirty-two are options that people set, thirteen are counters that the program reads.
+const GAUGE_FIELDS: usize = 271;
 
 /// The files of a crate that are product, and their text without tests.
 fn product(folder: &Path) -> BTreeMap<PathBuf, String> {

@@ -7,6 +7,7 @@ use jiff::Timestamp;
 use super::handle::Shared;
 use super::memory;
 use crate::error::Result;
+use ti_gauge::chip::sbs::failures::failures;
 use ti_gauge::chip::{Chip, Range, Role};
 use ti_gauge::registers::Registers;
 
@@ -22,7 +23,8 @@ pub(super) fn tell(
     is_managed: bool,
     can_write: Result<()>,
 ) {
-    let amiss = measures_nothing(shared.chip, registers, unmeasured);
+    let amiss =
+        has_failed(shared.chip, registers).or_else(|| measures_nothing(shared.chip, registers, unmeasured));
     let amiss = amiss.or_else(|| lacks_configuration(shared, registers).filter(|_| !is_managed));
     let has_flash = !shared.chip.subclasses.is_empty() && shared.published().limited.is_none();
     let is_refused = || can_write.err().filter(|_| has_flash).map(|error| error.reason().to_string());
@@ -36,6 +38,14 @@ pub(super) fn tell(
     shared.publish(|published| {
         published.amiss = amiss.map(|amiss| (Timestamp::now(), amiss.into()));
     });
+}
+
+fn has_failed(chip: &Chip, registers: &Registers) -> Option<String> {
+    let failures = failures(chip, |row| registers.value(row));
+    let told = failures.iter().map(|one| format!("{} ({}; check {})", one.name, one.what, one.check));
+    let told: Vec<_> = told.collect();
+    (!told.is_empty())
+        .then(|| format!("the pack is out of use for good, by a permanent failure: {}", told.join(", ")))
 }
 
 fn measures_nothing(chip: &Chip, registers: &Registers, unmeasured: u32) -> Option<String> {

@@ -21,10 +21,11 @@ use gauge_bus::clock::Clock;
 use ti_gauge::authentication::{Message, Order};
 use ti_gauge::calibration::Measured;
 use ti_gauge::check::Summary;
+use ti_gauge::chip::sbs::failures::{Defect, failures};
 use ti_gauge::chip::{Chip, Limited, Parameter, Register, Role, Scheme, Subclass};
 use ti_gauge::dataflash::{Change, Place};
 use ti_gauge::epoch::{Epoch, Fact};
-use ti_gauge::gauge::{Answers, Gauge, Pec, Phase, Seal, Statistics};
+use ti_gauge::gauge::{Answers, Asked, Gauge, Pec, Phase, Seal, Statistics};
 use ti_gauge::registers::Registers;
 use ti_gauge::value::{Type, Value};
 
@@ -634,6 +635,20 @@ impl Handle {
     /// What is known of the packet error codes of a Smart Battery; `None` of another gauge.
     pub fn pec(&self) -> Option<Pec> {
         Some(self.shared.statistics.pec()).filter(|_| self.shared.chip.access.scheme == Scheme::Smbus)
+    }
+
+    /// Whether its user lets it be asked, and what came of it; `None` of a gauge without questions that is not to be asked.
+    pub fn asked(&self) -> Option<(bool, Asked)> {
+        let is_agreed = self.shared.options.ask_the_pack;
+        let asked = self.shared.statistics.asked();
+        (is_agreed || self.shared.chip.asks.is_some()).then_some((is_agreed, asked))
+    }
+
+    /// Why its pack is out of use for good, as its last poll has shown.
+    pub fn failures(&self) -> Vec<Defect> {
+        let published = self.published();
+        let Some(last) = &published.snapshot else { return Vec::new() };
+        failures(self.shared.chip, |row| last.value(row))
     }
 
     /// What the current write is at, such as `committing 3/4`; `None` while nothing is written.

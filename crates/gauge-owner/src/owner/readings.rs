@@ -159,7 +159,7 @@ fn has_measured(access: &Access, registers: &Registers) -> bool {
     let shows = |(shown_in, bit)| match shown_in {
         Source::Command(_) => word(chip, registers, shown_in).is_some_and(|word| word & bit != 0),
         // What nothing can ask for is taken for set.
-        Source::Status | Source::Answer(_) => {
+        Source::Status | Source::Answer(_) | Source::Within(..) => {
             !access.shared().is_asked() || access.control_status() & bit != 0
         }
     };

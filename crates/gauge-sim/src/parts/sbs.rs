@@ -6,4 +6,4 @@ use super::part::{Part, Scheme};
 use super::timing::Timing;
 
 pub(super) static PART: Part =
-    Part { name: "sbs", image: &[], timing: Timing::USUAL, scheme: Scheme::Smbus, rewrites: &[] };
+    Part { name: "sbs", image: &[], timing: Timing::USUAL, scheme: Scheme::Smbus(None), rewrites: &[] };

@@ -137,6 +137,30 @@ impl Pack {
         battery.forced_mv.map_or_else(|| battery.cell_mv() * battery.cells, f64::from)
     }
 
+    /// DAStatus1(): cells, the pack twice, and the current and the power of each and of all.
+    pub(super) fn measured(&self) -> Vec<u8> {
+        let cell = whole(self.pack_mv() / self.battery.cells);
+        let (pack, current) = (whole(self.pack_mv()), self.current_ma());
+        let power = |mv: f64| signed(mv * current / 1e4);
+        let cells = (1..=4).map(|at| f64::from(at) <= self.battery.cells);
+        let of_cells = |value: u16| cells.clone().map(move |is_there| if is_there { value } else { 0 });
+        let all = power(self.pack_mv());
+        let words = of_cells(cell).chain([pack, pack]).chain(of_cells(signed(current)));
+        let words = words.chain(of_cells(power(self.pack_mv() / self.battery.cells))).chain([all, all]);
+        words.flat_map(u16::to_le_bytes).collect()
+    }
+
+    /// The voltage of a cell by its number; 0 where none is.
+    pub(super) fn cell_mv(&self, number: u8) -> u16 {
+        let is_there = f64::from(number) <= self.battery.cells;
+        if is_there { whole(self.pack_mv() / self.battery.cells) } else { 0 }
+    }
+
+    /// In 0.1 K.
+    pub(super) fn kelvin(&self) -> u16 {
+        whole(self.battery.temperature() * 10.0 + FREEZING)
+    }
+
     /// The word of a command code; `None` where the pack has no word.
     pub(super) fn word(&self, code: u8) -> Option<u16> {
         let battery = &self.battery;
@@ -149,7 +173,7 @@ impl Pack {
             0x05 => self.to_full(at_rate),
             0x06 => self.to_empty(at_rate),
             0x07 => 1,
-            0x08 => whole(battery.temperature() * 10.0 + FREEZING),
+            0x08 => self.kelvin(),
             0x09 => self.volts(self.pack_mv()),
             0x0A => self.amperes(current),
             0x0B => self.amperes(self.average_ma),
@@ -170,10 +194,7 @@ impl Pack {
             0x1A => self.specification,
             0x1B => MANUFACTURED,
             0x1C => SERIAL,
-            0x3C..=0x3F => {
-                let is_there = f64::from(0x40 - code) <= battery.cells;
-                if is_there { whole(self.pack_mv() / battery.cells) } else { 0 }
-            }
+            0x3C..=0x3F => self.cell_mv(0x40 - code),
             _ => return None,
         })
     }

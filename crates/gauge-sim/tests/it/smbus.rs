@@ -196,3 +196,52 @@ fn a_pack_that_has_failed_lets_no_current_through_and_asks_for_none() {
     assert_eq!(word(&pack, 0x0d), left);
     pack.set("failed", "off").expect_err("for good");
 }
+
+/// A code by a block to 0x44 or a word to 0x00, with the checksums of a driver's tests and of two lines for i2cset.
+#[test]
+fn a_gauge_of_tis_answers_a_code_and_takes_a_shutdown_that_comes_twice() {
+    let clock = Arc::new(SimClock::new());
+    let sim = Sim::new("bq40z50-r2", &Options::default(), clock.clone()).expect("a simulated part");
+    clock.sleep(Duration::from_secs(1));
+    let send = |message: &[u8]| sim.bus().transfer(message, &mut []);
+    let harm = || sim.get("harm").expect("a knob");
+
+    // Length, code, and type 0x4500, and the packet error code behind.
+    send(&[0x44, 2, 0x01, 0x00]).expect("DeviceType()");
+    assert_eq!(read::<5>(&sim, 0x44), [4, 0x01, 0x00, 0x00, 0x45]);
+    send(&[0x44, 2, 0x02, 0x00, 0x46]).expect("FirmwareVersion(), most significant bytes first");
+    assert_eq!(read::<9>(&sim, 0x44)[..9], [13, 0x02, 0x00, 0x45, 0x00, 0x02, 0x11, 0x00, 52]);
+    send(&[0x44, 2, 0x54, 0x00, 0x34]).expect("OperationStatus()");
+    assert_eq!(read::<8>(&sim, 0x44), [6, 0x54, 0x00, 0x07, 0x03, 0x00, 0x00, 0x0d]);
+    // Without the code at 0x23, by either way to ask.
+    assert_eq!(read::<5>(&sim, 0x23), [4, 0x07, 0x03, 0x00, 0x00]);
+    send(&[0x00, 0x01, 0x00, 0x06]).expect("by a word");
+    assert_eq!(read::<3>(&sim, 0x23), [2, 0x00, 0x45]);
+
+    set(&sim, "failed", "on");
+    send(&[0x44, 2, 0x53, 0x00, 0x5f]).expect("PFStatus()");
+    assert_eq!(read::<7>(&sim, 0x44), [6, 0x53, 0x00, 0x02, 0x00, 0x00, 0x00]);
+    send(&[0x44, 2, 0x01, 0x00]).expect("DeviceType()");
+
+    // A wrong checksum takes no code.
+    assert_eq!(send(&[0x44, 2, 0x54, 0x00, 0x35]), Err(BusError::NoAck));
+    assert_eq!(read::<3>(&sim, 0x23), [2, 0x00, 0x45]);
+
+    // Sealed it takes no command but a shutdown that comes twice within four seconds.
+    for code in [0x1d, 0x22, 0x29, 0x30, 0x41, 0x10] {
+        send(&[0x00, code, 0x00]).expect("it is acknowledged");
+    }
+    assert_eq!(harm(), "0");
+    clock.sleep(Duration::from_secs(5));
+    send(&[0x00, 0x10, 0x00]).expect("once more, too late");
+    assert_eq!(harm(), "0");
+    send(&[0x44, 2, 0x10, 0x00]).expect("twice");
+    assert_eq!(harm(), "1");
+    sim.bus().transfer(&[0x09], &mut [0; 2]).expect_err("it is off");
+    set(&sim, "power", "off");
+    set(&sim, "power", "on");
+    clock.sleep(Duration::from_secs(1));
+    set(&sim, "sealed", "off");
+    send(&[0x00, 0x29, 0x00]).expect("it is acknowledged");
+    assert_eq!(harm(), "2", "unsealed it takes every command");
+}

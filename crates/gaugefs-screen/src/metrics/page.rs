@@ -99,6 +99,15 @@ static METRICS: &[Metric] = &[
             ("chem_id", "gauge/chem_id"),
         ]),
     ),
+    info(
+        "gaugefs_permanent_failure",
+        "Why a pack is out of use for good, by TI's name.",
+        Made(&["gauge/permanent_failure"], |texts| {
+            let lines = texts[0].unwrap_or_default().lines();
+            let names = lines.filter_map(|line| Some(line.split_once(": ")?.0.to_string()));
+            names.map(|name| (vec![("reason", name)], 1.0)).collect()
+        }),
+    ),
     gauge("gaugefs_present", "", "Whether the gauge answers and has a battery.", Flag("present")),
     gauge(
         "gaugefs_poll_age_seconds",

@@ -94,6 +94,7 @@ pub static CHIP: Chip = Chip {
         shown_sealed: &[],
         storage: KeyStorage::Fixed("its keys are in ROM"),
     },
+    asks: None,
     access: Access {
         scheme: Scheme::MacUpdate,
         // Flipper's driver read wrong bytes after 0.5 ms and waits 1 ms; the others wait 10 ms.

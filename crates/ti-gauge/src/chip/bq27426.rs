@@ -53,6 +53,7 @@ pub static CHIP: Chip = Chip {
     scaling: SCALING,
     security: SECURITY,
     // The images wait as the BQ27427's do: 1.1 s to CONFIG UPDATE, 10 ms after a checksum, 2 s at the end.
+    asks: None,
     access: ACCESS,
     gate: None,
     authentication: None,

@@ -55,6 +55,7 @@ pub static CHIP: Chip = Chip {
     condition: CONDITION,
     scaling: SCALING,
     security: SECURITY,
+    asks: None,
     access: ACCESS,
     gate: None,
     authentication: None,

@@ -51,6 +51,7 @@ pub static CHIP: Chip = Chip {
     condition: CONDITION,
     scaling: Scaling::NONE,
     security: SECURITY,
+    asks: None,
     access: ACCESS,
     gate: None,
     authentication: None,

@@ -95,6 +95,7 @@ const fn chip(
         },
         scaling: Scaling::NONE,
         security: SECURITY,
+        asks: None,
         access: ACCESS,
         gate: Some(Gate {
             limit: (68, 0),

@@ -94,6 +94,7 @@ pub static CHIP: Chip = Chip {
             order: KeyOrder::Reversed,
         }),
     },
+    asks: None,
     access: Access {
         scheme: Scheme::Block,
         // A shipped OMAP4 kernel driver for this part; no document gives it.

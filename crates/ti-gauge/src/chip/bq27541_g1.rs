@@ -96,6 +96,7 @@ pub(super) const fn only_names(
         },
         scaling: Scaling::NONE,
         security: SECURITY,
+        asks: None,
         access: ACCESS,
         gate: None,
         authentication: None,

@@ -52,6 +52,7 @@ pub static CHIP: Chip = Chip {
     // No document at hand says that SEALED sets OpConfigB [DEF_SEAL].
     security: Security { seals_itself: None, ..SECURITY },
     // TI's image waits as the BQ27427's do: 1.1 s to CONFIG UPDATE, 10 ms after a checksum, 2 s at the end.
+    asks: None,
     access: ACCESS,
     gate: None,
     authentication: None,

@@ -70,6 +70,7 @@ pub static CHIP: Chip = Chip {
     },
     scaling: Scaling::NONE,
     security: SECURITY,
+    asks: None,
     access: ACCESS,
     gate: Some(Gate {
         limit: (68, 0),

@@ -98,6 +98,7 @@ pub static CHIP: Chip = Chip {
             "it takes them at SECURITY_KEYS, and no transcript shows how the part answers",
         ),
     },
+    asks: None,
     access: Access {
         scheme: Scheme::Mac,
         // The author's driver waits 5 ms; echo, sum and a second try are ours as well.

@@ -90,6 +90,7 @@ pub static CHIP: Chip = Chip {
             "it shows them at SECURITY_KEYS, and how they are written there is in no document at hand",
         ),
     },
+    asks: None,
     access: Access {
         scheme: Scheme::Mac,
         // Zephyr's driver waits 1 ms, the underwater vehicle's 50 ms and then for the echo; the echo, the sum

@@ -97,6 +97,7 @@ pub static CHIP: Chip = Chip {
             order: KeyOrder::Reversed,
         }),
     },
+    asks: None,
     access: Access {
         scheme: Scheme::Block,
         // No document gives it. Drivers in the field wait 5 to 30 ms; read too early, the window shows zeros or

@@ -100,6 +100,7 @@ pub static CHIP: Chip = Chip {
             order: KeyOrder::Reversed,
         }),
     },
+    asks: None,
     access: Access {
         scheme: Scheme::Block,
         // The times are those of the bq34z100-G1, none of which is in a manual.

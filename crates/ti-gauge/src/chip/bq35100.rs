@@ -102,6 +102,7 @@ pub static CHIP: Chip = Chip {
             order: KeyOrder::AsSent,
         }),
     },
+    asks: None,
     access: Access {
         scheme: Scheme::Mac,
         // No document gives it; pilotak/BQ35100 waits 2 ms. The echo and the sum tell what was read too early.

@@ -208,6 +208,7 @@ const fn gauge(
         condition: flavour.condition(),
         scaling: Scaling::NONE,
         security: Security::NONE,
+        asks: None,
         access: Access::NONE,
         gate: None,
         authentication: None,

@@ -14,6 +14,9 @@ use super::{
 use crate::codec::Layout;
 use crate::value::Type::{self, I, S, U};
 
+pub mod failures;
+pub mod ti;
+
 /// The address that the System Management Bus gives to a Smart Battery.
 pub(crate) const ADDRESS: u8 = 0x0b;
 const BATTERY_MODE: u8 = 0x03;
@@ -35,7 +38,10 @@ pub(crate) fn is_specification(info: u16) -> bool {
 }
 
 /// Any Smart Battery.
-pub static CHIP: Chip = Chip {
+pub static CHIP: Chip = BASE;
+
+/// What a gauge of TI's in one has as well.
+pub(super) const BASE: Chip = Chip {
     name: "sbs",
     model: "Smart Battery",
     documents: &[
@@ -50,7 +56,7 @@ pub static CHIP: Chip = Chip {
     address: ADDRESS,
     layout: Layout::TI,
     flat: 0..0,
-    registers: REGISTERS,
+    registers: WORDS,
     subcommands: &[],
     control_status: &[],
     condition: Condition {
@@ -78,6 +84,7 @@ pub static CHIP: Chip = Chip {
         scaled: None,
     },
     security: Security::NONE,
+    asks: None,
     access: Access { scheme: Scheme::Smbus, ..Access::NONE },
     gate: None,
     calibration: None,
@@ -92,7 +99,7 @@ pub static CHIP: Chip = Chip {
 };
 
 #[rustfmt::skip]
-static REGISTERS: &[Register] = &[
+const WORDS: &[Register] = &[
     Register::new(0x01, U(2), "RemainingCapacityAlarm", "", Tier::Slow),
     Register::new(0x02, U(2), "RemainingTimeAlarm", "min", Tier::Slow),
     Register::new(BATTERY_MODE, U(2), "BatteryMode", "", Tier::Poll).bits(BATTERY_MODES),

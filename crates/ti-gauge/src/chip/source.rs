@@ -11,6 +11,8 @@ pub enum Source {
     Command(u8),
     /// The answer to a subcommand.
     Answer(u16),
+    /// Some bytes of the answer to a subcommand, from that one on.
+    Within(u16, u8),
     /// CONTROL_STATUS, which is read for the seal in any case.
     Status,
 }
@@ -20,7 +22,16 @@ impl Source {
     pub const fn command(self) -> Option<u8> {
         match self {
             Source::Command(code) => Some(code),
-            Source::Answer(_) | Source::Status => None,
+            Source::Answer(_) | Source::Within(..) | Source::Status => None,
+        }
+    }
+
+    /// The subcommand whose answer has it, and its first byte there; `None` for another source.
+    pub const fn answer(self) -> Option<(u16, u8)> {
+        match self {
+            Source::Answer(code) => Some((code, 0)),
+            Source::Within(code, at) => Some((code, at)),
+            Source::Command(_) | Source::Status => None,
         }
     }
 }
@@ -30,6 +41,7 @@ impl fmt::Display for Source {
         match self {
             Source::Command(code) => write!(f, "0x{code:02x}"),
             Source::Answer(code) => write!(f, "Control(0x{code:04x})"),
+            Source::Within(code, at) => write!(f, "Control(0x{code:04x}) byte {at}"),
             Source::Status => f.write_str("CONTROL_STATUS"),
         }
     }

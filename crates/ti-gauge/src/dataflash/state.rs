@@ -26,7 +26,7 @@ pub(crate) fn read_word(gauge: &mut Gauge, source: Source) -> Result<u16> {
 pub(crate) fn read_bits(gauge: &mut Gauge, source: Source) -> Result<u32> {
     match source {
         Source::Status => Ok(gauge.control_status()?.1),
-        Source::Answer(code) => gauge.ask(code).map(u32::from),
+        Source::Answer(code) | Source::Within(code, _) => gauge.ask(code).map(u32::from),
         Source::Command(code) => {
             let size = gauge.chip.register_at(source).map_or(2, |row| row.size.min(4));
             let mut bytes = [0; 4];

@@ -9,6 +9,7 @@ use crate::error::Result;
 use gauge_bus::BusError;
 use gauge_bus::replay::{First, Recording, Replay, Seals, Touch};
 
+mod asking;
 pub(in crate::gauge) mod map;
 mod smbus;
 
@@ -51,12 +52,24 @@ pub(crate) trait Dialect: Sync {
     fn reads(&self, rows: &[Register], wanted: &dyn Fn(Tier) -> bool) -> Vec<(u8, u8)> {
         bursts(rows, wanted)
     }
-    /// Reads all commands of the tiers.
+    /// Reads all rows of the tiers.
     fn read(&self, gauge: &mut Gauge, rows: Wanted<'_>, take: &mut dyn FnMut(Answer<'_>)) -> Result<()> {
         for (start, length) in self.reads(rows.0, rows.1) {
             let mut bytes = vec![0; length.into()];
             gauge.read(start, &mut bytes)?;
             take(Answer::Burst(start, &bytes));
+        }
+        for row in rows.0.iter().filter(|row| rows.1(row.tier)) {
+            let mut bytes = vec![0; row.size.into()];
+            match row.source {
+                Source::Command(_) | Source::Within(..) => continue,
+                Source::Answer(code) => gauge.ask_bytes(code, &mut bytes)?,
+                Source::Status => {
+                    let status = gauge.control_status()?.1.to_le_bytes();
+                    bytes.iter_mut().zip(status).for_each(|(to, from)| *to = from);
+                }
+            }
+            take(Answer::Row(row, Some(&bytes)));
         }
         Ok(())
     }
@@ -72,6 +85,11 @@ pub(crate) fn of(chip: &Chip) -> &'static dyn Dialect {
         Scheme::Mac | Scheme::MacUpdate => &map::MAC,
         Scheme::Smbus => &smbus::SMBUS,
     }
+}
+
+/// The dialect of a gauge whose user lets it be asked; without questions it is the same one.
+pub(crate) fn asking(chip: &Chip) -> &'static dyn Dialect {
+    if chip.asks.is_some() { &asking::ASKING } else { of(chip) }
 }
 
 /// The reads that fetch all commands of a chip's tier, as code and length.

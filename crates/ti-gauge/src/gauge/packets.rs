@@ -2,7 +2,9 @@
 
 //! What is known of a Smart Battery's answers: whether it sends packet error codes, and which codes it has.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
+
+use super::asked::Asked;
 
 /// Packet error codes of a pack.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
@@ -86,16 +88,35 @@ pub(super) struct Packets {
     last: Option<(u8, [u8; 2])>,
     /// The serial number of the pack.
     pub(super) serial: Option<Vec<u8>>,
+    pub(super) asked: Asked,
+    /// Questions that it has not answered.
+    pub(super) unknown: BTreeSet<u16>,
+    /// The last answer to a question.
+    pub(super) heard: Option<Vec<u8>>,
+    /// The last answer was none to its question.
+    pub(super) was_wrong: bool,
 }
 
 impl Packets {
     pub(super) fn at(address: u8) -> Self {
-        Self { address, pec: Pec::Unasked, codes: BTreeMap::new(), last: None, serial: None }
+        Self {
+            address,
+            pec: Pec::Unasked,
+            codes: BTreeMap::new(),
+            last: None,
+            serial: None,
+            asked: Asked::Not,
+            unknown: BTreeSet::new(),
+            heard: None,
+            was_wrong: false,
+        }
     }
 
     /// Another pack may be there.
     pub(super) fn forget(&mut self) {
-        *self = Self::at(self.address);
+        // One that was not the part is not asked again, whatever comes in its place.
+        let asked = if self.asked.is_final() { self.asked } else { Asked::Not };
+        *self = Self { asked, ..Self::at(self.address) };
     }
 
     /// Whether the pack has not acknowledged a code, with all repeats.

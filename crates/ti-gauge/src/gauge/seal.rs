@@ -129,7 +129,7 @@ impl Gauge {
             }
             SealStatus::Field { word, shift } => {
                 let word = match word {
-                    Source::Status | Source::Answer(_) => status,
+                    Source::Status | Source::Answer(_) | Source::Within(..) => status,
                     Source::Command(code) => self.word(code)?.into(),
                 };
                 match word >> shift & 3 {

@@ -5,6 +5,7 @@
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
+use super::asked::Asked;
 use super::effects::Effects;
 use super::packets::Pec;
 
@@ -30,6 +31,7 @@ pub struct Statistics {
     /// See [`Self::pec_checked`].
     pub pec_wrong: AtomicU64,
     pec: AtomicU64,
+    asked: AtomicU64,
     /// Keys that were sent.
     pub keys: AtomicU64,
     /// Writes whose values were already stored.
@@ -118,6 +120,15 @@ impl Statistics {
     /// What is known of a Smart Battery's packet error codes.
     pub fn pec(&self) -> Pec {
         Pec::of(Self::read(&self.pec))
+    }
+
+    pub(super) fn set_asked(&self, asked: Asked) {
+        self.asked.store(asked.number(), Ordering::Relaxed);
+    }
+
+    /// What came of asking a gauge of TI's in a Smart Battery.
+    pub fn asked(&self) -> Asked {
+        Asked::of(Self::read(&self.asked))
     }
 
     /// Names and values, in the order of `gauge/statistics`.

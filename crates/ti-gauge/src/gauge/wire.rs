@@ -10,8 +10,9 @@ use std::time::Duration;
 
 use super::Gauge;
 use super::effects::Seen;
-use super::packets::Packets;
+use super::packets::{self, Packets};
 use super::statistics::Statistics;
+use crate::chip::{Question, Way};
 use crate::codec::WINDOW;
 use crate::error::{Cause, Error, Reason, Result, Step};
 use gauge_bus::trace::Event;
@@ -168,6 +169,23 @@ impl Gauge {
         }
         self.make_ready()?;
         self.pass(write, read)
+    }
+
+    /// Asks a Smart Battery: what a question makes is all that is ever sent to one beside a command code.
+    pub(super) fn pose(&mut self, question: Question, way: Way, with_pec: bool) -> Result<(), BusError> {
+        let mut message = question.message(way);
+        if with_pec {
+            let whole = [&[self.wire.packets.address << 1], &*message].concat();
+            message.push(packets::crc(&whole));
+        }
+        self.make_ready()?;
+        self.pass(&message, &mut [])
+    }
+
+    /// Reads where a question is answered. No watchdog of these parts limits how often.
+    pub(super) fn hear(&mut self, way: Way, into: &mut [u8]) -> Result<(), BusError> {
+        self.make_ready()?;
+        self.pass(&[way.code()], into)
     }
 
     pub(super) fn make_ready(&mut self) -> Result<(), BusError> {

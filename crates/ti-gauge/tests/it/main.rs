@@ -5,6 +5,7 @@
 #![allow(clippy::disallowed_methods, reason = "tests read what they have made")]
 
 mod anonymous;
+mod asked;
 mod bq28z610;
 mod calibration;
 mod change;

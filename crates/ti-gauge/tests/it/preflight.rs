@@ -489,7 +489,7 @@ fn the_tables_have_what_the_checks_need() {
                     let word = if is_answer { "OperationStatus()" } else { "CONTROL_STATUS" };
                     assert_eq!(mode.name, format!("{word} [{}]", bit.name), "{name}");
                 }
-                Source::Answer(code) => {
+                Source::Answer(code) | Source::Within(code, _) => {
                     assert!(chip.subcommands.iter().any(|known| known.code == code), "{name}")
                 }
             }
@@ -502,7 +502,7 @@ fn the_tables_have_what_the_checks_need() {
             Some(source @ Source::Command(_)) => {
                 assert_eq!(chip.register_at(source).map(|register| register.size), Some(2), "{name}");
             }
-            Some(Source::Status) => panic!("{name}: a seal tells no packs apart"),
+            Some(Source::Status | Source::Within(..)) => panic!("{name}: a seal tells no packs apart"),
             None => {}
         }
         if let Some(learning) = &chip.preflight.learning {

@@ -98,8 +98,8 @@ impl Dialect for Smbus {
         take: &mut dyn FnMut(Answer<'_>),
     ) -> Result<()> {
         greet(gauge)?;
-        let rows = rows.iter().filter(|row| wanted(row.tier));
-        let (by_mode, plain): (Vec<_>, Vec<_>) = rows.partition(|row| row.other.is_some());
+        let rows = rows.iter().filter(|row| wanted(row.tier) && row.source.command().is_some());
+        let (by_mode, plain): (Vec<&Register>, Vec<&Register>) = rows.partition(|row| row.other.is_some());
         let is_mode = |row: &&Register| {
             by_mode.iter().filter_map(|row| row.other).any(|other| other.bit.0 == row.source)
         };
@@ -151,7 +151,7 @@ fn packet(gauge: &mut Gauge, code: u8, into: &mut [u8]) -> Result<(), BusError> 
 }
 
 /// A word, or with room for more a block with its length, as one command of an SMBus host. Returns how long it is.
-fn by_host(gauge: &mut Gauge, code: u8, into: &mut [u8]) -> Result<usize, BusError> {
+pub(super) fn by_host(gauge: &mut Gauge, code: u8, into: &mut [u8]) -> Result<usize, BusError> {
     let pec = gauge.wire.packets.pec == Pec::Host;
     let read = gauge.packet(Packet { code, is_block: into.len() > 2, pec }, into);
     if pec && matches!(read, Ok(_) | Err(BusError::Pec)) {
@@ -163,13 +163,13 @@ fn by_host(gauge: &mut Gauge, code: u8, into: &mut [u8]) -> Result<usize, BusErr
     read
 }
 
-fn sum(gauge: &Gauge, pec: Pec, code: u8, data: &[u8]) -> u8 {
+pub(super) fn sum(gauge: &Gauge, pec: Pec, code: u8, data: &[u8]) -> u8 {
     let [to, from] = [gauge.wire.packets.address << 1, gauge.wire.packets.address << 1 | 1];
     let head: &[u8] = if pec == Pec::Split { &[from] } else { &[to, code, from] };
     crc(&[head, data].concat())
 }
 
-fn of(gauge: &Gauge, code: u8, error: BusError) -> Error {
+pub(super) fn of(gauge: &Gauge, code: u8, error: BusError) -> Error {
     Error::bus(gauge.name_of(code), error).of_register().at(Step::Read)
 }
 
