@@ -164,6 +164,7 @@ const KNOBS: &[(&str, &str, Option<&str>)] = &[
     ("watchdog", "TI", Some("on")),
     ("single_byte", "TI", Some("on")),
     ("df_shift", "MAC", Some("1")),
+    ("cal_enable", "MAC", Some("on")),
     ("battery", "in the unit of a resistor", Some("out")),
     ("rewrite_ms", "data flash", Some("5000")),
     ("rewrite_every", "data flash", Some("40")),

@@ -135,6 +135,8 @@ pub(super) struct Envelope {
     drop_updates: u32,
     /// At the end of CONFIG UPDATE a gauge that was sealed is sealed again, whatever its data memory says.
     pub(super) reseals: bool,
+    /// ENTER_CAL does nothing before CAL_ENABLE.
+    pub(super) cal_enable: bool,
     /// Interval between rewrites of the gauge's own values, in time and in transfers; 0 for never.
     pub(super) rewrite: Duration,
     pub(super) rewrite_every: u32,
@@ -171,6 +173,7 @@ pub(super) const DRAWN: &[&str] = &[
     "drop_keys",
     "drop_updates",
     "reseals",
+    "cal_enable",
     "rewrite_ms",
     "rewrite_every",
     "nack_as",
@@ -200,6 +203,7 @@ impl Envelope {
             drop_keys: 0,
             drop_updates: 0,
             reseals: false,
+            cal_enable: false,
             rewrite: Duration::ZERO,
             rewrite_every: 0,
             nack_as: NackAs::Enxio,
@@ -280,6 +284,8 @@ impl Envelope {
         }
         // Libraries sum what they have written by reading it back (sparkfun/SparkFun_BQ27441_Arduino_Library); no manual says so.
         new.uncommitted = random.pick(&[Uncommitted::Written, Uncommitted::Stored]);
+        // A library sends ENTER_CAL alone to a bq35100; to relatives CAL_ENABLE goes before it.
+        new.cal_enable = matches!(part.scheme, Scheme::Mac(_)) && random.roll(2) == 0;
         new
     }
 
@@ -301,6 +307,7 @@ impl Envelope {
             "drop_keys" => &mut self.drop_keys,
             "drop_updates" => &mut self.drop_updates,
             "reseals" => &mut self.reseals,
+            "cal_enable" => &mut self.cal_enable,
             "rewrite_ms" => &mut self.rewrite,
             "rewrite_every" => &mut self.rewrite_every,
             "nack_as" => &mut self.nack_as,

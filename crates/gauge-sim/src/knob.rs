@@ -185,6 +185,7 @@ pub(super) static KNOBS: &[Knob] = &[
     ),
     Of::Gauge.set("bus_free_us", "time after STOP in microseconds within which START is not acknowledged"),
     Of::Gauge.set("endurance", "how often a block can be programmed until some of its bits stay 0; 0 always"),
+    Of::Mac.set("cal_enable", "`on`: a bq35100 enters calibration mode only after CAL_ENABLE; `off`"),
     Of::Mac.set("df_shift", "bytes by which data flash lies lower than printed from 0x4100 on: 0 or 1"),
     Of::Fets.show(
         "fets",

@@ -35,6 +35,7 @@ const OPERATION_STATUS: u16 = 0x0054;
 const LAST_SUBCOMMAND: u16 = 0x00FF;
 /// MACDataLen() also counts the word, the sum and itself.
 const OVERHEAD: usize = 4;
+const ENTER_CALIBRATION: u16 = 0x0081;
 const ENTER_UPDATE: u16 = 0x0090;
 const EXIT_UPDATE_ANEW: u16 = 0x0091;
 const EXIT_UPDATE: u16 = 0x0092;
@@ -299,6 +300,7 @@ impl Mac {
                     _ => {}
                 }
             }
+            ENTER_CALIBRATION if device.envelope.cal_enable && !self.model.may_calibrate() => {}
             _ if word == self.part.seal => {
                 if open && !device.loses(Lost::Seal) {
                     self.close(device.now);

@@ -77,6 +77,10 @@ pub(super) trait MacModel: Model {
     /// The pack's voltage as Voltage() shows it.
     fn voltage_mv(&self) -> u16;
     fn calibrating(&self) -> bool;
+    /// CAL_ENABLE was sent, or the part has no use for it.
+    fn may_calibrate(&self) -> bool {
+        true
+    }
     fn control_status(&self, level: Level) -> u16;
     /// 0x00 to 0x7F, with 0 in registers that the host writes.
     fn registers(&self, level: Level, voltage_mv: u16) -> Registers;

@@ -598,6 +598,17 @@ pub enum SealStatus {
     None,
 }
 
+impl SealStatus {
+    /// Whether CONTROL_STATUS by itself shows SEALED.
+    pub fn shows_sealed(&self, status: u32) -> bool {
+        match *self {
+            Self::Bits { sealed, .. } => status & sealed != 0,
+            Self::Field { word: Source::Status, shift } => status >> shift & 3 == 3,
+            Self::Field { .. } | Self::None => false,
+        }
+    }
+}
+
 /// How data flash is accessed, with the delays. No delay is optional; the table gives the source of each.
 #[derive(Clone, Debug)]
 pub struct Access {

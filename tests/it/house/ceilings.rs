@@ -15,14 +15,14 @@ use super::{crates, files, without_tests};
 const LINES: [(&str, usize); 10] = [
     ("gauge-bus", 3_380),
     ("gauge-owner", 7_830),
-    ("gauge-sim", 13_290),
+    ("gauge-sim", 13_320),
     ("gauge-station", 3_800),
     ("gaugefs", 19_880),
     ("gaugefs-client", 2_850),
     ("gaugefs-host", 600),
     ("gaugefs-screen", 6_170),
     ("i2c-server", 1_300),
-    ("ti-gauge", 37_400),
+    ("ti-gauge", 37_470),
 ];
 
 /// The least lines of code to one of comment in each crate, in tenths. What others use has a line for each public item.

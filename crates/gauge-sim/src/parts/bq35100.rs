@@ -318,6 +318,10 @@ impl MacModel for Primary {
         self.ram.calibration.mode
     }
 
+    fn may_calibrate(&self) -> bool {
+        self.ram.calibration.enabled
+    }
+
     fn control_status(&self, level: Level) -> u16 {
         let security = match level {
             Level::Sealed => 0x6000,
@@ -390,7 +394,8 @@ impl MacModel for Primary {
             0x002D if open => self.ram.calibration.enabled = !self.ram.calibration.enabled,
             0x002E if open => self.ram.lifetime = true,
             0x0080 if open => self.ram.calibration.mode = false,
-            0x0081 if open && self.ram.calibration.enabled => self.ram.calibration.mode = true,
+            // github.com/pilotak/BQ35100 (01505a5f) sends it without CAL_ENABLE, and waits for [CALMODE].
+            0x0081 if open => self.ram.calibration.mode = true,
             // NEW_BATTERY, which a sealed gauge accepts too.
             0xA613 => {
                 self.battery.set_percent(100.0);

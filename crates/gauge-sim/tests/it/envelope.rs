@@ -615,6 +615,7 @@ mod draws {
             "drop_keys 1",
             "drop_updates 1",
             "reseals on",
+            "cal_enable on",
             "rewrite_every 1",
             "nack_as enxio",
             "nack_as eio",

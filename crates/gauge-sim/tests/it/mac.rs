@@ -191,6 +191,22 @@ mod protocol {
         bench.replay("X 200 ; R 00 2 -> 80 60");
     }
 
+    /// github.com/pilotak/BQ35100 at 01505a5f sends ENTER_CAL alone.
+    #[test]
+    fn enter_cal_is_enough_unless_the_gauge_wants_cal_enable_before_it() {
+        let bench = unsealed("bq35100");
+        let mode = || bench.sim.get("mode").unwrap();
+        bench.replay("W 00 81 00");
+        assert_eq!(mode(), "calibration");
+        bench.replay("W 00 80 00");
+        assert_eq!(mode(), "normal");
+        bench.set("cal_enable", "on");
+        bench.replay("W 00 81 00");
+        assert_eq!(mode(), "normal");
+        bench.replay("W 00 2D 00 ; W 00 81 00");
+        assert_eq!(mode(), "calibration");
+    }
+
     #[test]
     fn a_state_file_keeps_flash() {
         let path = std::env::temp_dir().join(format!("gaugefs-mac-{}", std::process::id()));

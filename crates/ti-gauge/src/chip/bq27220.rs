@@ -144,6 +144,7 @@ pub static CHIP: Chip = Chip {
                 what: "somebody has left CONFIG UPDATE on, and the gauge does not gauge",
                 remedy: "leave it with the tool that entered it (EXIT_CFG_UPDATE, 0x0092)",
                 ours: true,
+                slip: None,
             },
             Mode::calibration(
                 Source::Command(0x3A),

@@ -96,6 +96,7 @@ static MODES: &[Mode] = &[
         what: "somebody has left CONFIG UPDATE on, and the gauge does not gauge",
         remedy: "the gauge leaves it by itself after 240 s; try again then",
         ours: true,
+        slip: None,
     },
     Mode::calibration(
         Source::Status,

@@ -165,6 +165,7 @@ pub static CHIP: Chip = Chip {
                 what: "the pack is in PERMANENT FAILURE",
                 remedy: "have it examined before anything is written",
                 ours: false,
+                slip: None,
             },
         ],
         // A reset would end a cycle, and no write sends one.

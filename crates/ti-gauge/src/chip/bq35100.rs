@@ -154,7 +154,9 @@ pub static CHIP: Chip = Chip {
                 0x1000,
                 "CONTROL_STATUS [CALMODE]",
                 "leave it with the tool that entered it (EXIT_CAL, 0x0080)",
-            ),
+            )
+            // ENTER_CAL (0x0081) needs no CAL_ENABLE before it: pilotak/BQ35100 (01505a5f) sends it alone.
+            .slips(0x0080),
             Mode::measuring(0x0400, "CONTROL_STATUS [CCA]", "the coulomb counter is being calibrated"),
             Mode::measuring(0x0800, "CONTROL_STATUS [BCA]", "the board offset is being measured"),
         ],

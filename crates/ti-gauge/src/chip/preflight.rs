@@ -54,12 +54,14 @@ pub struct Mode {
     pub remedy: &'static str,
     /// Whether gaugefs's own transactions enter it too, so that an interrupted one may have left it on.
     pub ours: bool,
+    /// What ends it, on a part on which one wrong bit makes DEVICE_TYPE the subcommand that begins it.
+    pub slip: Option<u16>,
 }
 
 impl Mode {
     /// A running calibration: a bit of CONTROL_STATUS that the gauge clears by itself.
     pub const fn measuring(mask: u32, name: &'static str, what: &'static str) -> Self {
-        Self { word: Source::Status, mask, name, what, remedy: ENDS, ours: false }
+        Self { word: Source::Status, mask, name, what, remedy: ENDS, ours: false, slip: None }
     }
 
     /// Whether it lasts until somebody leaves it.
@@ -69,7 +71,13 @@ impl Mode {
 
     /// Calibration mode, which lasts until somebody leaves it.
     pub const fn calibration(word: Source, mask: u32, name: &'static str, remedy: &'static str) -> Self {
-        Self { word, mask, name, what: "somebody has left calibration mode on", remedy, ours: false }
+        let what = "somebody has left calibration mode on";
+        Self { word, mask, name, what, remedy, ours: false, slip: None }
+    }
+
+    /// One that a wrong bit in DEVICE_TYPE begins, and that this subcommand ends.
+    pub const fn slips(self, end: u16) -> Self {
+        Self { slip: Some(end), ..self }
     }
 }
 

@@ -2,16 +2,21 @@
 
 //! Registers, subcommands and their answers, and the part that answers.
 
+use std::time::Duration;
+
 use super::dialect::Challenge;
 use super::dialect::map::CONTROL;
 use super::presence::Moment;
-use super::{Answers, DEVICE_TYPE, FW_VERSION, Gauge};
-use crate::chip::Source;
+use super::{Answers, DEVICE_TYPE, FW_VERSION, Gauge, TRIES, agreed};
+use crate::chip::{Mode, Source};
 use crate::error::{Cause, Error, Reason, Result, Step};
 use gauge_bus::BusError;
 
 /// The build in the answer to FW_VERSION, behind device number and version.
 const BUILD: std::ops::Range<usize> = 4..6;
+
+/// Until the end of a mode shows.
+const SLIP_SHOWS: Duration = Duration::from_millis(100);
 
 impl Gauge {
     /// Fills `into` with the bytes starting at an address.
@@ -107,7 +112,7 @@ impl Gauge {
 
     /// Reads the type, firmware and versions that the gauge reports.
     pub fn identify(&mut self) -> Result<Answers> {
-        let device_type = self.ask(DEVICE_TYPE).map_err(|error| error.at(Step::Identify))?;
+        let device_type = self.device_type().map_err(|error| error.at(Step::Identify))?;
         self.identify_type(device_type)
     }
 
@@ -156,6 +161,48 @@ impl Gauge {
         Err(Error::new(self.chip.model, Cause::Gone, why).at(Step::Identify))
     }
 
+    /// DEVICE_TYPE, which with one wrong bit is the subcommand that begins calibration mode of some parts. That mode is ended
+    /// if it shows right after the question and did not right before it; one that showed before is somebody else's.
+    fn device_type(&mut self) -> Result<u16> {
+        let slips = |mode: &'static Mode| Some((mode, mode.slip?));
+        let Some((mode, end)) = self.chip.preflight.modes.iter().find_map(slips) else {
+            return self.ask(DEVICE_TYPE);
+        };
+        let before = self.status_word().ok();
+        let answer = self.ask(DEVICE_TYPE);
+        // A gauge that is sealed takes neither.
+        let is_sealed = |word| self.chip.security.status.shows_sealed(word);
+        if before.is_some_and(|word| word & mode.mask == 0 && !is_sealed(word)) {
+            self.end_slip(mode, end)?;
+        }
+        answer
+    }
+
+    fn end_slip(&mut self, mode: &Mode, end: u16) -> Result<()> {
+        for _ in 0..TRIES {
+            // I2C has no error detection.
+            let is_on = self.status_word()? & mode.mask != 0
+                && agreed(mode.name, || self.status_word())? & mode.mask != 0;
+            if !is_on {
+                return Ok(());
+            }
+            let (subject, name) = (self.subcommand_name(DEVICE_TYPE), self.subcommand_name(end));
+            log::warn!(
+                "{subject} has reached the gauge with a wrong bit: {} is set; {name} is sent",
+                mode.name
+            );
+            self.command(end)?;
+            self.wait(SLIP_SHOWS);
+        }
+        let command = self.subcommand_name(end).into();
+        let failed = Error::of(self.chip.model, Reason::NoEffect { command, times: TRIES.into() });
+        Err(Error::of("", Reason::Calibrating { failed }))
+    }
+
+    fn status_word(&mut self) -> Result<u32> {
+        self.dialect.look(self, &[]).map(|(word, _)| word.into())
+    }
+
     /// Control(FW_VERSION).
     pub fn firmware_version(&mut self) -> Result<u16> {
         self.ask(FW_VERSION).map_err(|error| error.at(Step::Identify))
@@ -167,7 +214,7 @@ impl Gauge {
         let mut found = expected;
         // A bit error is not another part, so an unexpected answer is requested again.
         for _ in 0..2 {
-            found = self.ask(DEVICE_TYPE).map_err(|error| error.at(Step::Identify))?;
+            found = self.device_type().map_err(|error| error.at(Step::Identify))?;
             if found == expected {
                 break;
             }

@@ -43,5 +43,6 @@ mod rules_gauge;
 mod rules_kept;
 mod rules_settling;
 mod sealed;
+mod slips;
 mod tables;
 mod write;
