@@ -217,7 +217,8 @@ fn no_module_uses_one_that_uses_it() {
 
 /// Modules of `ti-gauge` that know which byte of a number comes first: the codec, the formats of files, what is sent and
 /// read as the wire has it, and what reads raw transfers.
-const ORDERED: &[&str] = &["codec", "image", "gauge", "rom", "dataflash::schemes", "dataflash::anonymous"];
+const ORDERED: &[&str] =
+    &["codec", "image", "gauge", "rom", "dataflash::schemes", "dataflash::anonymous", "chip::question"];
 
 #[test]
 fn the_order_of_bytes_is_known_to_few() {
@@ -790,6 +791,7 @@ fn an_option_of_a_gauge_stands_in_its_row_and_at_its_use() {
     const ROWS: &str = "src/config/options.rs";
     /// Other things of the same name, and what has to be known of an option before there is a gauge.
     const OTHERS: &[(&str, &[(&str, &str)])] = &[
+        ("what is shown of it", &[("ask_the_pack", "crates/gauge-owner/src/owner/handle.rs")]),
         (
             "of a command",
             &[

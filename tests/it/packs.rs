@@ -175,6 +175,7 @@ fn an_asked_pack_is_sent_its_questions_and_tells_why_it_has_failed() {
     gaugefs(&["umount", &at]).done();
 
     gaugefs(&[&options[..], &["--ask-the-pack", &at]].concat()).done();
+    within("it is asked", || Path::new(&gauge).join("gauge/pf_status").exists());
     assert_eq!([cat("gauge/pf_status"), cat("health")], ["VIMR SUV", "Unspecified failure"]);
     assert_eq!(cat("gauge/operation_status"), "XCHG XDSG PF SEC1 SEC0 PRES");
     assert_eq!(cat("gauge/registers/da_status1_cell_voltage1"), "3855");
