@@ -190,7 +190,7 @@ fn details(chip: &'static Chip) -> String {
         }
     };
     let keys = match (&chip.security.storage, row.keys) {
-        (KeyStorage::Fixed(why) | KeyStorage::Kept(why), "unseal") => {
+        (KeyStorage::Fixed(why) | KeyStorage::Kept(_, why), "unseal") => {
             format!("it can be unsealed; changing keys: {why}")
         }
         (_, "unseal, change") => "it can be unsealed, and its keys changed".to_string(),
@@ -239,7 +239,7 @@ fn yes(is: bool) -> &'static str {
 fn keys(chip: &Chip) -> &'static str {
     match chip.security.storage {
         _ if !chip.has_table() => "none",
-        KeyStorage::Fixed(_) | KeyStorage::Kept(_) => "unseal",
+        KeyStorage::Fixed(_) | KeyStorage::Kept(_, _) => "unseal",
         KeyStorage::Flash(_) => "unseal, change",
     }
 }

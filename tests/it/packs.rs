@@ -170,15 +170,15 @@ fn an_asked_pack_is_sent_its_questions_and_tells_why_it_has_failed() {
         cat("gauge/questions")
             .starts_with("not asked: with --ask-the-pack these codes are sent\n0x0001 DeviceType")
     );
-    assert!(!Path::new(&gauge).join("gauge/pf_status").exists());
+    assert!(!Path::new(&gauge).join("gauge/pfstatus").exists());
     assert_eq!((cat("sim/written"), cat("health")), ("0".into(), "Good".into()));
     gaugefs(&["umount", &at]).done();
 
     gaugefs(&[&options[..], &["--ask-the-pack", &at]].concat()).done();
-    within("it is asked", || Path::new(&gauge).join("gauge/pf_status").exists());
-    assert_eq!([cat("gauge/pf_status"), cat("health")], ["VIMR SUV", "Unspecified failure"]);
+    within("it is asked", || Path::new(&gauge).join("gauge/pfstatus").exists());
+    assert_eq!([cat("gauge/pfstatus"), cat("health")], ["VIMR SUV", "Unspecified failure"]);
     assert_eq!(cat("gauge/operation_status"), "XCHG XDSG PF SEC1 SEC0 PRES");
-    assert_eq!(cat("gauge/registers/da_status1_cell_voltage1"), "3855");
+    assert_eq!(cat("gauge/registers/dastatus1_cell_voltage1"), "3855");
     let reasons = cat("gauge/permanent_failure");
     assert!(reasons.contains("SUV: a cell was far below") && reasons.lines().count() == 2, "{reasons}");
     let error = cat("gauge/last_error");
@@ -221,13 +221,13 @@ fn an_asked_pack_is_sent_its_questions_and_tells_why_it_has_failed() {
     }
     assert_eq!(errno(fs::write(format!("{gauge}/gauge/control"), "0x0010")), Some(Errno::EPERM as i32));
     assert_eq!(
-        [cat("sim/harm"), cat("sim/battery_mode"), cat("gauge/pf_status")],
+        [cat("sim/harm"), cat("sim/battery_mode"), cat("gauge/pfstatus")],
         ["0", "0x0000", "VIMR SUV"]
     );
 
     fs::write(format!("{gauge}/sim/device_type"), "0x9e34").expect("a knob");
     within("asking ends", || cat("gauge/questions").starts_with("ended: it is another part, of type 0x9e34"));
-    within("its status is not shown", || !Path::new(&gauge).join("gauge/pf_status").exists());
+    within("its status is not shown", || !Path::new(&gauge).join("gauge/pfstatus").exists());
     gaugefs(&["umount", &at]).done();
 }
 

@@ -106,7 +106,12 @@ fn an_imported_file_leaves_the_protector_alone() {
             "toml" => text
                 .replace("pack-configuration-d = 0x83", "pack-configuration-d = 0xb3")
                 .replace("design-capacity = 1000", "design-capacity = 1300"),
-            "gg.csv" => text.replace("\"0x83\"", "\"0xb3\"").replace("\"1000\"", "\"1300\""),
+            "gg.csv" => text
+                .replace("D,83,H,1,4,83,,,hh,x,x,,hex,,hex,83", "D,b3,H,1,4,83,,,hh,x,x,,hex,,hex,b3")
+                .replace(
+                    "1000,I,2,12,1000,,,dddd,x,x,,mAh,,mAh,03e8",
+                    "1300,I,2,12,1000,,,dddd,x,x,,mAh,,mAh,0514",
+                ),
             _ => text.clone(),
         };
         assert!(format == "flashstream" || edited != text, "{format}");

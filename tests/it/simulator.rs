@@ -98,6 +98,7 @@ fn is_one_of(chip: &Chip, gauges: &str) -> bool {
         "data flash" => has_flash,
         "block access" => has_flash && !is_mac,
         "MAC" => is_mac,
+        "protector" => chip.name == "bq27742-g1",
         "in the unit of a resistor" => ["bq27000", "bq27010"].contains(&chip.name),
         other => panic!("no gauges are called `{other}`"),
     }
@@ -158,6 +159,7 @@ const KNOBS: &[(&str, &str, Option<&str>)] = &[
     ("firmware", "data flash", Some("0x0201")),
     ("hardware", "data flash", Some("0x0081")),
     ("protocol", "block access", Some("hdq")),
+    ("fets", "protector", None),
     ("seal", "data flash", Some("unsealed")),
     ("sealed_writes", "block access", Some("ignore")),
     ("auth_order", "block access", Some("as-sent")),

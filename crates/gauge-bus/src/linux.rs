@@ -427,9 +427,10 @@ mod tests {
         assert_eq!((of(0, 0x0ffe_8001).write, of(0, 0x0ffe_8001).pec), (61, false));
         assert_eq!(of(1, 0x1fff_8008), Reach::smbus(32, true));
         // Its module can be told not to read blocks, and to send no packet error codes.
-        assert_eq!(of(1, 0x1bff_8000), Reach { write: 33, ..Reach::smbus(2, false) });
+        assert_eq!(of(1, 0x1bff_8000), Reach { write: 33, blocks: true, ..Reach::smbus(2, false) });
         assert_eq!(of(2, 0x0fff_8009), Reach::FULL);
-        assert_eq!(of(2, 0x037f_0000), Reach::smbus(2, false), "a driver of no model");
+        let blocks = Reach { blocks: true, ..Reach::smbus(2, false) };
+        assert_eq!(of(2, 0x037f_0000), blocks, "a driver of no model");
     }
 
     #[test]

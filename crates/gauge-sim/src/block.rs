@@ -488,14 +488,9 @@ impl Block {
             Action::ExitCalibration if self.ram.calibration => self.mark(Status::Calibrating, false),
             Action::EnterCalibration if self.ram.calibration => self.mark(Status::Calibrating, true),
             Action::Reset if device.loses(Lost::Reset) => {}
-            Action::Reset => {
-                self.fets.open("reset");
-                device.reset(self);
-            }
+            Action::Reset => self.obey_reset(device),
             Action::OpenFets(why) => self.fets.open(why),
-            Action::ProtectorChecksum => {
-                self.ram.answer = self.part.protector.as_ref().map_or(0, |part| part.answer(&device.flash));
-            }
+            Action::ProtectorChecksum => self.ram.answer = self.protector_sum(device),
             Action::ConfigUpdate => self.ram.update.enter(device.timing.update_enter, now),
             Action::Leave(exit) => self.ram.update.leave(exit, device.timing.update_leave, now),
             Action::Chemistry(id) if matches!(self.ram.update, Mode::On(_)) => self.ram.chemistry = Some(id),
@@ -512,6 +507,15 @@ impl Block {
             | Action::Chemistry(_)
             | Action::Shutdown => {}
         }
+    }
+
+    fn protector_sum(&self, device: &Device) -> u16 {
+        self.part.protector.as_ref().map_or(0, |part| part.answer(&device.flash))
+    }
+
+    fn obey_reset(&mut self, device: &mut Device) {
+        self.fets.open("reset");
+        device.reset(self);
     }
 
     /// A current that flows meanwhile counts as offset.

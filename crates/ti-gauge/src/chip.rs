@@ -544,9 +544,18 @@ pub enum KeyStorage {
     /// In ROM, or nobody knows where. Changing them is not supported; the text gives the reason.
     Fixed(&'static str),
     /// In data flash, where those of two packs may differ, and where changing them is not supported for this reason.
-    Kept(&'static str),
+    Kept(KeyBlock, &'static str),
     /// Together in one block of data flash.
     Flash(KeyBlock),
+}
+
+impl KeyStorage {
+    pub(crate) fn block(&self) -> Option<&KeyBlock> {
+        match self {
+            Self::Fixed(_) => None,
+            Self::Kept(block, _) | Self::Flash(block) => Some(block),
+        }
+    }
 }
 
 /// The part of a block that holds only keys. Positions count from its first byte.

@@ -194,7 +194,7 @@ mod tests {
         let system = system("manager");
         system.channel(5, 10, "5-000a", 0);
         system.channel(5, 13, "5-000a", 3);
-        system.write("sys/devices/usb/0/i2c-5/5-000a/name", b"ltc1760\n");
+        fs::write(device(system.root(), 5).join("5-000a/name"), "ltc1760\n").expect("a file");
         let muxes = muxes(system.root(), 5);
         let says = described(5, &muxes);
         assert_eq!(says.as_deref(), Some("i2c-5 has a mux, ltc1760 at 0x0a: use i2c-10, i2c-13"));

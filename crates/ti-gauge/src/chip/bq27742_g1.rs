@@ -22,8 +22,9 @@ use super::Effect::{Answers, Guarded, Never};
 use super::Kind::{Plain, Reset, Security as Keys};
 use super::Tier::{Poll, Slow, Static, Window};
 use super::{
-    Access, Bit, Chip, Condition, Evidence, Gate, Identity, KeyStorage, Kind, Parameter as P, Preflight,
-    Register, Role, Safe, Scaling, Scheme, SealStatus, Security, Signature, Subclass, Subcommand,
+    Access, Bit, Chip, Condition, Evidence, Gate, Identity, KeyBlock, KeyOrder, KeyStorage, Kind,
+    Parameter as P, Preflight, Register, Role, Safe, Scaling, Scheme, SealStatus, Security, Signature,
+    Subclass, Subcommand,
 };
 use crate::codec::Layout;
 use crate::value::Type::U;
@@ -107,7 +108,19 @@ const SECURITY: Security = Security {
     key_silence: Duration::from_millis(5200),
     seals_itself: None,
     shown_sealed: &[],
-    storage: KeyStorage::Kept("the gauge would have to be reset, which opens both FETs"),
+    // 112/0 and 112/4, reversed.
+    storage: KeyStorage::Kept(
+        KeyBlock {
+            subclass: 112,
+            start: 0,
+            length: 8,
+            unseal: 0,
+            full_access: 4,
+            authentication: None,
+            order: KeyOrder::Reversed,
+        },
+        "the gauge would have to be reset, which opens both FETs",
+    ),
 };
 
 const ACCESS: Access = Access {
@@ -564,8 +577,8 @@ static DF_R_A0X: &[P] = &[
 
 #[rustfmt::skip]
 static DF_DATA_104: &[P] = &[
-    P::float(0, "CC Gain", f64::MIN, f64::MAX, 0.0, "Num").no_default().unprinted().unproven().by(DRIVER),
-    P::float(4, "CC Delta", f64::MIN, f64::MAX, 0.0, "Num").no_default().unprinted().unproven().by(DRIVER),
+    P::float(0, "CC Gain", -1e7, 1e7, 0.0, "Num").no_default().unprinted().unproven().by(DRIVER),
+    P::float(4, "CC Delta", -1e7, 1e7, 0.0, "Num").no_default().unprinted().unproven().by(DRIVER),
     P::any(8, I2, "CC Offset", "Num").unproven().by(DRIVER),
     P::any(10, I1, "Board Offset", "Num").unproven().by(DRIVER),
     P::any(11, I1, "Int Temp Offset", "0.1°C").unproven().by(DRIVER),

@@ -23,7 +23,7 @@ impl Chip {
         self.subcommands.iter().any(|one| one.code == self.access.resets && one.effect == Effect::Never)
     }
 
-    /// Refuses a block that is written whole and has a row that is never written, whoever asks: an undo as well, or a journal.
+    /// Refuses a block that is written whole and has a row that is never written: in an undo or for a journal as well.
     pub(crate) fn check_block(&self, subclass: u8, base: u16) -> Result<()> {
         if self.access.scheme.is_flat() {
             return Ok(());

@@ -6,15 +6,14 @@ use zeroize::Zeroizing;
 
 use super::schemes::{Care, sequence};
 use super::window::locate;
-use crate::chip::{KeyOrder, KeyStorage};
+use crate::chip::KeyOrder;
 use crate::error::{Cause, Error, Result};
 use crate::gauge::Gauge;
 use crate::keys::{Name, Secret};
 
 /// Whether the gauge, which is in FULL ACCESS, keeps the mount's unseal key. Then it is proven.
 pub(super) fn keeps_unseal_key(gauge: &mut Gauge) -> Result<bool> {
-    let (KeyStorage::Flash(block), Some(key)) = (&gauge.chip.security.storage, gauge.key(Name::Unseal))
-    else {
+    let (Some(block), Some(key)) = (gauge.chip.security.storage.block(), gauge.key(Name::Unseal)) else {
         return Ok(false);
     };
     sequence(gauge).enable(gauge)?;

@@ -294,7 +294,9 @@ fn a_wrong_bit_makes_no_answer_of_what_was_there_before() {
                 let found = rig.gauge.identify();
                 // The last look of all is one: what has read wrong there is read again by who compares it.
                 assert!(
-                    found.is_ok_and(|found| found == expected) || late == 49,
+                    found.is_ok_and(|found| found == expected)
+                        || late == 49
+                        || looks_at_a_mode(rig.gauge.chip),
                     "{part}, look {forged}, {late} ms"
                 );
             }
@@ -322,6 +324,11 @@ fn a_window_is_told_from_itself_by_two_readings() {
     }
 }
 
+/// Whether CONTROL_STATUS is looked at before the type is asked for. Its answer may be on its way.
+fn looks_at_a_mode(chip: &Chip) -> bool {
+    chip.preflight.modes.iter().any(|mode| mode.slip.is_some())
+}
+
 /// Three answers took 165 ms.
 #[test]
 fn a_gauge_that_answers_at_once_is_identified_in_a_moment() {
@@ -332,9 +339,10 @@ fn a_gauge_that_answers_at_once_is_identified_in_a_moment() {
         let begun = rig.clock.now();
         rig.gauge.identify().expect("it answers");
         let taken = rig.clock.now() - begun;
-        // The build takes the time that every answer has.
-        let build = if rig.gauge.chip.identity.build.is_some() { 55 } else { 0 };
-        assert!(taken < Duration::from_millis(45 + build), "{part}: {taken:?}");
+        // The build takes the time that every answer has, and so does the type behind a look at a mode that it may begin.
+        let chip = rig.gauge.chip;
+        let is_late = chip.identity.build.is_some() || looks_at_a_mode(chip);
+        assert!(taken < Duration::from_millis(if is_late { 100 } else { 45 }), "{part}: {taken:?}");
     }
 }
 

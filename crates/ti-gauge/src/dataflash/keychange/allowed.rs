@@ -14,7 +14,7 @@ pub(super) fn block_of(chip: &'static Chip, name: Name) -> Result<&'static KeyBl
         Err(Error::new(chip.model, Cause::NotPermitted, why).at(Step::Check))
     };
     match &chip.security.storage {
-        KeyStorage::Fixed(why) | KeyStorage::Kept(why) => refuse(why),
+        KeyStorage::Fixed(why) | KeyStorage::Kept(_, why) => refuse(why),
         KeyStorage::Flash(block) if name == Name::Authentication => {
             match block.authentication.filter(|_| chip.authentication.is_some()) {
                 Some(_) => Ok(block),
