@@ -181,8 +181,10 @@ fn values_keep_their_order() {
     }
 }
 
+type Values<'a> = [((u8, u16), &'a str)];
+
 /// A limit that needs no gauge is refused before anything is sent.
-fn refused_or_early(address: u16, text: &str, refused: &dyn Fn(&[((u8, u16), &str)]) -> String) {
+fn refused_or_early(address: u16, text: &str, refused: &dyn Fn(&Values<'_>) -> String) {
     if Change::parse(CHIP, row(address), text.as_bytes(), false).is_ok() {
         refused(&[((FLAT, address), text)]);
     }

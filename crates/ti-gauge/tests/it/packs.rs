@@ -464,7 +464,8 @@ fn some_pack(random: &mut Random) -> Bench {
     bench.set("speed", "0");
     let adapters: Vec<_> = AdapterModel::all().collect();
     if random.below(2) == 0 {
-        bench.sim.set_adapter(*random.pick(&adapters), false);
+        let adapter = random.pick(&adapters);
+        bench.sim.set_adapter(adapter, false);
     }
     bench
 }
