@@ -425,7 +425,7 @@ mod tests {
         }
         let of = |number, functions| reach(functions, model(system.root(), number));
         assert_eq!((of(0, 0x0ffe_8001).write, of(0, 0x0ffe_8001).pec), (61, false));
-        assert_eq!(of(1, 0x1fff_8008), Reach::smbus(32, true));
+        assert_eq!(of(1, 0x1fff_8008), Reach { blocks: true, ..Reach::smbus(32, true) });
         // Its module can be told not to read blocks, and to send no packet error codes.
         assert_eq!(of(1, 0x1bff_8000), Reach { write: 33, blocks: true, ..Reach::smbus(2, false) });
         assert_eq!(of(2, 0x0fff_8009), Reach::FULL);
