@@ -192,8 +192,10 @@ impl Entry {
 
     /// Why an import skips the value: an uncertain address, or a learned value out of range; others are errors.
     pub fn not_imported(&self, also_unproven: bool) -> Result<Option<&'static str>> {
+        if let Some(why) = self.parameter.never {
+            return Ok(Some(why));
+        }
         match notation::parse(self.parameter, self.text().as_bytes()) {
-            _ if let Some(why) = self.parameter.never => Ok(Some(why)),
             _ if self.parameter.unproven && !also_unproven => Ok(Some("its address or range is unproven")),
             Ok(_) => Ok(None),
             Err(_) if self.parameter.learned => Ok(Some("learned, and outside its range")),
