@@ -23,6 +23,11 @@ pub struct Preflight {
 impl Preflight {
     pub(super) const NONE: Self =
         Self { pack: None, marks: &[], modes: &[], learning: None, voltage_mv: None };
+
+    /// The mode that DEVICE_TYPE begins if one bit of it is wrong, and what ends it.
+    pub fn slip(&self) -> Option<(&'static Mode, u16)> {
+        self.modes.iter().find_map(|mode| Some((mode, mode.slip?)))
+    }
 }
 
 /// A word that differs from pack to pack.

@@ -164,10 +164,7 @@ impl Gauge {
     /// DEVICE_TYPE, which with one wrong bit is the subcommand that begins calibration mode of some parts. That mode is ended
     /// if it shows right after the question and did not right before it; one that showed before is somebody else's.
     fn device_type(&mut self) -> Result<u16> {
-        let slips = |mode: &'static Mode| Some((mode, mode.slip?));
-        let Some((mode, end)) = self.chip.preflight.modes.iter().find_map(slips) else {
-            return self.ask(DEVICE_TYPE);
-        };
+        let Some((mode, end)) = self.chip.preflight.slip() else { return self.ask(DEVICE_TYPE) };
         let before = self.status_word().ok();
         let answer = self.ask(DEVICE_TYPE);
         // A gauge that is sealed takes neither.

@@ -503,7 +503,7 @@ fn a_gauge_to_which_nothing_can_be_written_shows_its_standard_commands() {
         let snapshot = published.snapshot.as_ref().expect("it is polled");
         assert!(snapshot.is_valid && snapshot.has_current && !published.is_failing, "{}", chip.name);
         // Before it, a look at the mode that the question may begin.
-        let looks = u32::from(chip.preflight.modes.iter().any(|mode| mode.slip.is_some()));
+        let looks = u32::from(chip.preflight.slip().is_some());
         assert_eq!(writes.load(Ordering::Relaxed), 1 + looks, "{}: only its type was asked for", chip.name);
         let row = chip.subclasses.iter().find_map(|class| Some((class, class.parameters.first()?)));
         let Some(row) = row else { continue };
