@@ -20,6 +20,7 @@ use gauge_bus::linux::{Adapter, LinuxBus, adapters, described};
 use gauge_bus::{Bus, BusError, GAUGE_ADDRESS, Reach};
 use gauge_owner::GaugeOptions;
 use ti_gauge::chip::Role;
+use ti_gauge::codec::FREEZING;
 use ti_gauge::probe::{self, ROM_ADDRESS, Reading, Target};
 use ti_gauge::rom::{self, Beside, Device};
 
@@ -415,7 +416,7 @@ fn reads(reading: &Reading) -> String {
     add(Role::VoltageNow, &|mv| format!("{:.3} V", mv / 1000.0));
     add(Role::CurrentNow, &|ma| format!("{:.3} A", ma / 1000.0));
     add(Role::Capacity, &|percent| format!("{percent} %"));
-    add(Role::Temp, &|kelvin| format!("{:.1} °C", (kelvin - 2731.0) / 10.0));
+    add(Role::Temp, &|kelvin| format!("{:.1} °C", (kelvin - FREEZING as f64) / 10.0));
     parts.join(", ")
 }
 

@@ -8,6 +8,7 @@ use gauge_owner::{Handle, Snapshot};
 use ti_gauge::chip::sbs::CONDITION_FLAG;
 use ti_gauge::chip::sbs::failures::failures;
 use ti_gauge::chip::{Chip, Condition, Primary, Register, Role, Scale, Scheme, Signature, power};
+use ti_gauge::codec::FREEZING;
 use ti_gauge::value::Value;
 use ti_gauge::{date, text};
 
@@ -128,8 +129,7 @@ static ATTRIBUTES: &[Row] = &[
     number("energy_full", |reading| reading.energy(Role::EnergyFull)),
     number("energy_full_design", |reading| reading.energy(Role::EnergyFullDesign)),
     number("power_avg", |reading| reading.power()),
-    // From 0.1 K to 0.1 °C, rounded as in the kernel's driver.
-    number("temp", |reading| Some(reading.steps(Role::Temp, 1)? - 2731)),
+    number("temp", |reading| Some(reading.steps(Role::Temp, 1)? - FREEZING)),
     number("internal_resistance", |reading| reading.resistance()),
     number("time_to_empty_now", |reading| reading.seconds(reading.time_to_empty_now()?)),
     number("time_to_empty_avg", |reading| reading.seconds(Role::TimeToEmptyAvg)),

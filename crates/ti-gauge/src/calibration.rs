@@ -7,6 +7,7 @@
 use std::time::Duration;
 
 use crate::chip::{Calibration, Chip, Offset, Parameter, Role, Subclass};
+use crate::codec::FREEZING;
 use crate::dataflash::{
     BEGINS, Change, DataFlash, Outcome, Place, Row, WriteOptions, accept_measured, assure_same,
     expect_measured, read_bits, read_word, undo_measured,
@@ -43,8 +44,7 @@ const LEAST_CURRENT_MA: i32 = 100;
 const LARGEST_CHANGE: f64 = 0.2;
 /// Tolerance of Voltage() with a divider computed from its resistors.
 const DIVIDER_TOLERANCE: f64 = 0.1;
-/// Temperature() at 0 °C, rounded as for `temp`, and the °C of a step.
-const FREEZING: f64 = 2731.0;
+/// The °C of a step of Temperature().
 const CELSIUS_STEP: f64 = 0.1;
 /// A cell's voltage in mV, if nobody has measured it.
 const CELL_MV: (f64, f64) = (1500.0, 4600.0);
@@ -712,7 +712,7 @@ fn readings(gauge: &mut Gauge, role: Role, count: usize) -> Result<Readings> {
         }
     }
     let values = read.iter().map(|&(_, value)| match role {
-        Role::Temp => (value - FREEZING) * CELSIUS_STEP,
+        Role::Temp => (value - FREEZING as f64) * CELSIUS_STEP,
         _ => value,
     });
     let count = read.len();

@@ -42,6 +42,18 @@ pub fn checksum(bytes: &[u8]) -> u8 {
     255 - bytes.iter().fold(0u8, |sum, &byte| sum.wrapping_add(byte))
 }
 
+/// What MACDataLen() counts besides the data: the address, the sum and itself.
+pub const MAC_OVERHEAD: usize = 4;
+
+/// MACDataSum(): 255 less the sum of the bytes of address and data modulo 256 (SLUA790 3).
+pub fn mac_sum(address: u16, data: &[u8]) -> u8 {
+    let [low, high] = address.to_le_bytes();
+    checksum(data).wrapping_sub(low).wrapping_sub(high)
+}
+
+/// Temperature() at 0 °C, in 0.1 K, rounded as in the kernel's driver.
+pub const FREEZING: i64 = 2731;
+
 /// Which byte of a number comes first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Order {

@@ -6,6 +6,7 @@ use std::collections::VecDeque;
 
 use super::{Lacking, Role};
 use crate::chip::{Chip, SealStatus, Source};
+use crate::codec::FREEZING;
 use crate::learning::{Bits, Cycle, Learned, Learns, Limits, Phase, Reading, Spoiled, State};
 use crate::registers::Registers;
 
@@ -319,7 +320,7 @@ impl History {
             bits: Bits::named(set),
             current_ma,
             voltage_mv: now.voltage,
-            degrees: kelvins.map(|tenths| (tenths - 2731.0) / 10.0),
+            degrees: kelvins.map(|tenths| (tenths - FREEZING as f64) / 10.0),
             design_mah: now.design,
             percent: now.percent,
             has_learned_status: learned_status(chip).is_some_and(|at| poll.registers.value(at).is_some()),

@@ -8,7 +8,7 @@ use super::chemistry::finds as chem_id;
 use super::{CELL_MV, CHARGE, ENERGY, ENERGY_SCALE, TAPER_VOLTAGE, TERMINATE};
 use super::{Facts, Lacking, Rule, Severity, Subject, Verdict};
 use crate::chip::{Kind, Quirk, Register, Role, Row, Safe};
-use crate::codec::WINDOW;
+use crate::codec::{FREEZING, WINDOW};
 use crate::dataflash::{Place, erased};
 use crate::notation;
 use crate::value::Value;
@@ -32,8 +32,6 @@ const CHARGED: [(&[&str], f64); 2] = [(CHARGE, 100.0), (TAPER_VOLTAGE, 200.0)];
 const LITHIUM_MV: (f64, f64) = (1500.0, 4600.0);
 /// Temperatures in 0.1 K at which the parts work, -40 to 85 °C, with a margin.
 const TEMPERATURE: (f64, f64) = (2331.0, 3631.0);
-/// Below 0 °C a battery gives less than its capacity.
-const FREEZING: f64 = 2731.0;
 /// Voltages in V that a mAh of Design Energy can stand for.
 const NOMINAL_V: (f64, f64) = (1.0, 4.6);
 /// CC Gain times the milliohms of the sense resistor, and by what share CC Delta may be of another one: the factors of TI's tool,
@@ -373,7 +371,7 @@ fn cell_voltage(facts: &Facts<'_>) -> Verdict {
 fn temperature(facts: &Facts<'_>) -> Verdict {
     let tenths = facts.polled(Role::Temp)?;
     let is_outside = tenths <= TEMPERATURE.0 || tenths >= TEMPERATURE.1;
-    found_if(is_outside, || format!("Temperature() is {:.1} °C", (tenths - FREEZING) / 10.0))
+    found_if(is_outside, || format!("Temperature() is {:.1} °C", (tenths - FREEZING as f64) / 10.0))
 }
 
 /// A bit and two rows that belong together.

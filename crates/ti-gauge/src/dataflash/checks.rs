@@ -10,7 +10,7 @@ use super::window::locate;
 use super::window::{Planned, Window};
 use super::{Change, Place};
 use crate::chip::{Chip, Gate, Parameter, Role, Safe};
-use crate::codec::{Layout, WINDOW};
+use crate::codec::{FREEZING, Layout, WINDOW};
 use crate::error::{Cause, Error, Reason, Result, Step};
 use crate::gauge::{Gauge, agreed};
 use crate::value::Value;
@@ -75,7 +75,7 @@ fn measured_now(gauge: &mut Gauge, role: Role) -> Result<(i64, i64)> {
     let mut look = || {
         let reading = i64::from(read_word(gauge, register.source)?);
         match register.values.hold(reading) {
-            true => Ok(if role == Role::Temp { reading - KELVIN } else { reading }),
+            true => Ok(if role == Role::Temp { reading - FREEZING } else { reading }),
             false => {
                 let why = "not measured yet, and this threshold must not be beyond it; try again";
                 Err(Error::new(format!("{}()", register.name), Cause::NotNow, why).at(Step::Check))
@@ -85,9 +85,6 @@ fn measured_now(gauge: &mut Gauge, role: Role) -> Result<(i64, i64)> {
     let (one, other) = (look()?, look()?);
     Ok((one.min(other), one.max(other)))
 }
-
-/// 0 degrees Celsius, in 0.1 K.
-const KELVIN: i64 = 2731;
 
 /// What another row of the change's subclass will hold, as the blocks of the write show it.
 fn value_at(chip: &Chip, change: &Change, planned: &[Planned], other: u16, why: &str) -> Result<i64> {

@@ -9,7 +9,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use super::target::{chip_like, instead};
 use super::{Faults, Format, Group, Image, Raw, Reading, at_line, check_count, is_written};
 use crate::chip::{CHIPS, Chip, Effect, FLAT, Kind, Parameter, SIBLINGS, Scheme, Subclass};
-use crate::codec::{WINDOW, checksum};
+use crate::codec::{MAC_OVERHEAD, WINDOW, checksum, mac_sum};
 
 mod romimage;
 use crate::error::{Cause, Error, Result};
@@ -40,7 +40,6 @@ const DATA: u8 = 0x40;
 const SUM: u8 = 0x60;
 /// BlockDataControl(), or MACDataLen().
 const LENGTH: u8 = 0x61;
-const OVERHEAD: u8 = 4;
 /// The comment that names the chip, because device type and firmware do not distinguish all chips.
 const CHIP_LINE: &str = "; gaugefs chip";
 /// The comment with the number of commands, because the format has no end mark.
@@ -628,7 +627,7 @@ impl Stream {
 
     fn commit_mac(&mut self, line: usize, length: u8) -> Result<(), String> {
         if self.in_doubt {
-            let length = u16::from(length.saturating_sub(OVERHEAD));
+            let length = u16::from(length.saturating_sub(MAC_OVERHEAD as u8));
             self.forget(self.address.map(|address| (FLAT, address)), length);
             return Ok(());
         }
@@ -636,8 +635,8 @@ impl Stream {
         self.pending = None;
         let window = std::mem::take(&mut self.window);
         let whole = window.keys().copied().eq(0..window.len() as u8);
-        if !whole || usize::from(length) != window.len() + usize::from(OVERHEAD) {
-            let want = window.len() + usize::from(OVERHEAD);
+        if !whole || usize::from(length) != window.len() + MAC_OVERHEAD {
+            let want = window.len() + MAC_OVERHEAD;
             return Err(format!(
                 "MACDataLen() is {length} instead of {want}; a gauge would discard the bytes"
             ));
@@ -786,12 +785,6 @@ fn check_sum(told: u8, sum: u8) -> Result<(), String> {
     Err(format!("checksum 0x{told:02x}, but the bytes give 0x{sum:02x}; a gauge would discard them"))
 }
 
-/// MACDataSum(): the complement of the sum of address and data.
-fn mac_sum(address: u16, bytes: &[u8]) -> u8 {
-    let [low, high] = address.to_le_bytes();
-    checksum(bytes).wrapping_sub(low).wrapping_sub(high)
-}
-
 /// The image as text. `raw` returns a subclass's bytes: undocumented bytes are written as they are.
 pub fn write(image: &Image, raw: impl Fn(u8) -> Result<Vec<u8>>) -> Result<String> {
     let chip = image.chip;
@@ -820,7 +813,7 @@ pub fn write(image: &Image, raw: impl Fn(u8) -> Result<Vec<u8>>) -> Result<Strin
             let select = row('W', SELECT, &address.to_le_bytes()) + &wait(access.select);
             text += &select;
             text += &row('W', DATA, &bytes);
-            text += &row('W', SUM, &[mac_sum(address, &bytes), bytes.len() as u8 + OVERHEAD]);
+            text += &row('W', SUM, &[mac_sum(address, &bytes), (bytes.len() + MAC_OVERHEAD) as u8]);
             text += &wait(access.commit);
             text += &select;
             text += &row('C', DATA, &bytes);

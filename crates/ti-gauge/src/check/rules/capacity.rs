@@ -3,9 +3,10 @@
 //! The full charge capacity against the design capacity. It follows from Qmax, which a write of Design Capacity leaves as it
 //! is: the gauge has the old one until it predicts anew or learns, and that is no fault of the configuration.
 
-use super::{FREEZING, Facts, Lacking, Verdict, found_if};
+use super::{Facts, Lacking, Verdict, found_if};
 use crate::check::history::{Configured, learned};
 use crate::chip::Role;
+use crate::codec::FREEZING;
 use crate::learning::Learned;
 
 /// The full charge capacity that a battery can have, as a share of the design capacity: a worn-out one, and a new one of
@@ -28,7 +29,7 @@ fn impossible(facts: &Facts<'_>) -> Result<Option<(f64, f64)>, Lacking> {
 
 /// Whether a battery of that design capacity can have that full charge capacity.
 fn can_have(facts: &Facts<'_>, full: f64, design: f64) -> bool {
-    let is_cold = facts.polled(Role::Temp).is_ok_and(|tenths| tenths < FREEZING);
+    let is_cold = facts.polled(Role::Temp).is_ok_and(|tenths| tenths < FREEZING as f64);
     full > 0.0 && (full >= design * FULL.0 || is_cold) && full <= design * FULL.1
 }
 

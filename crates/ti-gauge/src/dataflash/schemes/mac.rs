@@ -6,7 +6,7 @@ use std::cell::Cell;
 
 use super::{Before, Care, Early, Sequence, look_early, look_twice, note_shown, settle};
 use crate::chip::FLAT;
-use crate::codec::{WINDOW, checksum};
+use crate::codec::{MAC_OVERHEAD, WINDOW, mac_sum};
 use crate::dataflash::window::{Planned, Window};
 use crate::dataflash::window::{has_address, holds_keys};
 use crate::error::{Cause, Error, Reason, Result, Step};
@@ -17,8 +17,6 @@ const MAC: u8 = 0x3e;
 const MAC_DATA: u8 = 0x40;
 /// MACDataSum(); MACDataLen() follows it.
 const MAC_DATA_SUM: u8 = 0x60;
-/// Bytes that MACDataLen() counts besides the data: the address, the sum and itself.
-const OVERHEAD: usize = 4;
 /// No subcommand has a longer answer.
 const LONGEST_ANSWER: usize = 12;
 
@@ -84,8 +82,8 @@ impl Sequence for Mac {
     fn commit(&self, gauge: &mut Gauge, block: &Planned) -> Result<()> {
         for run in block.runs() {
             let address = block.place.base + run.start as u16;
-            let length = (run.len() + OVERHEAD) as u8;
-            let sent = gauge.write_once(MAC_DATA_SUM, &[sum(address, &block.new[run]), length]);
+            let length = (run.len() + MAC_OVERHEAD) as u8;
+            let sent = gauge.write_once(MAC_DATA_SUM, &[mac_sum(address, &block.new[run]), length]);
             gauge.wait(gauge.chip.access.commit);
             sent.map_err(|bus| Error::bus("MACDataSum()", bus).at(Step::WriteBlock))?;
         }
@@ -95,12 +93,6 @@ impl Sequence for Mac {
     fn always_finishes(&self) -> bool {
         false
     }
-}
-
-/// MACDataSum(): the complement of the sum of address and data.
-fn sum(address: u16, data: &[u8]) -> u8 {
-    let [low, high] = address.to_le_bytes();
-    checksum(data).wrapping_sub(low).wrapping_sub(high)
 }
 
 fn request(gauge: &mut Gauge, place: Window) -> Result<()> {
@@ -156,7 +148,7 @@ fn load_once(gauge: &mut Gauge, place: Window, before: Option<&Before>, care: Ca
     let seen = match before {
         None => look_twice(gauge, care, None, read_sum, whole),
         Some(before) => {
-            let stale = before.sums(|at, content| sum(at.unwrap_or(place).base, content));
+            let stale = before.sums(|at, content| mac_sum(at.unwrap_or(place).base, content));
             let is_new = |now: &[u8; WINDOW]| !before.is_shown(chip, now);
             let is_far = |now: &[u8; WINDOW]| before.is_far(chip, now);
             let is_apart = |now: &[u8; WINDOW]| before.is_apart(chip, now);
@@ -193,11 +185,11 @@ fn read_answer(gauge: &mut Gauge, place: Window) -> Result<([u8; WINDOW], u8)> {
         let why = format!("the gauge echoes address 0x{echo:04x}");
         return refuse(Reason::Text(Cause::Protocol, why.into()));
     }
-    if !(OVERHEAD..=OVERHEAD + WINDOW).contains(&length) {
+    if !(MAC_OVERHEAD..=MAC_OVERHEAD + WINDOW).contains(&length) {
         return refuse(Reason::Text(Cause::Protocol, format!("MACDataLen() is {length}").into()));
     }
-    let data = &answer[2..2 + length - OVERHEAD];
-    let adds_up = sum(address, data);
+    let data = &answer[2..2 + length - MAC_OVERHEAD];
+    let adds_up = mac_sum(address, data);
     if adds_up != reported {
         return refuse(Reason::Checksum {
             found: reported.into(),

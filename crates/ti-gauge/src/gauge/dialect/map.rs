@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use super::{Challenge, Dialect, Touches};
 use crate::chip::{Chip, Register, SealStatus, Source};
-use crate::codec::{WINDOW, checksum};
+use crate::codec::{MAC_OVERHEAD, WINDOW, mac_sum};
 use crate::error::{Cause, Error, Result, Step};
 use crate::gauge::state::{Rows, Shown};
 use crate::gauge::{APART, CONTROL_STATUS, FW_VERSION, Gauge, TRIES};
@@ -28,8 +28,7 @@ const LENGTH: u8 = 0x61;
 const ACCESS: Range<u8> = 0x3e..0x62;
 const ACCESS_LENGTH: usize = (ACCESS.end - ACCESS.start) as usize;
 
-/// What MACDataLen() counts besides the data, and the longest answer to FW_VERSION that any part is known to have.
-const MAC_OVERHEAD: usize = 4;
+/// The longest answer to FW_VERSION that any part is known to have.
 const LONGEST_VERSION: usize = 12;
 /// From a subcommand until MACData() must show its answer; the blocks of data flash take as long.
 const ANSWER: Duration = Duration::from_millis(55);
@@ -278,9 +277,10 @@ fn look_at_answer(gauge: &mut Gauge, code: u16, also: &[Source]) -> Result<(u16,
     read.map_err(|error| error.about(gauge.subcommand_name(code)).at(Step::Control))?;
     let [low, high, data @ .., sum, length] = shown;
     let data = usize::from(length).checked_sub(MAC_OVERHEAD).and_then(|count| data.get(..count));
-    let is_whole = |data: &&[u8]| checksum(data).wrapping_sub(low).wrapping_sub(high) == sum;
+    let echo = u16::from_le_bytes([low, high]);
+    let is_whole = |data: &&[u8]| mac_sum(echo, data) == sum;
     let word = data.filter(is_whole).and_then(|data| data.first_chunk());
-    let Some(word) = word.filter(|_| u16::from_le_bytes([low, high]) == code) else {
+    let Some(word) = word.filter(|_| echo == code) else {
         let why = "the gauge shows another answer, or its sum does not fit";
         return Err(Error::new(gauge.subcommand_name(code), Cause::Protocol, why).at(Step::Control));
     };
