@@ -133,6 +133,9 @@ impl Model {
             }
         } else if self.staged.is_some() {
             self.spoiled = self.spoiled.or(outcome.err());
+        } else if outcome == Err(Errno::EBUSY) {
+            // A second `begin` after `abort` and `begin`, all in one write: it would have begun one.
+            self.spoiled = outcome.err();
         }
         if !self.disturbed && self.random.one_in(2) {
             self.opens(0, "df/transaction", Class::Transaction, OFlags::RDONLY)
