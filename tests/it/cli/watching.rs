@@ -480,7 +480,8 @@ fn log_continues_after_an_absence() {
     within("rows again", || count(there) >= before + 2);
     // The mount goes and comes back.
     let gaps = count(|row| row[3].is_empty());
-    gaugefs(&["umount", &at]).done();
+    // It may be reading, and on a busy machine keep what it reads in use for longer than umount waits.
+    within("umount", || gaugefs(&["umount", &at]).code == Some(0));
     within("another one", || count(|row| row[3].is_empty()) == gaps + 1);
     let before = count(there);
     gaugefs(&["mount", "--sim", CHIP, "--poll", "0.5", &at]).done();
