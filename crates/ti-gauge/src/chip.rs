@@ -234,6 +234,8 @@ pub struct Quirk {
 pub enum Tier {
     /// With every poll.
     Poll,
+    /// With every poll of a gauge whose type and version are the table's. In others its address may be something else's.
+    Proven,
     /// With every tenth poll, for `gauge/registers`.
     Slow,
     /// When the gauge is opened: copies of data flash.

@@ -69,7 +69,7 @@ impl Readings {
         if access.shared().is_asked() && (slow || statics || shows_measuring) {
             access.read_status()?;
         }
-        let mut registers = self.read_polled(access.gauge())?;
+        let mut registers = self.read_polled(access)?;
         if registers.are_all_ones() {
             let why = "every byte reads 0xff, as on a bus without a gauge; check that it is connected";
             return Err(Error::new(chip.name, Cause::Protocol, why).at(Step::Read));
@@ -84,7 +84,7 @@ impl Readings {
             if statics {
                 self.read_rare(access.gauge(), false, true)?;
             }
-            registers = self.read_polled(access.gauge())?;
+            registers = self.read_polled(access)?;
         }
         Ok((taken, registers))
     }
@@ -94,14 +94,19 @@ impl Readings {
         self.rare.read(gauge, |tier| match tier {
             Tier::Slow => slow,
             Tier::Static => statics,
-            Tier::Poll | Tier::Window => false,
+            Tier::Poll | Tier::Proven | Tier::Window => false,
         })
     }
 
-    /// Reads the tier of each poll, and adds it to the others.
-    fn read_polled(&self, gauge: &mut Gauge) -> Result<Registers> {
+    /// Reads the tiers of each poll, and adds them to the others.
+    fn read_polled(&self, access: &mut Access) -> Result<Registers> {
+        let is_proven = access.shared().published().limited.is_none();
         let mut registers = self.rare.clone();
-        registers.read(gauge, |tier| tier == Tier::Poll)?;
+        registers.read(access.gauge(), |tier| match tier {
+            Tier::Poll => true,
+            Tier::Proven => is_proven,
+            Tier::Slow | Tier::Static | Tier::Window => false,
+        })?;
         Ok(registers)
     }
 

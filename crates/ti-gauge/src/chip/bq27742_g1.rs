@@ -20,7 +20,7 @@ use std::time::Duration;
 
 use super::Effect::{Answers, Guarded, Never};
 use super::Kind::{Plain, Reset, Security as Keys};
-use super::Tier::{Poll, Slow, Static, Window};
+use super::Tier::{Poll, Proven, Slow, Static, Window};
 use super::{
     Access, Bit, Chip, Condition, Evidence, Gate, Identity, KeyBlock, KeyOrder, KeyStorage, Kind,
     Parameter as P, Preflight, Register, Role, Safe, Scaling, Scheme, SealStatus, Security, Signature,
@@ -148,8 +148,7 @@ static SIGNATURE: &[Signature] = &[
     Signature::new(80, 64, I2, 2800, 3700),  // Terminate Voltage
 ];
 
-/// Standard commands of both sources. The kernel's driver reads BTPSOC1Set() as a power. AveragePower() is no
-/// property: what is polled is asked of every gauge that is only looked at, and some end before it.
+/// Standard commands of both sources. The kernel's driver reads BTPSOC1Set() as a power. Relatives end before AveragePower().
 #[rustfmt::skip]
 static REGISTERS: &[Register] = &[
     Register::new(0x00, U2, "Control", "", Window),
@@ -179,7 +178,7 @@ static REGISTERS: &[Register] = &[
     Register::new(0x60, U1, "BlockDataChecksum", "", Window),
     Register::new(0x61, U1, "BlockDataControl", "", Window),
     Register::new(0x6D, U1, "ProtectorStatus", "", Slow),
-    Register::new(0x76, I2, "AveragePower", "mW", Slow),
+    Register::new(0x76, I2, "AveragePower", "mW", Proven).role(Role::PowerAvg),
     Register::new(0x78, U1, "ProtectorState", "", Slow),
 ];
 

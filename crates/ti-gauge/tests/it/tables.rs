@@ -143,7 +143,7 @@ fn every_role_that_a_power_supply_needs_is_present() {
                 Some(Role::ChargeVoltage | Role::ChargeCurrent | Role::InternalResistance)
             );
             assert!(
-                matches!(register.tier, Tier::Poll | Tier::Static) != is_slow
+                matches!(register.tier, Tier::Poll | Tier::Proven | Tier::Static) != is_slow
                     && register.tier != Tier::Window,
                 "{}: {} feeds a property but is not polled",
                 chip.name,

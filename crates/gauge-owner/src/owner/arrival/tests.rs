@@ -11,7 +11,7 @@ use super::*;
 use crate::error::{Cause, Error};
 use gauge_bus::clock::Clock as _;
 use gauge_bus::{Bus as _, BusError};
-use ti_gauge::chip::{CHIPS, Chip, Limited};
+use ti_gauge::chip::{CHIPS, Chip, Limited, Role, Source};
 use ti_gauge::dataflash::Change;
 use ti_gauge::value::Value;
 
@@ -107,6 +107,64 @@ fn regression_the_firmware_that_is_shown_is_the_gauges() {
         assert_eq!(rig.handle.published().answers.firmware_version, 0x0201, "{chip}");
         rig.ask(&op::CONTROL, 0x0002).expect("it answers");
         assert_eq!(rig.handle.published().control(), Some((0x0002, 0x0201)), "{chip}");
+    }
+}
+
+/// It is read by the standard commands that every firmware has, without a name of data flash and without a key.
+#[test]
+fn another_firmware_is_not_asked_for_what_only_the_tables_has() {
+    let at = 0x76;
+    let has_asked = |rig: &Rig| {
+        rig.sim.log().into_iter().any(|record| match record.write[..] {
+            [first] => (first..first + record.read.len() as u8).contains(&at),
+            _ => record.write[0] == at,
+        })
+    };
+    let shown = |rig: &Rig, role| {
+        let published = rig.handle.published();
+        published.snapshot.as_ref().expect("a poll").registers.property(role)
+    };
+    let mut rig = Rig::of("bq27742-g1", Run::default());
+    assert_eq!(rig.handle.chip().register(Role::PowerAvg).map(|row| row.source), Some(Source::Command(at)));
+    rig.sim.keep_log(true);
+    rig.sim.set("load_ma", "500").expect("a knob");
+    rig.start().expect("it answers");
+    for _ in 0..30 {
+        rig.poll_after(INTERVAL);
+    }
+    assert!(rig.handle.published().limited.is_none());
+    let product = [Role::VoltageNow, Role::CurrentAvg].map(|role| shown(&rig, role).expect("it is read"));
+    let expected = product.into_iter().product::<i64>() / 1000;
+    let power = shown(&rig, Role::PowerAvg).expect("it is read");
+    assert!(power < -100 && (power - expected).abs() <= 20, "{power} {expected}");
+    assert!(has_asked(&rig));
+    // It is exchanged while it is mounted, or it was another one from the start.
+    rig.sim.set("firmware", "0x0110").expect("a knob");
+    rig.ask(&op::REFRESH, ()).expect("it answers");
+    let mut other = Rig::of("bq27742-g1", Run::default());
+    other.sim.set("firmware", "0x0110").expect("a knob");
+    other.start().expect("it answers");
+    for mut rig in [rig, other] {
+        rig.sim.keep_log(true);
+        for _ in 0..12 {
+            rig.poll_after(INTERVAL);
+        }
+        assert!(rig.sim.log().iter().any(|record| record.write == [0x06]), "the others are polled");
+        assert!(matches!(rig.handle.published().limited, Some(Limited::Unproven)));
+        assert!(!has_asked(&rig), "{:?}", rig.sim.log());
+        assert_eq!(shown(&rig, Role::PowerAvg), None);
+        assert!(shown(&rig, Role::VoltageNow).is_some_and(|voltage| (2500..4500).contains(&voltage)));
+        let index = rig.index(48);
+        let refused = [
+            rig.ask(&op::READ, vec![index]).map(drop).expect_err("no names"),
+            rig.ask(&op::SEAL, Seal::Unsealed).map(drop).expect_err("no seal"),
+        ];
+        for error in refused {
+            assert_eq!(error.cause(), Cause::NotPermitted, "{error}");
+            assert!(error.to_string().contains("only for firmware 0x0103"), "{error}");
+        }
+        let sent: Vec<_> = rig.sim.log().into_iter().map(|record| record.write).collect();
+        assert!(sent.iter().all(|write| write.len() == 1 || write[0] == 0x00), "{sent:?}");
     }
 }
 
