@@ -56,6 +56,7 @@ struct Row {
     data_flash: &'static str,
     parameters: usize,
     unproven: usize,
+    never: usize,
     readable: usize,
     writable: usize,
     keys: &'static str,
@@ -68,7 +69,6 @@ struct Row {
 impl Row {
     fn new(chip: &'static Chip) -> Self {
         let count = |register: &&Register| register.role.is_some();
-        let all = || chip.subclasses.iter().flat_map(|subclass| subclass.parameters);
         let is_shown = || chip.subclasses.iter().filter(|subclass| subclass.kind != Kind::Security);
         let readable = || is_shown().flat_map(|subclass| subclass.parameters);
         Self {
@@ -76,8 +76,9 @@ impl Row {
             model: chip.model,
             attributes: chip.registers.iter().filter(count).count(),
             data_flash: scheme(chip),
-            parameters: all().count(),
-            unproven: all().filter(|parameter| parameter.unproven).count(),
+            parameters: chip.rows().count(),
+            unproven: readable().filter(|parameter| parameter.unproven && parameter.never.is_none()).count(),
+            never: readable().filter(|parameter| parameter.never.is_some()).count(),
             readable: readable().count(),
             writable: readable().filter(|parameter| !parameter.unproven).count(),
             keys: keys(chip),
@@ -178,14 +179,11 @@ fn details(chip: &'static Chip) -> String {
             row.readable, row.data_flash
         ),
         true => {
-            let never = chip.rows().filter(|(_, row)| row.never.is_some()).count();
+            let never = row.never;
             let other = if never > 0 { format!("; {never} are never written") } else { String::new() };
             format!(
                 "{} parameters in {}, {} can be written; {} are uncertain and read-only without --allow-unproven{other}",
-                row.readable,
-                row.data_flash,
-                row.writable,
-                row.readable - row.writable - never
+                row.readable, row.data_flash, row.writable, row.unproven
             )
         }
     };
@@ -314,6 +312,20 @@ mod tests {
             own += usize::from(named > 0);
         }
         assert!(own >= 6, "{own}");
+    }
+
+    #[test]
+    fn regression_what_is_never_written_counted_as_unproven() {
+        for row in Chip::all().map(Row::new) {
+            assert_eq!(row.writable + row.unproven + row.never, row.readable, "{}", row.name);
+        }
+        let counts = |name: &str| {
+            let row = Row::new(Chip::by_name(name).expect("a chip"));
+            (row.readable, row.writable, row.unproven, row.never)
+        };
+        assert_eq!(counts("bq28z610"), (403, 16, 168, 219));
+        // Only its names are known.
+        assert_eq!(counts("bq27541-g1").3, 0);
     }
 
     #[test]
