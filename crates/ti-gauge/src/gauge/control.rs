@@ -119,8 +119,7 @@ impl Gauge {
     /// Reads firmware and versions of a gauge that has answered with that type.
     pub fn identify_type(&mut self, device_type: u16) -> Result<Answers> {
         let named = |error: Error| error.at(Step::Identify);
-        let firmware_version = self.firmware_version()?;
-        let build = self.build().map_err(named)?;
+        let (firmware_version, build) = self.versions().map_err(named)?;
         let hardware_version = self.ask_named("HW_VERSION").map_err(named)?.unwrap_or_default();
         let chem_id = self.ask_named("CHEM_ID").map_err(named)?;
         // The code is a byte; nothing is said of the other one.
@@ -131,6 +130,21 @@ impl Gauge {
     fn ask_named(&mut self, name: &str) -> Result<Option<u16>> {
         let known = self.chip.subcommands.iter().find(|subcommand| subcommand.name == name);
         known.map(|subcommand| self.ask(subcommand.code)).transpose()
+    }
+
+    /// The firmware's version and build: both from one answer where that is the table's in every byte, type included.
+    fn versions(&mut self) -> Result<(u16, Option<u16>)> {
+        let identity = &self.chip.identity;
+        if let Some(build) = identity.build {
+            let answer = self.dialect.version(self)?;
+            let is = |version: &&u16| {
+                answer.starts_with(&[identity.device_type, **version, build].map(u16::to_be_bytes).concat())
+            };
+            if let Some(&version) = identity.firmware.iter().find(is) {
+                return Ok((version, Some(build)));
+            }
+        }
+        Ok((self.firmware_version()?, self.build()?))
     }
 
     /// The build behind the version in the answer to FW_VERSION; `None` where no table asks for it. What is not the table's

@@ -262,6 +262,29 @@ fn of_another_build(rig: &mut Rig) {
     });
 }
 
+/// Version and build are in one answer. With a wrong bit it is asked for again, and so it is where another answer is there.
+#[test]
+fn a_firmware_is_known_by_one_answer() {
+    for (at, asked) in [(None, 1), (Some(0), 3), (Some(3), 3), (Some(5), 3)] {
+        let mut rig = Rig::new("bq28z610");
+        let mut left = u32::from(at.is_some());
+        rig.through(move |bus, write, read| {
+            let done = bus.transfer(write, read);
+            if let Some(at) = at.filter(|_| left > 0 && write == [0x40] && read.starts_with(&[0x26, 0x10])) {
+                left -= 1;
+                read[at] ^= 1;
+            }
+            done
+        });
+        rig.sim.clear_log();
+        let answers = rig.gauge.identify().expect("it answers");
+        assert_eq!((answers.firmware_version, answers.build), (0x0017, Some(0x0016)), "{at:?}");
+        let log = rig.log();
+        let sent = log.iter().filter(|line| *line == "W 3E 02 00" || *line == "W 00 02 00").count();
+        assert_eq!(sent, asked, "{at:?}: {log:?}");
+    }
+}
+
 /// It is read by its standard commands, and says of which build the table is.
 #[test]
 fn another_build_is_only_read() {
