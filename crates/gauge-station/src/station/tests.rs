@@ -31,6 +31,7 @@ use ti_gauge::notation;
 
 mod attacks;
 mod mux;
+mod protector;
 mod waits;
 
 /// A station's folder, which is removed at the end.
@@ -54,6 +55,10 @@ impl Folder {
     }
 
     fn try_plan(&self, lines: &str) -> Result<Plan> {
+        self.try_plan_of(CHIP, lines)
+    }
+
+    fn try_plan_of(&self, chip: &str, lines: &str) -> Result<Plan> {
         let text = format!("no-backup = true\nstate-dir = 'journals'\n{lines}\n");
         let mut options: Options = ::toml::from_str(&text).expect("options");
         let Options { record, images, state_dir, serial_list, new_key_file, .. } = &mut options;
@@ -63,7 +68,7 @@ impl Folder {
         if !image.exists() {
             fs::write(&image, golden()).expect("a file");
         }
-        let gauges = vec![("BAT0".into(), simulated(CHIP))];
+        let gauges = vec![("BAT0".into(), simulated(chip))];
         Plan::read(&image, Setup::new(&self.file("line1.toml"), options, gauges))
     }
 
