@@ -534,8 +534,12 @@ mod tests {
         let why = "it is for ROM mode, of device type unknown and firmware 0x0204; gaugefs knows a bq34z100-G1 with firmware \
                    0x0016 and a bq34z100-R2 with firmware 0x0202 and a bq27500 with firmware 0x0106 or 0x0120";
         assert_eq!(error(&file(&flash(true), 0x0204, 2)), why);
-        // Of a part whose layout is not known the mode is the reason.
-        assert!(error_of(&g1, "bq34110").starts_with("line 4: Control(ROM_MODE)"));
+        // Of a part whose layout is not known the mode is the reason, and what is read of it instead is named.
+        for chip in CHIPS.iter().filter(|chip| chip.rom_image.is_none()) {
+            let why = error_of(&g1, chip.name);
+            let instead = format!("use a .gm.fs or .gg.csv of a {}", chip.model);
+            assert!(why.starts_with("line 4: Control(ROM_MODE)") && why.contains(&instead), "{why}");
+        }
         // Without firmware the layout alone decides.
         let image = Image::parse(&file(&flash(true), 0, 0), None).expect("an image");
         assert_eq!((image.chip.name, image.firmware, image.names_chip), ("bq34z100-r2", None, false));
