@@ -79,6 +79,9 @@ struct Code {
     is_own: bool,
 }
 
+/// Words of several codes; `None` where the pack has none.
+pub(super) type Words = Vec<Option<Vec<u8>>>;
+
 #[derive(Debug)]
 pub(super) struct Packets {
     /// Where the pack is: a packet error code covers the address.
@@ -88,6 +91,8 @@ pub(super) struct Packets {
     last: Option<(u8, [u8; 2])>,
     /// The serial number of the pack.
     pub(super) serial: Option<Vec<u8>>,
+    /// The mode that decides units, and the last words that were read in it.
+    pub(super) in_mode: Option<Words>,
     pub(super) asked: Asked,
     /// Questions that it has not answered.
     pub(super) unknown: BTreeSet<u16>,
@@ -105,6 +110,7 @@ impl Packets {
             codes: BTreeMap::new(),
             last: None,
             serial: None,
+            in_mode: None,
             asked: Asked::Not,
             unknown: BTreeSet::new(),
             heard: None,
@@ -171,6 +177,10 @@ mod tests {
             (&[0x17, 0x04, 0x21, 0x7b, 0x50, 0x00], 0x91),
             (&[0x17, 0x04, 0xb5, 0xfe, 0xb2, 0xd5], 0x18),
             (&[0x17, 0x02, 0x32, 0x28], 0xd8),
+            // What a driver of a bq40z50 writes.
+            (&[0x16, 0x44, 0x02, 0x02, 0x00], 0x46),
+            (&[0x16, 0x44, 0x02, 0x7b, 0x00], 0x59),
+            (&[0x16, 0x44, 0x02, 0x00, 0x40], 0xab),
         ] {
             assert_eq!(crc(bytes), pec, "{bytes:02x?}");
         }

@@ -132,15 +132,15 @@ fn no_call_of_a_gauge_sends_more_than_a_code_and_a_read() {
 }
 
 #[test]
-fn a_poll_reads_a_word_for_each_value_and_the_mode_twice() {
+fn a_poll_reads_a_word_for_each_value_and_the_mode_around_what_it_decides() {
     let mut bench = Bench::new();
     bench.read().expect("it answers");
     bench.sim.clear_log();
     let mut registers = Registers::unread(sbs().registers);
     registers.read(&mut bench.gauge, |tier| tier == Tier::Poll).expect("it answers");
     let (sent, rows) = (bench.codes(), reads(sbs(), Tier::Poll));
-    assert_eq!((sent.len(), rows.len()), (20, 19), "{sent:02x?}");
-    assert_eq!(sent[sent.len() - 5..], [0x03, 0x0f, 0x10, 0x18, 0x03], "the mode around what it decides");
+    assert_eq!((sent.len(), rows.len()), (22, 19), "{sent:02x?}");
+    assert_eq!(sent[sent.len() - 7..], [0x03, 0x0f, 0x03, 0x10, 0x03, 0x18, 0x03]);
 }
 
 #[test]
@@ -415,17 +415,71 @@ fn a_mode_that_another_host_changes_meanwhile_misleads_nobody() {
         let mut gauge = Gauge::new(sbs(), Box::new(bus), bench.clock.clone(), Keys::default());
         let mut registers = Registers::unread(sbs().registers);
         registers.read(&mut gauge, |tier| tier == Tier::Poll).expect("it answers");
-        let charge =
-            [Role::ChargeNow, Role::ChargeFull, Role::ChargeFullDesign].map(|role| registers.property(role));
-        let energy =
-            [Role::EnergyNow, Role::EnergyFull, Role::EnergyFullDesign].map(|role| registers.property(role));
-        match charge {
-            [None, None, None] => assert_eq!(energy, [43630, 72720, 74880].map(Some), "transfer {at}"),
-            charge => {
-                assert_eq!((charge, energy), ([3030, 5050, 5200].map(Some), [None; 3]), "transfer {at}")
+        assert!(has_capacities(&registers), "transfer {at}");
+    }
+}
+
+/// Whether it has the capacities of a pack at rest, all in one unit; `false` if it has none.
+#[track_caller]
+fn has_capacities(registers: &Registers) -> bool {
+    let of = |roles: [Role; 3]| roles.map(|role| registers.property(role));
+    let charge = of([Role::ChargeNow, Role::ChargeFull, Role::ChargeFullDesign]);
+    let energy = of([Role::EnergyNow, Role::EnergyFull, Role::EnergyFullDesign]);
+    let (right, none) = (([3030, 5050, 5200].map(Some), [43630, 72720, 74880].map(Some)), [None; 3]);
+    assert!(
+        [(right.0, none), (none, right.1), (none, none)].contains(&(charge, energy)),
+        "{charge:?} {energy:?}"
+    );
+    (charge, energy) != (none, none)
+}
+
+/// The driver takes two transfers at least between its writes, and a pause of a millisecond.
+#[test]
+fn regression_a_mode_that_was_changed_and_changed_back_between_two_readings_of_it_misled() {
+    /// Every so many transfers the mode is another one, during some of them.
+    struct Pulses {
+        bus: gauge_sim::SimBus,
+        every: u32,
+        width: u32,
+        count: u32,
+    }
+    impl Bus for Pulses {
+        fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> std::result::Result<(), BusError> {
+            self.count += 1;
+            match self.count % self.every {
+                0 => self.bus.transfer(&[0x03, 0x00, 0x80], &mut [])?,
+                at if at == self.width => self.bus.transfer(&[0x03, 0x00, 0x00], &mut [])?,
+                _ => {}
+            }
+            self.bus.transfer(write, read)
+        }
+    }
+    let polls = |every, width, count| {
+        let bench = Bench::new();
+        let bus = Pulses { bus: bench.sim.bus(), every, width, count };
+        let mut gauge = Gauge::new(sbs(), Box::new(bus), bench.clock.clone(), Keys::default());
+        let mut registers = Registers::unread(sbs().registers);
+        let polls = (0..20).filter(|_| {
+            registers.read(&mut gauge, |tier| tier == Tier::Poll).expect("it answers");
+            has_capacities(&registers)
+        });
+        polls.count()
+    };
+    // Once, however short; it costs one reading at most.
+    for at in 1..=80 {
+        for width in 1..=20 {
+            assert!(polls(1000, width, 1000 - at) >= 19, "{width} transfers from {at} on");
+        }
+    }
+    // Always, as of a program that does nothing else.
+    for every in 4..=60 {
+        for width in 2..every - 1 {
+            for count in 0..every.min(8) {
+                polls(every, width, count);
             }
         }
     }
+    assert!(polls(60, 3, 0) >= 15);
 }
 
 /// All rows, as they were read.
@@ -620,6 +674,57 @@ fn a_recorded_pack_shows_what_it_sent() {
     assert_eq!(statistics.pec(), Pec::Right);
     let counts = [&statistics.pec_checked, &statistics.pec_wrong].map(Statistics::read);
     assert!(counts[0] > 25 && counts[1] == 0, "{counts:?}");
+}
+
+/// The words of a sealed bq3050 that its owner has read one after the other, without checksums
+/// (laszlodaniel/SmartBatteryHack, issue 22). A code that it does not have is the word before.
+#[test]
+fn a_recorded_pack_of_ti_has_its_words_and_no_more() {
+    struct Dump([u8; 2]);
+    impl Bus for Dump {
+        fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> std::result::Result<(), BusError> {
+            const WORDS: [u16; 0x1d] = [
+                0x0000, 0x01b8, 0x000a, 0x6081, 0x0000, 0xffff, 0xffff, 0x0001, 0x0bb4, 0x2a7c, 0x0000,
+                0x0000, 0x0064, 0x0064, 0x03fd, 0xff38, 0xff38, 0xffff, 0xffff, 0xffff, 0x09c4, 0x3138,
+                0x02c0, 0x0002, 0x1900, 0x2b5c, 0x0031, 0x5099, 0x836e,
+            ];
+            const CELLS: [u16; 4] = [0x0000, 0x0e2d, 0x0e25, 0x0e2a];
+            let &[code] = write else { panic!("it was sent {write:02x?}") };
+            let word = match code {
+                0x3c..=0x3f => Some(CELLS[usize::from(code - 0x3c)]),
+                // Of the texts the dump has two bytes.
+                0x20..=0x22 => return Err(BusError::NoAck),
+                code => WORDS.get(usize::from(code)).copied(),
+            };
+            self.0 = word.map_or(self.0, u16::to_le_bytes);
+            read.fill(self.0[1]);
+            read.iter_mut().zip(self.0).for_each(|(to, byte)| *to = byte);
+            Ok(())
+        }
+    }
+    let clock = Arc::new(SimClock::new());
+    let mut gauge = Gauge::new(sbs(), Box::new(Dump([0; 2])), clock, Keys::default());
+    let mut registers = Registers::unread(sbs().registers);
+    registers.read(&mut gauge, |tier| tier != Tier::Window).expect("it answers");
+    for (role, value) in [
+        (Role::VoltageNow, 10876),
+        (Role::CurrentNow, 0),
+        (Role::Temp, 2996),
+        (Role::Capacity, 100),
+        (Role::ChargeFullDesign, 6400),
+        (Role::CycleCount, 2),
+        (Role::SerialNumber, 0x836e),
+        (Role::ManufactureDate, 0x5099),
+    ] {
+        assert_eq!(registers.property(role), Some(value), "{role:?}");
+    }
+    let cells = ["CellVoltage1", "CellVoltage2", "CellVoltage3", "CellVoltage4"];
+    let cells = cells.map(|name| sbs().registers.iter().find(|row| row.name == name).expect("a word"));
+    assert_eq!(cells.map(|row| registers.value(row)), [Some(3626), Some(3621), Some(3629), None]);
+    // It says that it has checksums, and none was read.
+    assert_eq!(gauge.statistics.pec(), Pec::Wrong);
+    let clock = SimClock::new();
+    assert!(Beside::ALL.iter().all(|one| !one.reads_like(&mut Dump([0; 2]), &clock).unwrap_or(false)));
 }
 
 #[test]

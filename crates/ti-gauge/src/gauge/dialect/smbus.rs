@@ -9,7 +9,7 @@ use super::{Challenge, Dialect, Touches, Wanted};
 use crate::chip::sbs::{SERIAL_NUMBER, SPECIFICATION_INFO, is_specification};
 use crate::chip::{Register, Source, Tier};
 use crate::error::{Cause, Error, Result, Step};
-use crate::gauge::packets::{Pec, crc};
+use crate::gauge::packets::{Pec, Words, crc};
 use crate::gauge::state::{Answer, Rows, Shown};
 use crate::gauge::statistics::Statistics;
 use crate::gauge::{Gauge, TRIES};
@@ -308,7 +308,8 @@ impl Poll {
         }
     }
 
-    /// Rows whose unit is that of a mode, which is read before and after them: another host may change it for a moment.
+    /// Rows whose unit is that of a mode, which the kernel's `sbs-battery` changes for a moment if it has the pack on another bus.
+    /// So the mode is read around each of them, and as a change and its end may lie there, too, two readings have to agree.
     fn of_mode(
         &mut self,
         gauge: &mut Gauge,
@@ -320,20 +321,33 @@ impl Poll {
         };
         let Some(mode) = gauge.chip.register_at(mode) else { return Ok(()) };
         for _ in 0..=TRIES {
-            let before = self.row(gauge, mode)?;
-            let mut read = Vec::new();
-            for row in rows {
-                read.push(self.row(gauge, row)?);
-            }
-            let after = self.row(gauge, mode)?;
-            take(Answer::Row(mode, after.as_deref()));
-            if before == after {
-                rows.iter().zip(read).for_each(|(row, bytes)| take(Answer::Row(row, bytes.as_deref())));
+            let Some(read) = self.in_one_mode(gauge, mode, rows)? else { continue };
+            let before = gauge.wire.packets.in_mode.replace(read.clone());
+            if before.is_some_and(|before| agree(&before, &read)) {
+                let rows = [mode].into_iter().chain(rows.iter().copied());
+                rows.zip(read).for_each(|(row, bytes)| take(Answer::Row(row, bytes.as_deref())));
                 return Ok(());
             }
         }
         rows.iter().for_each(|row| take(Answer::Row(row, None)));
         Ok(())
+    }
+
+    /// The bytes of the mode and of the rows; `None` if it was changed meanwhile.
+    fn in_one_mode(
+        &mut self,
+        gauge: &mut Gauge,
+        mode: &Register,
+        rows: &[&Register],
+    ) -> Result<Option<Words>> {
+        let mut read = vec![self.row(gauge, mode)?];
+        for row in rows {
+            read.push(self.row(gauge, row)?);
+            if self.row(gauge, mode)? != read[0] {
+                return Ok(None);
+            }
+        }
+        Ok(Some(read))
     }
 
     /// Whether this was a pack's answer.
@@ -360,6 +374,16 @@ impl Poll {
         }
         Ok(())
     }
+}
+
+/// Whether two readings have the same mode, and words that differ by no more than a pack does meanwhile.
+fn agree(one: &[Option<Vec<u8>>], other: &[Option<Vec<u8>>]) -> bool {
+    let number = |bytes: &Option<Vec<u8>>| bytes.as_ref()?.first_chunk().copied().map(u16::from_le_bytes);
+    let is_near = |(one, other)| match (number(one), number(other)) {
+        (Some(one), Some(other)) => one.abs_diff(other) <= one / 50 + 1,
+        (one, other) => one == other,
+    };
+    one.first() == other.first() && one.iter().zip(other).all(is_near)
 }
 
 /// The serial number, if two readings agree; an error if it is not that of the pack before.
