@@ -589,6 +589,11 @@ impl SimBus {
         })
     }
 
+    /// The 7-bit address.
+    pub fn address(&self) -> u8 {
+        self.address
+    }
+
     /// A transfer as a program of the kernel's interface makes it: what the adapter does not carry is sent in another length if
     /// its model does that, and an error of the model is [`BusError::Other`] with its errno.
     pub fn call(&mut self, write: &[u8], read: &mut [u8]) -> Result<(), BusError> {

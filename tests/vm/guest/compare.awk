@@ -28,8 +28,8 @@ file == 3 {
     row = name in how ? name : plain in how ? plain : ""
     mine = name in ours ? ours[name] : "-"
     if (row != "" && mine != value) print row >>used
-    if (row != "" && (how[row] == "differs" || how[row] == "if:" value)) next
-    if (row != "" && how[row] !~ /^if:/) {
+    if (row != "" && (how[row] == "differs" || how[row] == "if:" value || how[row] == "none" && mine == "-")) next
+    if (row != "" && how[row] ~ /^is:/) {
         other = substr(how[row], 4)
         if (prefix != "") other = prefix toupper(other)
         mine = other in ours ? ours[other] : "-"

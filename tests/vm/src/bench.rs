@@ -17,6 +17,13 @@ pub(crate) struct Bench {
 }
 
 impl Bench {
+    /// A new gauge at its own address.
+    pub(crate) fn new(chip: &str) -> Result<Self, String> {
+        let gauge = Gauge::new(chip)?;
+        let wire = Wire { address: gauge.bus.address().into(), ..Wire::default() };
+        Ok(Self { gauge, wire, beside: None })
+    }
+
     /// A request goes to one of the gauges as a whole.
     pub(crate) fn request(&mut self, messages: &mut [Message]) {
         let is_for = |bench: &Self| messages.first().is_some_and(|first| first.address == bench.wire.address);
@@ -33,8 +40,9 @@ impl Bench {
             ["beside", chip, address] if address.starts_with("0x") => {
                 let address = u16::from_str_radix(&address[2..], 16);
                 let address = address.map_err(|_| "not an address".to_owned())?;
-                let wire = Wire { address, ..Wire::default() };
-                *beside = Some(Box::new(Self { gauge: Gauge::new(chip)?, wire, beside: None }));
+                let mut other = Self::new(chip)?;
+                other.wire.address = address;
+                *beside = Some(Box::new(other));
             }
             ["beside", ref command @ ..] => {
                 return beside.as_mut().ok_or("there is no gauge beside it")?.command(command);

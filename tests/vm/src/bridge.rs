@@ -4,6 +4,7 @@
 //!
 //! ```text
 //! plug BRIDGE CHIP [CHIP]   plugs it into vhci_hcd and stays; BRIDGE is cp2112, mcp2221 or ft260
+//! plug BRIDGE CHIP twice    two bridges with the same gauge behind them
 //! say COMMAND               a command to the one that stays
 //! ```
 //!
@@ -39,9 +40,7 @@ use std::{env, thread};
 
 use bench::Bench;
 use board::Board;
-use gauge::Gauge;
 use usb::{Counts, Device, Request};
-use wire::Wire;
 
 const CONTROL: &str = "/tmp/bridge";
 const VHCI: &str = "/sys/devices/platform/vhci_hcd.0";
@@ -50,8 +49,9 @@ fn main() -> ExitCode {
     let arguments: Vec<String> = env::args().skip(1).collect();
     let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
     let outcome = match arguments[..] {
-        ["plug", bridge, chip] => plug(bridge, chip, None),
-        ["plug", bridge, chip, second] => plug(bridge, chip, Some(second)),
+        ["plug", bridge, chip] => plug(bridge, chip, None, 1),
+        ["plug", bridge, chip, "twice"] => plug(bridge, chip, None, 2),
+        ["plug", bridge, chip, second] => plug(bridge, chip, Some(second), 1),
         ["say", ref words @ ..] => say(&words.join(" ")),
         _ => Err("usage: gaugefs-vm-bridge plug BRIDGE CHIP [CHIP] | say COMMAND".to_owned()),
     };
@@ -91,19 +91,16 @@ struct Bridge {
 struct State {
     board: Board,
     counts: Counts,
-    /// To the kernel, while it is plugged in.
-    socket: Option<Arc<UnixStream>>,
+    /// To the kernel, one of each bridge that is plugged in.
+    sockets: Vec<Arc<UnixStream>>,
     is_wanted: bool,
 }
 
-fn plug(name: &str, chip: &str, second: Option<&str>) -> Result<(), String> {
-    let bench =
-        |chip: &str| Ok::<_, String>(Bench { gauge: Gauge::new(chip)?, wire: Wire::default(), beside: None });
-    let second = second.map(bench).transpose()?;
+fn plug(name: &str, chip: &str, second: Option<&str>, bridges: u32) -> Result<(), String> {
     let state = State {
-        board: Board::new(bench(chip)?, second),
+        board: Board::new(Bench::new(chip)?, second.map(Bench::new).transpose()?),
         counts: Counts::default(),
-        socket: None,
+        sockets: Vec::new(),
         is_wanted: true,
     };
     let bridge = Arc::new(Bridge { state: Mutex::new(state), changed: Condvar::new() });
@@ -111,11 +108,15 @@ fn plug(name: &str, chip: &str, second: Option<&str>) -> Result<(), String> {
     let listener = UnixListener::bind(CONTROL).map_err(|error| format!("{CONTROL}: {error}"))?;
     let commanded = Arc::clone(&bridge);
     thread::spawn(move || commanded.answer(&listener));
-    loop {
-        let device = Device::new(usb::firmware(name).ok_or_else(|| format!("{name}: no such bridge"))?);
-        bridge.wait_until_wanted();
-        bridge.run(device)?;
+    for _ in 1..bridges {
+        let (bridge, name) = (Arc::clone(&bridge), name.to_owned());
+        thread::spawn(move || {
+            if let Err(why) = bridge.live(&name) {
+                eprintln!("gaugefs-vm-bridge: {why}");
+            }
+        });
     }
+    bridge.live(name)
 }
 
 impl Bridge {
@@ -128,10 +129,24 @@ impl Bridge {
         drop(waited.unwrap_or_else(PoisonError::into_inner));
     }
 
+    /// One life after the other.
+    fn live(&self, name: &str) -> Result<(), String> {
+        loop {
+            let device = Device::new(usb::firmware(name).ok_or_else(|| format!("{name}: no such bridge"))?);
+            self.wait_until_wanted();
+            self.run(device)?;
+        }
+    }
+
     /// One life of the device, from the plug to the pull.
     fn run(&self, mut device: Device) -> Result<(), String> {
-        let socket = Arc::new(attach()?);
-        self.lock().socket = Some(Arc::clone(&socket));
+        let socket = {
+            // Another bridge would take the same port.
+            let mut state = self.lock();
+            let socket = Arc::new(attach()?);
+            state.sockets.push(Arc::clone(&socket));
+            socket
+        };
         while let Ok(request) = Request::read(&socket) {
             let state = &mut *self.lock();
             match device.serve(&socket, request, &mut state.board, &mut state.counts) {
@@ -147,7 +162,7 @@ impl Bridge {
             }
         }
         let _ = socket.shutdown(Shutdown::Both);
-        self.lock().socket = None;
+        self.lock().sockets.retain(|other| !Arc::ptr_eq(other, &socket));
         Ok(())
     }
 
@@ -172,7 +187,7 @@ impl Bridge {
             ["plug"] => state.is_wanted = true,
             ["unplug"] => {
                 state.is_wanted = false;
-                if let Some(socket) = &state.socket {
+                for socket in &state.sockets {
                     let _ = socket.shutdown(Shutdown::Both);
                 }
             }

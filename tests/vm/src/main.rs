@@ -29,9 +29,7 @@ use vm_memory::{GuestMemoryAtomic, GuestMemoryMmap};
 use adapter::Adapter;
 use bench::Bench;
 use control::Control;
-use gauge::Gauge;
 use qmp::Slot;
-use wire::Wire;
 
 const USAGE: &str = "usage: gaugefs-vm-bus --chip CHIP --bus SOCKET --control SOCKET [--qmp SOCKET]";
 
@@ -60,8 +58,7 @@ fn run() -> Result<(), String> {
     }
     let (Some(chip), Some(bus), Some(control)) = (chip, bus, control) else { return Err(USAGE.to_owned()) };
 
-    let bench =
-        Arc::new(Mutex::new(Bench { gauge: Gauge::new(&chip)?, wire: Wire::default(), beside: None }));
+    let bench = Arc::new(Mutex::new(Bench::new(&chip)?));
     let mut listener = Listener::new(&bus, true).map_err(|error| format!("{}: {error}", bus.display()))?;
     let slot = monitor.map(|monitor| Slot { monitor, bus: bus.clone() });
     let commands = Control { bench: Arc::clone(&bench), slot };
