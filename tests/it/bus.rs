@@ -436,19 +436,23 @@ fn quote(word: &str) -> String {
     format!("'{}'", word.replace('\'', r"'\''"))
 }
 
-/// Programs that somebody else wrote.
-#[test]
-fn i2c_tools_work() {
+/// The path on which i2c-tools are, which somebody else wrote; none if they cannot be used here.
+fn path_of_i2c_tools() -> Option<String> {
     if !can_mount() || !has_namespaces() {
-        return;
+        return None;
     }
     apart();
     let path = format!("{}:/usr/sbin:/sbin", std::env::var("PATH").unwrap_or_default());
     let is_there = Command::new("i2cdetect").arg("-V").env("PATH", &path).output().is_ok();
     if !is_there {
         eprintln!("SKIPPED: i2c-tools is missing; to run all tests: sudo apt-get install i2c-tools");
-        return;
     }
+    is_there.then_some(path)
+}
+
+#[test]
+fn i2c_tools_work() {
+    let Some(path) = path_of_i2c_tools() else { return };
     let with = |script: &str| {
         let mut command = command(&["sim", CHIP, "--fast", "--", "bash", "-c", script]);
         command.env("PATH", &path);
@@ -474,6 +478,63 @@ fn i2c_tools_work() {
         with("i2cset -y $I2C_BUS 0x55 0x00 0x0001 w && i2cget -y $I2C_BUS 0x55 0x00 w").done(),
         "0x0100\n"
     );
+}
+
+/// Each word, with its packet error code and without, and a text.
+#[test]
+fn i2c_tools_read_of_a_pack_what_a_mount_shows() {
+    const SCRIPT: &str = r#"
+set -eu
+folder=$1
+echo 900 >"$folder/knobs/load_ma"
+sleep 1
+echo 0 >"$folder/knobs/speed"
+"$gaugefs" mount --bus "$I2C_DEV" --chip sbs --poll 1 "$folder/m"
+until [ -e "$folder/m/BAT0/cycle_count" ]; do sleep 0.1; done
+get() { printf '%d' "$(i2cget -y "$I2C_BUS" 0x0b "$@")"; }
+for each in 01:remaining_capacity_alarm 02:remaining_time_alarm 03:battery_mode 08:temperature 09:voltage 0a:current 0b:average_current \
+    0c:max_error 0d:relative_state_of_charge 0e:absolute_state_of_charge 0f:remaining_capacity 10:full_charge_capacity \
+    11:run_time_to_empty 12:average_time_to_empty 13:average_time_to_full 14:charging_current 15:charging_voltage 16:battery_status \
+    17:cycle_count 18:design_capacity 19:design_voltage 1a:specification_info 1b:manufacture_date 1c:serial_number 3c:cell_voltage4 \
+    3d:cell_voltage3 3e:cell_voltage2 3f:cell_voltage1; do
+    shown=$(cat "$folder/m/BAT0/gauge/registers/${each#*:}")
+    echo "$each $(get 0x${each%:*} w) $(get 0x${each%:*} wp) $((shown & 65535))"
+done
+cd "$folder/m/BAT0"
+echo "voltage $(($(get 0x09 w) * 1000)) $(($(get 0x09 wp) * 1000)) $(cat voltage_now)"
+echo "charge $(($(get 0x0f w) * 1000)) $(($(get 0x0f wp) * 1000)) $(cat charge_now)"
+echo "temp $(($(get 0x08 w) - 2731)) $(($(get 0x08 wp) - 2731)) $(cat temp)"
+name=$(for byte in $(i2ctransfer -y "$I2C_BUS" w1@0x0b 0x21 r9 | cut -d ' ' -f 2-); do printf "\\x${byte#0x}"; done)
+echo "name $name $name $(cat model_name)"
+cd /
+"$gaugefs" umount "$folder/m"
+echo missing >"$folder/knobs/pec"
+i2cget -y "$I2C_BUS" 0x0b 0x09 w >/dev/null
+! i2cget -y "$I2C_BUS" 0x0b 0x09 wp 2>/dev/null
+"#;
+    let Some(path) = path_of_i2c_tools() else { return };
+    let folder = Folder::new();
+    let knobs = folder.file("knobs");
+    let mut server = command(&[
+        "sim",
+        "sbs",
+        "--fast",
+        "--knobs",
+        &knobs,
+        "--",
+        "bash",
+        "-c",
+        SCRIPT,
+        "bash",
+        &folder.file(""),
+    ]);
+    server.env("PATH", &path).env("gaugefs", env!("CARGO_BIN_EXE_gaugefs"));
+    let shown = run(server).done();
+    let lines: Vec<Vec<&str>> = shown.lines().map(|line| line.split(' ').collect()).collect();
+    assert_eq!(lines.len(), 32, "{shown}");
+    for line in lines {
+        assert!(line.len() == 4 && line[1..].iter().all(|value| *value == line[1]), "{line:?}");
+    }
 }
 
 #[test]
