@@ -12,7 +12,7 @@ use super::Gauge;
 use super::effects::Seen;
 use super::packets::{self, Packets};
 use super::statistics::Statistics;
-use crate::chip::{Question, Way};
+use crate::chip::{Question, Scheme, Way};
 use crate::codec::WINDOW;
 use crate::error::{Cause, Error, Reason, Result, Step};
 use gauge_bus::trace::Event;
@@ -160,9 +160,9 @@ impl Gauge {
         if (write.len() > 1 || read.is_empty()) && !self.chip.has_table() {
             return Err(BusError::ReadOnly);
         }
-        // A look begins at Control() where the bus carries it, which is not limited.
-        let is_flat = self.chip.access.scheme.is_flat();
-        let is_free = read.is_empty() || is_flat;
+        // A look begins at Control() where the bus carries it, which is not limited. No watchdog of packs does so.
+        let scheme = self.chip.access.scheme;
+        let is_free = read.is_empty() || scheme.is_flat() || scheme == Scheme::Smbus;
         if let (&[code], false) = (write, is_free) {
             let pause = self.wire.pace.before(code, self.clock.now());
             self.wait(pause);

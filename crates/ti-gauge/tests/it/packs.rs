@@ -137,7 +137,10 @@ fn a_poll_reads_a_word_for_each_value_and_the_mode_around_what_it_decides() {
     bench.read().expect("it answers");
     bench.sim.clear_log();
     let mut registers = Registers::unread(sbs().registers);
+    let begun = bench.clock.now();
     registers.read(&mut bench.gauge, |tier| tier == Tier::Poll).expect("it answers");
+    let took = bench.clock.now() - begun;
+    assert!(took < Duration::from_millis(50), "{took:?}, though no watchdog limits how often a word is read");
     let (sent, rows) = (bench.codes(), reads(sbs(), Tier::Poll));
     assert_eq!((sent.len(), rows.len()), (22, 19), "{sent:02x?}");
     assert_eq!(sent[sent.len() - 7..], [0x03, 0x0f, 0x03, 0x10, 0x03, 0x18, 0x03]);
