@@ -528,7 +528,7 @@ struct Script {
 
 #[derive(Clone, Copy, PartialEq)]
 enum Manner {
-    /// PFStatus() cannot be read, and what is read behind it is its block.
+    /// PFStatus() reads as the address of the pack, and what is read behind it is its block.
     Late,
     /// PFStatus() cannot be read, and then another part is there.
     Exchanged,
@@ -561,13 +561,14 @@ impl Bus for Script {
             [0x16] => vec![0xc0, 0],
             [0x23] => {
                 let last = self.taken.lock().unwrap().last().copied();
-                let fails = matches!(self.manner, Manner::Late | Manner::Exchanged);
-                if last == Some(0x0053) && fails {
-                    return Err(BusError::NoAck);
-                }
-                let is_late =
-                    self.manner == Manner::Late && self.taken.lock().unwrap().ends_with(&[0x0053, 0x0054]);
-                let block = if is_late { &self.before } else { &self.block };
+                let is_late = self.manner == Manner::Late;
+                let is_behind = is_late && self.taken.lock().unwrap().ends_with(&[0x0053, 0x0054]);
+                let block = match last {
+                    Some(0x0053) if self.manner == Manner::Exchanged => return Err(BusError::NoAck),
+                    Some(0x0053) if is_late => &vec![0x17; 0x17],
+                    _ if is_behind => &self.before,
+                    _ => &self.block,
+                };
                 [&[block.len() as u8], &**block].concat()
             }
             [0x00, low, high] => {
