@@ -1,11 +1,13 @@
 // SPDX-License-Identifier: MIT
 
-//! Reads or writes the gauge at 0x55 with a library: `libraries LIBRARY ACTION BUS [NUMBER...]`. What it reads is printed as lines
-//! of a file's name in a gauge's folder and the value in that file's unit, by the units in the library's documentation.
+//! Reads or writes the gauge at 0x55, or reads the pack at 0x0b, with a library: `libraries LIBRARY ACTION BUS [NUMBER...]`. What it
+//! reads is printed as lines of a file's name in a gauge's folder and the value in that file's unit, by the units in the library's
+//! documentation.
 
 mod bq27441;
 mod bq27xxx;
 mod bq34z100;
+mod bq40z50;
 mod i2cdev;
 
 use std::fmt::Debug;
@@ -52,6 +54,7 @@ fn main() -> Result<(), String> {
         "bq34z100" => bq34z100::run(open(bus)?, action, &numbers),
         "bq27441" => bq27441::run(open(bus)?, action, &numbers),
         "bq27xxx" => bq27xxx::run(open(bus)?, action, &numbers),
+        "bq40z50" => bq40z50::run(open(bus)?, action),
         "i2cdev" => i2cdev::run(bus),
         _ => Err(format!("no library {library}")),
     }
