@@ -11,7 +11,7 @@ use super::gauging::Quantity as Q;
 use super::gauging::{DSG, FC, Map, OTC, OTD, SOC1, SOCF, Settings};
 use super::part::Action::*;
 use super::part::{Action, BlockPart, Detection, Own, Part, Scheme, Status};
-use super::seal::Level::{self, Sealed as Anyone, Unsealed};
+use super::seal::Level::{self, FullAccess, Sealed as Anyone, Unsealed};
 use super::timing::Timing;
 
 pub(super) static PART: Part =
@@ -68,7 +68,7 @@ const SUBCOMMANDS_541: Subcommands = &subcommands(0x0541, 0x0224, 0x0060);
 const SUBCOMMANDS_545: Subcommands = &subcommands(0x0545, 0x0200, 0x0000);
 
 #[rustfmt::skip]
-pub(super) const fn subcommands(kind: u16, firmware: u16, hardware: u16) -> [(u16, Level, Action); 8] {
+pub(super) const fn subcommands(kind: u16, firmware: u16, hardware: u16) -> [(u16, Level, Action); 9] {
     [
         (0x0000, Anyone, ControlStatus),
         (0x0001, Anyone, Answer(kind)),
@@ -78,6 +78,7 @@ pub(super) const fn subcommands(kind: u16, firmware: u16, hardware: u16) -> [(u1
         (0x0020, Unsealed, Seal),
         (0x0021, Unsealed, ItEnable),
         (0x0041, Unsealed, Reset),
+        (0x0F00, FullAccess, Rom),
     ]
 }
 

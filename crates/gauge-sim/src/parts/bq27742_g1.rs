@@ -11,7 +11,7 @@ use super::gauging::{DSG, FC, Map, OTC, OTD, SOC1, SOCF, Settings};
 use super::part::Action::*;
 use super::part::{Action, BlockPart, Detection, Gate, Own, Part, Scheme, Status};
 use super::protector::Protector;
-use super::seal::Level::{self, Sealed as Anyone, Unsealed};
+use super::seal::Level::{self, FullAccess, Sealed as Anyone, Unsealed};
 use super::timing::Timing;
 
 pub(super) static PART: Part = Part {
@@ -80,6 +80,8 @@ static SUBCOMMANDS: &[(u16, Level, Action)] = &[
     (0x0021, Unsealed, ItEnable),
     (0x0024, Unsealed, OpenFets("test")),
     (0x0041, Unsealed, Reset),
+    // By the rule of the family, as that the boot loader is at 0x0b.
+    (0x0F00, FullAccess, Rom),
 ];
 
 #[rustfmt::skip]

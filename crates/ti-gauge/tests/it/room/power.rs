@@ -93,6 +93,7 @@ pub(crate) const CASES: &[Case] = &[
         values: &[((FLAT, 0x41F5), "3100"), ((FLAT, 0x40D7), "0x000b")],
         found: Seal::Sealed,
     },
+    Case { chip: "bq28z610", values: &[((FLAT, 0x4202), "40"), ((FLAT, 0x4618), "7")], found: Seal::Sealed },
     Case { chip: "bq35100", values: &[((FLAT, 0x41B1), "0x82")], found: Seal::Sealed },
     Case { chip: "bq35100", values: &[((FLAT, 0x41FE), "3100")], found: Seal::Unsealed },
 ];
