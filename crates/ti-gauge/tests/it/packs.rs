@@ -2,7 +2,7 @@
 
 //! A Smart Battery: nothing but a command code and a read reaches it, and what is no answer of a pack is no value.
 
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use gauge_bus::clock::{Clock, SimClock};
@@ -436,31 +436,38 @@ fn has_capacities(registers: &Registers) -> bool {
     (charge, energy) != (none, none)
 }
 
+/// Every so many transfers the mode is another one, during some of them, until that time.
+struct Pulses {
+    bus: gauge_sim::SimBus,
+    clock: Arc<SimClock>,
+    every: u32,
+    width: u32,
+    count: u32,
+    until: Arc<Mutex<Duration>>,
+}
+
+impl Bus for Pulses {
+    fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> std::result::Result<(), BusError> {
+        self.count += 1;
+        match self.count % self.every {
+            0 if self.clock.now() < *self.until.lock().unwrap() => {
+                self.bus.transfer(&[0x03, 0x00, 0x80], &mut [])?;
+            }
+            at if at == self.width => self.bus.transfer(&[0x03, 0x00, 0x00], &mut [])?,
+            _ => {}
+        }
+        self.bus.transfer(write, read)
+    }
+}
+
 /// The driver takes two transfers at least between its writes, and a pause of a millisecond.
 #[test]
 fn regression_a_mode_that_was_changed_and_changed_back_between_two_readings_of_it_misled() {
-    /// Every so many transfers the mode is another one, during some of them.
-    struct Pulses {
-        bus: gauge_sim::SimBus,
-        every: u32,
-        width: u32,
-        count: u32,
-    }
-    impl Bus for Pulses {
-        fn transfer(&mut self, write: &[u8], read: &mut [u8]) -> std::result::Result<(), BusError> {
-            self.count += 1;
-            match self.count % self.every {
-                0 => self.bus.transfer(&[0x03, 0x00, 0x80], &mut [])?,
-                at if at == self.width => self.bus.transfer(&[0x03, 0x00, 0x00], &mut [])?,
-                _ => {}
-            }
-            self.bus.transfer(write, read)
-        }
-    }
     let polls = |every, width, count| {
-        let bench = Bench::new();
-        let bus = Pulses { bus: bench.sim.bus(), every, width, count };
-        let mut gauge = Gauge::new(sbs(), Box::new(bus), bench.clock.clone(), Keys::default());
+        let Bench { sim, clock, .. } = Bench::new();
+        let until = Arc::new(Mutex::new(Duration::MAX));
+        let bus = Pulses { bus: sim.bus(), clock: clock.clone(), every, width, count, until };
+        let mut gauge = Gauge::new(sbs(), Box::new(bus), clock, Keys::default());
         let mut registers = Registers::unread(sbs().registers);
         let polls = (0..20).filter(|_| {
             registers.read(&mut gauge, |tier| tier == Tier::Poll).expect("it answers");
@@ -483,6 +490,37 @@ fn regression_a_mode_that_was_changed_and_changed_back_between_two_readings_of_i
         }
     }
     assert!(polls(60, 3, 0) >= 15);
+}
+
+/// It changes the mode for each energy, one after the other, whether that hides between two readings of it or not. Then it rests.
+#[test]
+fn a_uevent_of_the_kernels_driver_misleads_nobody() {
+    for every in 2..=24 {
+        for width in 1..every {
+            for count in 0..every {
+                let Bench { sim, clock, .. } = Bench::new();
+                let until = Arc::new(Mutex::new(Duration::ZERO));
+                let bus = Pulses {
+                    bus: sim.bus(),
+                    clock: clock.clone(),
+                    every,
+                    width,
+                    count,
+                    until: until.clone(),
+                };
+                let mut gauge = Gauge::new(sbs(), Box::new(bus), clock.clone(), Keys::default());
+                let mut registers = Registers::unread(sbs().registers);
+                let mut poll = || {
+                    registers.read(&mut gauge, |tier| tier == Tier::Poll).expect("it answers");
+                    assert!(has_capacities(&registers), "{width} of {every} transfers from {count} on");
+                };
+                poll();
+                *until.lock().unwrap() = clock.now() + Duration::from_millis(150);
+                poll();
+                poll();
+            }
+        }
+    }
 }
 
 /// All rows, as they were read.

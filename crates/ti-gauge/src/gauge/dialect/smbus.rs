@@ -24,6 +24,9 @@ const FEW: usize = 4;
 const ECHO: [u8; 2] = [0x17; 2];
 /// A pack that is asleep acknowledges within a second.
 const WAKING: std::time::Duration = std::time::Duration::from_millis(1200);
+/// What the kernel's `sbs-battery` takes at most for one uevent, in which it changes the mode for each energy: 86 transfers, and
+/// pauses of 2 ms.
+const UEVENT: std::time::Duration = std::time::Duration::from_millis(250);
 const WAKE: &str = "a pack that has shut itself off is woken by a charger's voltage, one that sleeps by a load or its \
                     button, and many answer only with their PRES contact at ground";
 
@@ -309,7 +312,8 @@ impl Poll {
     }
 
     /// Rows whose unit is that of a mode, which the kernel's `sbs-battery` changes for a moment if it has the pack on another bus.
-    /// So the mode is read around each of them, and as a change and its end may lie there, too, two readings have to agree.
+    /// So the mode is read around each of them, and as a change and its end may lie there, too, two readings have to agree, with
+    /// more time between them than the driver takes for all that it shows.
     fn of_mode(
         &mut self,
         gauge: &mut Gauge,
@@ -320,7 +324,10 @@ impl Poll {
             return Ok(());
         };
         let Some(mode) = gauge.chip.register_at(mode) else { return Ok(()) };
-        for _ in 0..=TRIES {
+        for turn in 0..=TRIES {
+            if turn > 0 {
+                gauge.wait(UEVENT);
+            }
             let Some(read) = self.in_one_mode(gauge, mode, rows)? else { continue };
             let before = gauge.wire.packets.in_mode.replace(read.clone());
             if before.is_some_and(|before| agree(&before, &read)) {
