@@ -207,7 +207,7 @@ fn a_voltage_drop_at_any_transfer_causes_no_false_success() {
                     assert!(flash == old, "{at}: {cause}, but data flash has changed");
                 }
             }
-            rig.sim.set("voltage_mv", "3900").expect("a knob");
+            rig.sim.set("voltage_mv", "auto").expect("a knob");
             rig.clock.sleep(Duration::from_secs(5));
             drop(dataflash);
             restart(&rig, &folder, None);
