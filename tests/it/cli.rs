@@ -1359,25 +1359,31 @@ fn a_write_of_a_killed_daemon_is_settled_by_the_next() {
     let folder = Folder::new();
     let (at, state, journal) = (folder.file("m"), folder.file("state"), folder.file("journal"));
     let kept = ["--sim-state", &state, "--state-dir", &journal];
-    // The write is found half way.
     let _time = in_real_time();
-    let mut daemon = Foreground::new(&at, &kept);
-    let parameter = Path::new(&at).join("BAT0/df/80/53");
-    let write = std::thread::spawn(move || fs::write(parameter, "3100\n"));
     let files = || {
         let files = fs::read_dir(&journal).into_iter().flatten().flatten().map(|entry| entry.path());
         files.filter(|path| path.extension().is_some_and(|extension| extension == "journal"))
     };
     let planned = |path: PathBuf| fs::read_to_string(path).is_ok_and(|text| text.contains("\nend "));
-    within("planned", || files().any(planned));
-    for path in files() {
-        assert_eq!(fs::metadata(&path).expect("a file").permissions().mode() & 0o777, 0o600);
-    }
-    daemon.send(Signal::SIGKILL);
-    daemon.ends();
-    write.join().expect("the thread ends").expect_err("the daemon was killed");
-    // Otherwise the kernel's cache of the dead mount would be taken for the next one.
-    gaugefs(&["umount", &at]).done();
+    // A busy machine may let it end first.
+    let is_half_way = |value: &'static str| {
+        let mut daemon = Foreground::new(&at, &kept);
+        let parameter = Path::new(&at).join("BAT0/df/80/53");
+        let write = std::thread::spawn(move || fs::write(parameter, value));
+        within("planned", || files().any(planned) || write.is_finished());
+        for mode in files().filter_map(|path| fs::metadata(path).ok()).map(|file| file.permissions().mode()) {
+            assert_eq!(mode & 0o777, 0o600);
+        }
+        daemon.send(Signal::SIGKILL);
+        daemon.ends();
+        let is_half_way = files().any(planned);
+        let written = write.join().expect("the thread ends");
+        assert!(!is_half_way || written.is_err(), "the daemon was killed");
+        // Otherwise the kernel's cache of the dead mount would be taken for the next one.
+        gaugefs(&["umount", &at]).done();
+        is_half_way
+    };
+    assert!(["3100", "3000"].into_iter().cycle().take(20).any(is_half_way));
     let log = folder.file("log");
     let _daemon = Foreground::new(&at, &[&kept[..], &["--log", &log]].concat());
     let last_error = read(&at, "BAT0/gauge/last_error");
