@@ -375,8 +375,9 @@ fn run(seed: u64, draw: &Draw) -> std::result::Result<Vec<String>, String> {
 /// RAM that has lost its power is no pack's.
 fn is_unseen(draw: &Draw) -> bool {
     let is_ram = Chip::by_name(CASES[draw.case].chip).is_some_and(|chip| chip.volatile.is_some());
-    // Both simulated bq34110 have the same gain, which is not the printed one; and nothing shows its key.
-    let is_alike = CASES[draw.case].chip == "bq34110" && draw.other == Other::Factory;
+    // Both simulated bq34110 have the same gain, which is not the printed one; and nothing shows its key. Both bq28z610 have the
+    // calibration of the one pack whose data flash is public.
+    let is_alike = ["bq34110", "bq28z610"].contains(&CASES[draw.case].chip) && draw.other == Other::Factory;
     // Or the number that the write gives to the first one.
     let is_alike = is_alike || draw.is_new && CASES[draw.case].values.iter().any(|(at, _)| *at == (48, 4));
     // Nobody has looked at the first one before the first transfer.
@@ -392,6 +393,29 @@ fn regression_no_byte_of_one_pack_goes_into_another() {
             false => run(seed, &draw),
         }
     });
+}
+
+/// A gauge with a flat address space that was asked for its seal state by a subcommand shows that in place of a selection, the
+/// other pack as well.
+#[test]
+fn regression_a_pack_that_was_asked_for_its_seal_state_was_taken_for_the_one_before() {
+    let case = CASES.iter().position(|case| case.chip == "bq28z610").expect("a case");
+    for (work, silent) in [(Work::Write, 300), (Work::Read, 300), (Work::Undo, 100), (Work::Settle, 1000)] {
+        for at in (1..1000).step_by(7) {
+            let draw = Draw {
+                case,
+                other: Other::Calibration,
+                found: Seal::FullAccess,
+                has_other_key: true,
+                is_new: false,
+                work,
+                silent: Duration::from_millis(silent),
+                asleep: Duration::ZERO,
+                at,
+            };
+            run(at, &draw).unwrap_or_else(|why| panic!("{why}"));
+        }
+    }
 }
 
 /// Exchanges in mid-calibration in the everyday test.

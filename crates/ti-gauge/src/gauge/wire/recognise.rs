@@ -37,11 +37,18 @@ impl Gauge {
         seen[0] == seen[1] && seen[0] != selected
     }
 
-    /// Learns what the gauge shows as its selection, so that it is known again from now on.
+    /// Learns what the gauge shows as its selection, so that it is known again from now on. A subcommand, which a gauge with a
+    /// flat address space shows there, is no mark: another gauge that was asked for its seal state shows it, too.
     pub(crate) fn learn_selection(&mut self) {
         let mut seen = [0; 2];
+        let is_subcommand = |gauge: &Self, seen| {
+            let code = u16::from_le_bytes(seen);
+            gauge.chip.access.scheme.is_flat()
+                && gauge.chip.subcommands.iter().any(|known| known.code == code)
+        };
         if self.again(|gauge| gauge.transfer(gauge.dialect.selection(), &mut seen)).is_ok()
             && !self.presence.is_doubted()
+            && !is_subcommand(self, seen)
         {
             self.presence.learn(seen);
         }
