@@ -88,19 +88,15 @@ pub fn parse(table: &[u8]) -> impl Iterator<Item = Mount> {
 fn unescape(field: &[u8]) -> OsString {
     let mut bytes = Vec::with_capacity(field.len());
     let mut rest = field;
-    while let Some((&byte, after)) = rest.split_first() {
-        let digits = after.get(..3).and_then(|digits| std::str::from_utf8(digits).ok());
-        match digits.and_then(|digits| u8::from_str_radix(digits, 8).ok()) {
-            Some(escaped) if byte == b'\\' => {
-                bytes.push(escaped);
-                rest = &after[3..];
-            }
-            _ => {
-                bytes.push(byte);
-                rest = after;
-            }
-        }
+    while let Some(at) = rest.iter().position(|&byte| byte == b'\\') {
+        let (before, after) = rest.split_at(at);
+        bytes.extend_from_slice(before);
+        let digits = after.get(1..4).and_then(|digits| str::from_utf8(digits).ok());
+        let escaped = digits.and_then(|digits| u8::from_str_radix(digits, 8).ok());
+        bytes.push(escaped.unwrap_or(b'\\'));
+        rest = &after[if escaped.is_some() { 4 } else { 1 }..];
     }
+    bytes.extend_from_slice(rest);
     OsString::from_vec(bytes)
 }
 
@@ -137,5 +133,6 @@ mod tests {
     fn escapes_are_undone() {
         assert_eq!(unescape(b"/a\\040b\\134c\\"), OsString::from("/a b\\c\\"));
         assert_eq!(unescape(b"\\"), OsString::from("\\"));
+        assert_eq!(unescape(b"\\04\\040\\999\\400"), OsString::from("\\04 \\999\\400"));
     }
 }

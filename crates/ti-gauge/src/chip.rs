@@ -1020,8 +1020,8 @@ impl Chip {
     /// The folder of a subclass in `df/by-name`: its name, after the manual's class if that name occurs in two classes.
     pub fn class_dir(&self, subclass: &Subclass) -> String {
         let name = kebab_case(subclass.name);
-        let mut alike = self.subclasses.iter().filter(|other| kebab_case(other.name) == name);
-        let is_shared = alike.any(|other| other.class != subclass.class);
+        let mut others = self.subclasses.iter().filter(|other| other.class != subclass.class);
+        let is_shared = others.any(|other| names::is_named(other.name, &name));
         if is_shared { format!("{}-{name}", kebab_case(subclass.class)) } else { name }
     }
 

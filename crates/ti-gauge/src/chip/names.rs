@@ -2,7 +2,7 @@
 
 //! TI's names as file names, and parameters by these names.
 
-use super::{Chip, FLAT, Parameter, Row};
+use super::{Chip, FLAT, Row};
 use crate::text;
 
 /// Similarity above which a name is suggested, from 0 to 1.
@@ -49,13 +49,7 @@ impl Chip {
 
     fn named(&self, name: &str) -> impl Iterator<Item = Row> + use<> {
         let name = kebab_case(name);
-        let first = name.chars().next();
-        // In a file of many names, few are compared as a whole.
-        let begins = move |row: &Parameter| {
-            let letter = row.name.chars().find(|letter| letter.is_ascii_alphanumeric() || *letter == '%');
-            letter.is_some_and(|letter| letter == '%' || Some(letter.to_ascii_lowercase()) == first)
-        };
-        self.rows().filter(move |(_, row)| begins(row) && kebab_case(row.name) == name)
+        self.rows().filter(move |(_, row)| is_named(row.name, &name))
     }
 
     /// The parameters whose names contain all parts of this one; those with the fewest other parts first.
@@ -123,9 +117,29 @@ pub fn snake_case(name: &str) -> String {
 
 /// The manual's name as a file name of `df/by-name`: lower case, `%` as `pct`, every other run of characters as `-`.
 pub fn kebab_case(name: &str) -> String {
-    let lower = name.to_lowercase().replace('%', " pct ");
-    let words = lower.split(|letter: char| !letter.is_ascii_alphanumeric());
-    words.filter(|word| !word.is_empty()).collect::<Vec<_>>().join("-")
+    let mut words = String::with_capacity(name.len());
+    let mut in_word = false;
+    for letter in name.chars() {
+        let goes_on = letter.is_ascii_alphanumeric();
+        let (begins, is_percent) = (goes_on && !in_word, letter == '%');
+        if (begins || is_percent) && !words.is_empty() {
+            words.push('-');
+        }
+        if is_percent {
+            words.push_str("pct");
+        } else if goes_on {
+            words.push(letter.to_ascii_lowercase());
+        }
+        in_word = goes_on;
+    }
+    words
+}
+
+/// Whether [`kebab_case`] of TI's name is this one. Of many names, few are compared as a whole.
+pub(super) fn is_named(name: &str, kebab: &str) -> bool {
+    let first = name.chars().find(|letter| letter.is_ascii_alphanumeric() || *letter == '%');
+    let first = first.map(|letter| if letter == '%' { 'p' } else { letter.to_ascii_lowercase() });
+    first == kebab.chars().next() && kebab_case(name) == kebab
 }
 
 #[cfg(test)]
@@ -207,6 +221,8 @@ mod tests {
         assert_eq!(snake_case("CONTROL_STATUS"), "control_status");
         assert_eq!(kebab_case("Cell Terminate Voltage"), "cell-terminate-voltage");
         assert_eq!(kebab_case("TCA Set %"), "tca-set-pct");
+        assert_eq!(kebab_case("%50%x -- 9µ_A "), "pct-50-pct-x-9-a");
+        assert_eq!(kebab_case(" - "), "");
         assert_eq!(kebab_case("IT Cfg"), "it-cfg");
         assert_eq!(kebab_case("Cell Charge Voltage T1-T2"), "cell-charge-voltage-t1-t2");
     }
