@@ -1045,6 +1045,11 @@ impl Chip {
         self.subclasses.iter().find(|subclass| subclass.id == id)
     }
 
+    /// The subcommand of that code.
+    pub fn subcommand(&self, code: u16) -> Option<&'static Subcommand> {
+        self.subcommands.iter().find(|subcommand| subcommand.code == code)
+    }
+
     /// The row at `df/SUBCLASS/OFFSET`; on a part without subclasses, `flash` and an address in hexadecimal.
     pub fn row(&self, subclass: &str, offset: &str) -> Option<(&'static Subclass, &'static Parameter)> {
         let is_hex = |text: &str| text.starts_with("0x");

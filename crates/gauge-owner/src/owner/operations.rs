@@ -165,8 +165,8 @@ fn send(access: &mut Access, code: u16) -> Result<()> {
 
 /// Checks that the gauge takes a subcommand: one that is SEALED answers others, and does nothing.
 fn check_takes(access: &mut Access, code: u16) -> Result<()> {
-    let all = access.chip().subcommands;
-    let Some(subcommand) = all.iter().find(|one| one.code == code && !one.sealed) else { return Ok(()) };
+    let known = access.chip().subcommand(code);
+    let Some(subcommand) = known.filter(|known| !known.sealed) else { return Ok(()) };
     if access.gauge().seal_anew()? != Seal::Sealed {
         return Ok(());
     }

@@ -100,9 +100,9 @@ pub(super) fn subcommand(context: &Context, data: &[u8]) -> Result<u16> {
         return Err(why.clone());
     }
     let word = trimmed(data);
-    let code = text::unsigned(word);
+    let coded = text::unsigned(word).and_then(|code| context.chip.subcommand(code));
     let mut all = context.chip.subcommands.iter();
-    let found = all.find(|one| Some(one.code) == code || one.name.eq_ignore_ascii_case(word));
+    let found = coded.or_else(|| all.find(|one| one.name.eq_ignore_ascii_case(word)));
     let is_allowed = |effect| matches!(effect, Effect::Answers | Effect::Safe);
     match found {
         Some(found) if is_allowed(found.effect) => Ok(found.code),

@@ -20,7 +20,7 @@ impl Chip {
 
     /// Whether RESET is never sent: to a part that is only read, or to which it does harm.
     pub fn is_never_reset(&self) -> bool {
-        self.subcommands.iter().any(|one| one.code == self.access.resets && one.effect == Effect::Never)
+        self.subcommand(self.access.resets).is_some_and(|reset| reset.effect == Effect::Never)
     }
 
     /// Refuses a block that is written whole and has a row that is never written: in an undo or for a journal as well.

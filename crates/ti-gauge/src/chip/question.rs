@@ -70,7 +70,7 @@ impl Question {
     /// The question of that code, if the part's table has it as a command that answers and does nothing else.
     pub fn of(chip: &Chip, code: u16) -> Option<Self> {
         chip.asks?;
-        let row = chip.subcommands.iter().find(|row| row.code == code)?;
+        let row = chip.subcommand(code)?;
         (row.effect == Effect::Answers).then_some(Self(code))
     }
 

@@ -106,7 +106,7 @@ impl Gauge {
     }
 
     pub(crate) fn subcommand_name(&self, code: u16) -> String {
-        let known = self.chip.subcommands.iter().find(|subcommand| subcommand.code == code);
+        let known = self.chip.subcommand(code);
         known.map_or_else(|| format!("Control(0x{code:04x})"), |known| format!("Control({})", known.name))
     }
 

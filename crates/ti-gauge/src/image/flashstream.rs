@@ -537,8 +537,7 @@ impl Stream {
         if std::mem::take(&mut self.half_key) && rest.is_empty() {
             return Ok(());
         }
-        let known = |code: u16| self.chip.subcommands.iter().find(|row| row.code == code);
-        let Some(subcommand) = known(word) else {
+        let Some(subcommand) = self.chip.subcommand(word) else {
             let second = |bytes: &[u8]| bytes.len() == 2;
             let follows = matches!(next, Some(Command::Write { register: CONTROL | SELECT, bytes, .. }) if second(bytes));
             let pair = second(rest) || rest.is_empty() && follows;

@@ -490,13 +490,13 @@ fn the_tables_have_what_the_checks_need() {
                     assert_eq!(mode.name, format!("{word} [{}]", bit.name), "{name}");
                 }
                 Source::Answer(code) | Source::Within(code, _) => {
-                    assert!(chip.subcommands.iter().any(|known| known.code == code), "{name}")
+                    assert!(chip.subcommand(code).is_some(), "{name}")
                 }
             }
         }
         match chip.preflight.pack.as_ref().map(|pack| pack.word) {
             Some(Source::Answer(code)) => {
-                let asked = chip.subcommands.iter().find(|known| known.code == code).expect("a subcommand");
+                let asked = chip.subcommand(code).expect("a subcommand");
                 assert_eq!((asked.name, asked.sealed), ("CHEM_ID", true), "{name}");
             }
             Some(source @ Source::Command(_)) => {

@@ -360,7 +360,7 @@ fn every_part_that_is_left_in_rom_mode_is_recognised() {
         let newer = chip.access.scheme.is_flat() && found == Ok(Some(Device::Unclear));
         assert!(newer || found == Ok(Some(Device::BootLoader)), "{}: {found:?}", chip.name);
     }
-    let enters = |chip: &&&Chip| chip.subcommands.iter().any(|one| one.code == 0x0F00);
+    let enters = |chip: &&&Chip| chip.subcommand(0x0F00).is_some();
     assert_eq!(left, CHIPS.iter().filter(enters).map(|chip| chip.name).collect::<Vec<_>>());
 }
 

@@ -55,7 +55,7 @@ fn sent(chip: &Chip, seal: Seal, run: fn(&mut Rig) -> Result<()>) -> Vec<(usize,
         [0x00 | 0x3e, low, high] => Some((at + 1, u16::from_le_bytes([low, high]))),
         _ => None,
     });
-    words.filter(|(_, word)| chip.subcommands.iter().any(|known| known.code == *word)).collect()
+    words.filter(|(_, word)| chip.subcommand(*word).is_some()).collect()
 }
 
 /// What one wrong bit makes of the subcommands that are sent to an open gauge: what is not a question, by part. Nobody can
@@ -64,13 +64,12 @@ fn sent(chip: &Chip, seal: Seal, run: fn(&mut Rig) -> Result<()>) -> Vec<(usize,
 fn what_is_a_bit_away_from_what_is_sent_is_known() {
     let mut found_all = Vec::new();
     for chip in CHIPS.iter().filter(|chip| chip.check_proven().is_ok()) {
-        let of = |code: u16| chip.subcommands.iter().find(|known| known.code == code);
         let mut away: BTreeMap<&str, BTreeSet<&str>> = BTreeMap::new();
         for (_, seal) in found().filter(|(found, _)| found.name == chip.name) {
             for (_, word) in OPERATIONS.into_iter().flat_map(|(_, run)| sent(chip, seal, run)) {
-                let near = (0..16).filter_map(|bit| of(word ^ 1 << bit));
+                let near = (0..16).filter_map(|bit| chip.subcommand(word ^ 1 << bit));
                 for near in near.filter(|known| known.effect != Effect::Answers) {
-                    away.entry(near.name).or_default().extend(of(word).map(|sent| sent.name));
+                    away.entry(near.name).or_default().extend(chip.subcommand(word).map(|sent| sent.name));
                 }
             }
         }

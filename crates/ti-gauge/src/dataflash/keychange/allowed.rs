@@ -55,8 +55,7 @@ pub(super) fn check_new(gauge: &Gauge, change: &KeyChange) -> Result<()> {
     if words[0] == words[1] {
         return refuse("is one word twice: a transfer that is repeated would open the gauge");
     }
-    let known = |word: &u16| gauge.chip.subcommands.iter().any(|subcommand| subcommand.code == *word);
-    if words.iter().any(|word| *word < SUBCOMMANDS || known(word)) {
+    if words.iter().any(|word| *word < SUBCOMMANDS || gauge.chip.subcommand(*word).is_some()) {
         return refuse("has a word that is a subcommand, which the manual forbids");
     }
     let flat = &gauge.chip.flat;

@@ -52,9 +52,7 @@ pub(super) fn shows_order(key: &Secret) -> bool {
 /// Whether the words of a key may be sent although the gauge may not have it.
 pub(super) fn is_harmless(gauge: &Gauge, key: &Secret) -> bool {
     let is_command = |word: &u16| {
-        *word < SUBCOMMANDS
-            || gauge.chip.subcommands.iter().any(|subcommand| subcommand.code == *word)
-            || gauge.chip.flat.contains(word)
+        *word < SUBCOMMANDS || gauge.chip.subcommand(*word).is_some() || gauge.chip.flat.contains(word)
     };
     !key.words().iter().any(is_command)
 }

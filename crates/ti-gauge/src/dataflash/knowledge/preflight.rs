@@ -479,8 +479,7 @@ fn off(mode: &Mode, word: u32) -> Result<()> {
 
 /// A gauge that does not answer may have been left in ROM mode by a flash programmer.
 fn in_rom(chip: &Chip, error: Error) -> Error {
-    let has_rom = chip.subcommands.iter().any(|subcommand| subcommand.code == ROM_MODE);
-    if !has_rom || error.cause() != Cause::Bus(gauge_bus::BusError::NoAck) {
+    if chip.subcommand(ROM_MODE).is_none() || error.cause() != Cause::Bus(gauge_bus::BusError::NoAck) {
         return error;
     }
     let why = format!(

@@ -43,8 +43,7 @@ impl Gauge {
         let mut seen = [0; 2];
         let is_subcommand = |gauge: &Self, seen| {
             let code = u16::from_le_bytes(seen);
-            gauge.chip.access.scheme.is_flat()
-                && gauge.chip.subcommands.iter().any(|known| known.code == code)
+            gauge.chip.access.scheme.is_flat() && gauge.chip.subcommand(code).is_some()
         };
         if self.again(|gauge| gauge.transfer(gauge.dialect.selection(), &mut seen)).is_ok()
             && !self.presence.is_doubted()
