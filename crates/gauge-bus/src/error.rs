@@ -131,7 +131,7 @@ impl fmt::Display for Error {
     }
 }
 
-/// The same line: it is how `main` prints the error that it returns.
+/// The line of `Display`: `main` prints the error that it returns in this way.
 impl fmt::Debug for Error {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         fmt::Display::fmt(self, f)

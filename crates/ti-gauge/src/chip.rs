@@ -887,7 +887,7 @@ impl Register {
         in_steps(value, fraction, self.step)
     }
 
-    /// The same for the unit of a role that it may feed in another mode.
+    /// A reading in that fraction of the unit of a role that it may feed in another mode, without the rest.
     pub fn in_unit_of(&self, role: Role, value: i64, fraction: i64) -> i64 {
         let other = self.other.filter(|other| other.role == role);
         in_steps(value, fraction, other.map_or(self.step, |other| other.step))

@@ -311,9 +311,9 @@ reasons! {
     /// A value is outside of the allowed range.
     OutOfRange { least: String, greatest: String, unit: &'static str } "out-of-range", OutOfRange,
         "the value is outside {}", quantity::pair(least, " to ", greatest, unit);
-    /// A value would do harm.
+    /// A value would do harm because it is too small.
     Unsafe { number: i64, least: i64; why: &'static str } "unsafe", OutOfRange, "{number} is below {least}: {why}";
-    /// The same of a value that is too great.
+    /// A value would do harm because it is too great.
     UnsafeAbove { number: i64, greatest: i64; why: &'static str } "unsafe-above", OutOfRange,
         "{number} is above {greatest}: {why}";
     /// The gauge's supply is outside of the part's range, in mV.
@@ -606,7 +606,7 @@ impl fmt::Display for Error {
     }
 }
 
-/// The same line: `main` prints the error that it returns in this way.
+/// The line of `Display`: `main` prints the error that it returns in this way.
 impl fmt::Debug for Error {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         fmt::Display::fmt(self, f)

@@ -60,7 +60,8 @@ fn stale(facts: &Facts<'_>) -> Option<String> {
     since_write(facts, full).or_else(|| of_default(facts, full))
 }
 
-/// The same, for as long as it takes. A worn pack may have had that capacity before the write as well, so it is told again.
+/// Why the full charge capacity is not yet of the battery that was configured, for as long as it takes. A worn pack may have
+/// had that capacity before the write as well, so it is told again.
 fn waits(facts: &Facts<'_>) -> Option<String> {
     stale(facts).or_else(|| until_learned(facts))
 }
