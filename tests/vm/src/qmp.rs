@@ -52,7 +52,8 @@ struct Monitor(BufReader<UnixStream>);
 impl Monitor {
     fn open(slot: &Slot) -> Result<Self, String> {
         let stream = UnixStream::connect(&slot.monitor).map_err(|error| format!("monitor: {error}"))?;
-        stream.set_read_timeout(Some(Duration::from_secs(30))).map_err(|error| error.to_string())?;
+        // A guest on a busy machine lets a device go when it gets to it.
+        stream.set_read_timeout(Some(Duration::from_secs(180))).map_err(|error| error.to_string())?;
         let mut monitor = Self(BufReader::new(stream));
         monitor.execute(r#"{"execute":"qmp_capabilities"}"#, None)?;
         Ok(monitor)
