@@ -27,7 +27,10 @@ impl Folder {
         // In memory if possible, because these tests call fsync many thousand times.
         let memory = Path::new("/dev/shm");
         let parent = if memory.is_dir() { memory.to_path_buf() } else { std::env::temp_dir() };
-        let path = parent.join(format!("gaugefs-journal-{name}-{}", std::process::id()));
+        // A test that runs again behind adapters runs beside itself where all tests are one process.
+        static NUMBER: AtomicU64 = AtomicU64::new(0);
+        let number = NUMBER.fetch_add(1, Ordering::Relaxed);
+        let path = parent.join(format!("gaugefs-journal-{name}-{}-{number}", std::process::id()));
         let _ = fs::remove_dir_all(&path);
         Self(path)
     }
