@@ -154,6 +154,28 @@ fn a_recording_and_a_report_of_a_pack_are_its_replay() {
     }
 }
 
+/// The kernel's driver, or a laptop, changes the unit of capacities. Numbers of two units were compared.
+#[test]
+fn regression_a_pack_in_another_mode_was_taken_for_another_pack() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let [at, log] = ["m", "log"].map(|name| folder.file(name));
+    gaugefs(&["mount", "--sim", "sbs", "--poll", "0.5", "--log", &log, &at]).done();
+    let has = |name: &str| fs::read_to_string(format!("{at}/BAT0/{name}")).is_ok();
+    for (mode, shown, other) in [
+        ("0x8000", "energy_full_design", "charge_full_design"),
+        ("0x0000", "charge_full_design", "energy_full_design"),
+    ] {
+        fs::write(format!("{at}/BAT0/sim/battery_mode"), mode).expect("a knob");
+        within("its capacities are in the other unit", || has(shown) && !has(other));
+    }
+    let said = || fs::read_to_string(&log).expect("a log");
+    assert!(!said().contains("another pack"), "{}", said());
+    gaugefs(&["umount", &at]).done();
+}
+
 /// Reads, writes and commands of a pack that is asked: only questions reach it, and it is not harmed.
 #[test]
 fn an_asked_pack_is_sent_its_questions_and_tells_why_it_has_failed() {

@@ -5,7 +5,7 @@
 //! on what blocks a write, and on what permits it.
 
 use super::Knowledge;
-use crate::chip::{Chip, Kind, Learning, Mode, Role, Source};
+use crate::chip::{Chip, Kind, Learning, Mode, Other, Register, Role, Source};
 use crate::dataflash::io::read_byte;
 use crate::dataflash::schemes::sequence;
 use crate::dataflash::session::Session;
@@ -25,7 +25,7 @@ pub(in crate::dataflash) struct KnownPack {
     pack: Option<u16>,
     /// CycleCount(), which only rises, and DesignCapacity(), as last polled; `None` since a write.
     cycles: Option<u16>,
-    design: Option<u16>,
+    design: Option<Design>,
     /// Whether it reported a loss of power then; only for parts with data memory in RAM.
     lost: Option<bool>,
 }
@@ -41,22 +41,39 @@ impl KnownPack {
     }
 }
 
+/// DesignCapacity(), which a pack's host sets to another unit. Only of one unit it tells packs apart.
+#[derive(Clone, Copy, Debug)]
+struct Design {
+    in_other_unit: bool,
+    number: u16,
+}
+
+impl Design {
+    fn differ((then, now): (Self, Self)) -> bool {
+        then.in_other_unit == now.in_other_unit && then.number != now.number
+    }
+}
+
 struct Distinct {
     pack: Option<u16>,
     cycles: Option<u16>,
-    design: Option<u16>,
+    design: Option<Design>,
 }
 
 impl Distinct {
     fn of(chip: &Chip, value: impl Fn(Source) -> Option<u32>) -> Self {
-        let value = |source| value(source).map(|word| word as u16);
-        let pack = chip.serial_register().and_then(|register| value(register.source));
+        let number = |register: &Register| value(register.source).map(|word| word as u16);
+        let pack = chip.serial_register().and_then(number);
         // After a power loss a RAM gauge shows defaults, which identify no pack.
-        let of = |role: Role| {
-            let register = chip.register(role).filter(|_| chip.volatile.is_none());
-            register.and_then(|register| value(register.source))
-        };
-        Self { pack, cycles: of(Role::CycleCount), design: of(Role::ChargeFullDesign) }
+        let of = |role: Role| chip.register(role).filter(|_| chip.volatile.is_none());
+        let design = of(Role::ChargeFullDesign).and_then(|register| {
+            let in_other_unit = match register.other {
+                Some(Other { bit: (source, bit), .. }) => value(source)? & bit != 0,
+                None => false,
+            };
+            Some(Design { in_other_unit, number: number(register)? })
+        });
+        Self { pack, cycles: of(Role::CycleCount).and_then(number), design }
     }
 }
 
@@ -132,7 +149,7 @@ impl Knowledge {
         let rows = [
             (now.pack.is_some() && changes(known.pack, now.pack), name),
             (falls(known.cycles, now.cycles), "CycleCount()"),
-            (changes(known.design, now.design), "DesignCapacity()"),
+            (known.design.zip(now.design).is_some_and(Design::differ), "DesignCapacity()"),
         ];
         rows.into_iter().find(|(contradicts, _)| *contradicts).map(|(_, name)| name)
     }
