@@ -111,10 +111,10 @@ fn each_figure_has_a_measurement() {
         ("3/43; ", "const POLL: Cost = Cost::of(3, 43);"),
         ("driver: 16/79", "(\"bq34z100-g1\", Cost::of(16, 79))"),
         ("tmpfs being 1, below 1.5", "const OF_TMPFS: f64 = 1.5;"),
-        ("at most 8 MiB", "const MEMORY_MIB: f64 = 8.0;"),
+        ("at most 8.5 MiB", "const MEMORY_MIB: f64 = 8.5;"),
         ("at most 2 MiB its own", "const OWN_MIB: f64 = 2.0;"),
-        ("48 KiB for one gauge more", "const ANOTHER_KIB: f64 = 48.0;"),
-        ("at most 25 MB", "const ALL_MB: f64 = 25.0;"),
+        ("128 KiB for one gauge more", "const ANOTHER_KIB: f64 = 128.0;"),
+        ("at most 40 MB", "const ALL_MB: f64 = 40.0;"),
         ("at most 2 % of a processor", "const ALL_PERCENT: f64 = 2.0;"),
     ] {
         let is_told = figures.iter().any(|row| row.iter().any(|cell| cell.contains(figure)));
