@@ -5,7 +5,7 @@
 //! on what blocks a write, and on what permits it.
 
 use super::Knowledge;
-use crate::chip::{Chip, Kind, Learning, Mode, Other, Register, Role, Source};
+use crate::chip::{Chip, Kind, Learning, Mode, Register, Role, Source};
 use crate::dataflash::io::read_byte;
 use crate::dataflash::schemes::sequence;
 use crate::dataflash::session::Session;
@@ -44,13 +44,13 @@ impl KnownPack {
 /// DesignCapacity(), which a pack's host sets to another unit. Only of one unit it tells packs apart.
 #[derive(Clone, Copy, Debug)]
 struct Design {
-    in_other_unit: bool,
+    is_charge: bool,
     number: u16,
 }
 
 impl Design {
     fn differ((then, now): (Self, Self)) -> bool {
-        then.in_other_unit == now.in_other_unit && then.number != now.number
+        then.is_charge == now.is_charge && then.number != now.number
     }
 }
 
@@ -67,11 +67,8 @@ impl Distinct {
         // After a power loss a RAM gauge shows defaults, which identify no pack.
         let of = |role: Role| chip.register(role).filter(|_| chip.volatile.is_none());
         let design = of(Role::ChargeFullDesign).and_then(|register| {
-            let in_other_unit = match register.other {
-                Some(Other { bit: (source, bit), .. }) => value(source)? & bit != 0,
-                None => false,
-            };
-            Some(Design { in_other_unit, number: number(register)? })
+            let is_charge = register.feeds(Role::ChargeFullDesign, |source| value(source).map(i64::from))?;
+            Some(Design { is_charge, number: number(register)? })
         });
         Self { pack, cycles: of(Role::CycleCount).and_then(number), design }
     }
