@@ -291,11 +291,16 @@ fn statistic(gauge: &Gauge, wanted: &str) -> u64 {
     list.iter().find(|(name, _)| *name == wanted).expect("a statistic of that name").1
 }
 
-/// The parameters that may be written without an option.
+/// Whether a parameter may be set to any value of its range without an option.
+fn is_writable(one: &Parameter) -> bool {
+    one.kind.bounds().is_some() && one.safe.is_none() && !one.unproven
+}
+
+/// Those of them that the gauge does not rewrite itself.
 fn rows(chip: &'static Chip) -> impl Iterator<Item = Row> {
     let subclasses = chip.subclasses.iter().filter(|subclass| subclass.kind != Kind::Security);
     let rows = subclasses.flat_map(|row| row.parameters.iter().map(move |one| (row, one)));
-    rows.filter(|(_, one)| one.kind.bounds().is_some() && one.safe.is_none() && !one.unproven && !one.learned)
+    rows.filter(|(_, one)| is_writable(one) && !one.learned)
 }
 
 /// What the engine has done before a write.
@@ -356,8 +361,7 @@ fn image(chip: &'static Chip) -> Result<Whole> {
         let block = |one: &Parameter| usize::from(one.offset - subclass.start()) / WINDOW;
         let may = |one: &&Parameter| {
             let last = usize::from(one.offset - subclass.start()) + one.kind.size() - 1;
-            let is_writable = one.safe.is_none() && !one.unproven && one.kind.bounds().is_some();
-            is_writable && last / WINDOW == block(one)
+            is_writable(one) && last / WINDOW == block(one)
         };
         // What the gauge rewrites itself only where a block holds nothing else.
         let mut rows: Vec<_> = subclass.parameters.iter().filter(may).collect();

@@ -20,7 +20,7 @@ use rustix::process::geteuid;
 /// Largest size of a file that the system keeps: in `/proc`, `/sys`, and the tables of `/etc`.
 pub const SYSTEM: u64 = 16 << 20;
 /// Most files are smaller.
-const SMALL: u64 = 4095;
+const SMALL: u64 = 4096;
 
 /// Opens a regular file, without waiting. A symbolic link as the last component is not followed.
 pub fn open(options: &OpenOptions, path: &Path) -> io::Result<File> {
@@ -82,7 +82,7 @@ pub fn read_text(path: &Path, limit: u64) -> io::Result<String> {
 #[expect(clippy::disallowed_methods, reason = "here is the limit")]
 pub fn read_from(from: impl Read, limit: u64) -> io::Result<Vec<u8>> {
     // Without room the first calls of many would read 32 bytes each.
-    let mut bytes = Vec::with_capacity(limit.min(SMALL) as usize + 1);
+    let mut bytes = Vec::with_capacity(limit.min(SMALL) as usize);
     from.take(limit + 1).read_to_end(&mut bytes)?;
     if bytes.len() as u64 > limit { Err(too_long(limit)) } else { Ok(bytes) }
 }
