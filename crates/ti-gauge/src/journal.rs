@@ -5,15 +5,22 @@
 //! A host that loses power during a write leaves the gauge unsealed or data flash half written. The journal holds the
 //! seal state and the blocks from before the write, and what distinguishes the pack. It never holds keys.
 //!
-//! The file is created before a sealed gauge is opened; the plan is appended before the first block is written. A power cut
-//! in between leaves a plan without its last line, which is ignored: nothing had been written yet. A gauge that was found
-//! open is owed nothing before there is a plan, with which its file is created.
+//! An entry is on disk before a sealed gauge is opened, and the plan before the first block is written. Mostly the plan is
+//! foreseen, and the entry has it from the start; if it comes otherwise, another one is appended. A power cut in between
+//! leaves a plan without its last line, which is ignored: nothing had been written yet. A gauge that was found open is owed
+//! nothing before there is a plan, with which its entry begins.
+//!
+//! An access that is over says so in its last line, and leaves its file as a spare one, to which the next entry is appended:
+//! to wait for the disk once costs less than a new name, which takes a second wait, as its removal does. The names need not
+//! be on disk: what a file says counts.
 //!
 //! A journal belongs to a pack, and a pack can come back at any place. So the folder is searched as a whole, and a
 //! journal leaves it only with its own pack, or because a person says so:
 //!
 //! * `KEY.journal` is a write at the place KEY. No other write is begun there until it has been settled or set aside.
 //!   Other hosts may use the same folder and the same keys: theirs are left alone, and a number keeps names apart.
+//! * `KEY.spare` is a file in which nothing is open, for as long as a process uses that place. After a power cut something
+//!   may be open in it, or over in one of the others: the first look puts the names right.
 //! * `KEY.waiting` and `KEY.N.waiting` wait for packs that may have been exchanged. They stop nothing.
 //! * `KEY.dismissed` and `KEY.N.dismissed` were put aside by a person.
 //!
@@ -23,6 +30,7 @@ use std::fmt::Debug;
 use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use sha1::{Digest as _, Sha1};
 
@@ -39,9 +47,19 @@ pub use machine::Machine;
 mod disk;
 mod machine;
 
-const HEAD: &str = "gaugefs journal 3";
-/// The previous version, without the host.
+const HEAD: &str = "gaugefs journal 4";
+/// A previous version, without the sum of its first lines.
+const HEAD_3: &str = "gaugefs journal 3";
+/// One without the host.
 const HEAD_2: &str = "gaugefs journal 2";
+/// Begins the line with the sum of the lines before, without which an entry was not begun.
+const BEGUN: &str = "begun ";
+/// Follows a plan that has come otherwise, before the one that counts.
+const INSTEAD: &str = "instead\n";
+/// Follows an entry when nothing of it is left to do.
+const OVER: &str = "over\n";
+/// A file that has grown to that is not used again.
+const FULL: usize = 1 << 16;
 /// Follows a plan once its reset is about to be sent.
 const RESET_SENT: &str = "reset sent\n";
 /// Follows a plan of keys once they have been read back.
@@ -53,6 +71,7 @@ const LINE: usize = 160;
 
 /// Ends of file names in the folder: pending, waiting for its pack, and put aside.
 const PENDING: &str = "journal";
+const SPARE: &str = "spare";
 const WAITING: &str = "waiting";
 const DISMISSED: &str = "dismissed";
 const SEAL: &str = "seal";
@@ -67,6 +86,8 @@ pub struct Journal {
     machine: Machine,
     /// An account, besides this one and root, with believed journals.
     trusted: Option<u32>,
+    /// The names in the folder were put right.
+    is_tidy: Arc<AtomicBool>,
 }
 
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -205,6 +226,10 @@ pub(crate) struct OpenJournal {
     disk: Arc<dyn Disk>,
     file: Box<dyn File>,
     path: PathBuf,
+    /// The name that the file gets when the access is over; `None` if it is removed then.
+    spare: Option<PathBuf>,
+    /// It has a plan, or what was foreseen as one.
+    is_planned: bool,
 }
 
 #[derive(Debug)]
@@ -227,7 +252,8 @@ impl Journal {
     /// `key` identifies the gauge's connection and must be unique on this host; `gauge` is the name in the file.
     pub fn new(folder: PathBuf, key: String, gauge: String) -> Self {
         let machine = Machine::this().clone();
-        Self { disk: Arc::new(disk::Host), folder, key, gauge, machine, trusted: None }
+        let (disk, is_tidy) = (Arc::new(disk::Host), Arc::default());
+        Self { disk, folder, key, gauge, machine, trusted: None, is_tidy }
     }
 
     /// Keeps the journal on another disk.
@@ -254,7 +280,7 @@ impl Journal {
 
     /// Unsettled journals of this place and this host.
     pub fn unsettled(&self) -> Vec<PathBuf> {
-        let paths = self.files(PENDING).unwrap_or_default();
+        let paths = self.pending().unwrap_or_default();
         paths.into_iter().filter(|path| self.is_key_of(path) && !self.is_of_other_host(path)).collect()
     }
 
@@ -281,6 +307,35 @@ impl Journal {
         Ok(paths)
     }
 
+    /// The files of the folder that are named as open ones. The first time, names are put right that a power cut has left.
+    fn pending(&self) -> io::Result<Vec<PathBuf>> {
+        if !self.is_tidy.swap(true, Ordering::Relaxed) {
+            for path in self.files(SPARE)?.into_iter().chain(self.files(PENDING)?) {
+                self.put_right(&path)?;
+            }
+        }
+        self.files(PENDING)
+    }
+
+    /// Gives a file the name that is right by what it says. No file is removed, as another entry may begin in it meanwhile.
+    fn put_right(&self, path: &Path) -> io::Result<()> {
+        let Ok(text) = self.disk.read(path) else { return Ok(()) };
+        let is_open = open_entry(&text).is_some();
+        let right = path.with_extension(if is_open { PENDING } else { SPARE });
+        if right == path || self.disk.is_locked(path).unwrap_or(true) {
+            return Ok(());
+        }
+        match self.disk.rename_new(path, &right) {
+            Err(error) if is_open && error.kind() != ErrorKind::NotFound => Err(error),
+            _ => Ok(()),
+        }
+    }
+
+    /// Removes the spare file, if there is one. Nothing is lost if it stays.
+    pub(crate) fn remove_spare(&self) {
+        let _ = self.disk.remove(&self.numbered(SPARE, 0));
+    }
+
     fn is_key_of(&self, path: &Path) -> bool {
         let Some(stem) = path.file_stem().and_then(|stem| stem.to_str()) else { return false };
         let is_number = |text: &str| !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
@@ -293,8 +348,16 @@ impl Journal {
 
     /// Whether another host has written a journal. An unreadable one may be ours.
     fn is_of_other_host(&self, path: &Path) -> bool {
-        let entry = self.disk.read(path).ok().and_then(|text| parse(&text));
-        entry.is_some_and(|entry| !self.is_ours(&entry))
+        let Ok(text) = self.disk.read(path) else { return false };
+        match open_entry(&text) {
+            Some(_) => parse(&text).is_some_and(|entry| !self.is_ours(&entry)),
+            None => !self.was_ours(&text),
+        }
+    }
+
+    /// Whether all that is over in a file was of this host.
+    fn was_ours(&self, text: &str) -> bool {
+        text.lines().filter_map(Machine::parse).all(|machine| machine.is(&self.machine))
     }
 
     fn is_ours(&self, entry: &Entry) -> bool {
@@ -310,7 +373,8 @@ impl Journal {
     pub(crate) fn search(&self, waiting: bool, skip: &[PathBuf]) -> Result<Vec<Found>> {
         let unlisted =
             |error| Error::io(self.folder.display().to_string(), "cannot look for journals", &error);
-        let mut paths = self.files(if waiting { WAITING } else { PENDING }).map_err(unlisted)?;
+        let listed = if waiting { self.files(WAITING) } else { self.pending() };
+        let mut paths = listed.map_err(unlisted)?;
         paths.retain(|path| !skip.contains(path));
         if paths.is_empty() {
             return Ok(Vec::new());
@@ -339,6 +403,7 @@ impl Journal {
         }
         let text = match self.disk.read(path) {
             Err(error) if error.kind() == ErrorKind::NotFound => return None,
+            Ok(text) if open_entry(&text).is_none() => return None,
             read => read.map_err(|error| Error::io(&name, "cannot read the journal", &error)),
         };
         let entry = text.and_then(|text| {
@@ -379,6 +444,10 @@ impl Journal {
         if self.disk.exists(&self.folder) {
             self.check_folder()?;
         }
+        let begun = self.entry(identity, found, plan);
+        if let Some(journal) = self.begin_in_spare(&begun, blocks, plan)? {
+            return Ok(journal);
+        }
         for number in 0.. {
             let path = self.numbered(PENDING, number);
             if self.disk.exists(&path) {
@@ -388,7 +457,7 @@ impl Journal {
                 let what = "an interrupted write is not settled yet; see gaugefs settle".into();
                 return Err(Error::of(path.display().to_string(), Reason::Owed { decision: false, what }));
             }
-            match self.store(&path, true, identity, found, blocks, plan) {
+            match self.store(&path, true, &begun, blocks, plan) {
                 Err(error) if error.kind() == ErrorKind::AlreadyExists && self.disk.exists(&path) => {}
                 stored => return stored.map_err(|error| refused(&path, &error)),
             }
@@ -396,37 +465,83 @@ impl Journal {
         unreachable!("there are enough numbers")
     }
 
+    /// Begins an entry in the spare file, if it can be used.
+    fn begin_in_spare(&self, begun: &str, blocks: usize, plan: Option<&Plan>) -> Result<Option<OpenJournal>> {
+        let (spare, path) = (self.numbered(SPARE, 0), self.path());
+        self.put_right(&path).map_err(|error| refused(&path, &error))?;
+        let Ok(mut file) = self.disk.open(&spare) else { return Ok(None) };
+        let is_believed = self.disk.check(&spare, self.trusted).is_ok();
+        let text = match file.lock() {
+            Ok(true) if is_believed => self.disk.read(&spare).unwrap_or_default(),
+            _ => return Ok(None),
+        };
+        if open_entry(&text).is_some() || !self.was_ours(&text) {
+            return Ok(None);
+        }
+        if !text.ends_with(OVER) || text.len() > FULL {
+            let _ = self.disk.remove(&spare);
+            return Ok(None);
+        }
+        if self.disk.rename_new(&spare, &path).is_err() {
+            return Ok(None);
+        }
+        let room = text.len() + begun.len() + room(blocks);
+        let stored = file.reserve(room as u64).and_then(|()| file.append(begun.as_bytes()));
+        if let Err(error) = stored.and_then(|()| file.sync()) {
+            let _ = self.disk.remove(&path);
+            return Err(refused(&path, &error));
+        }
+        Ok(Some(self.opened(path, file, plan)))
+    }
+
     /// Replaces an entry that owes only a seal.
-    pub(crate) fn replace(&self, path: &Path, identity: &Identity, found: Seal) -> Result<OpenJournal> {
-        self.store(path, false, identity, found, 0, None).map_err(|error| refused(path, &error))
+    pub(crate) fn replace(
+        &self,
+        path: &Path,
+        identity: &Identity,
+        found: Seal,
+        plan: Option<&Plan>,
+    ) -> Result<OpenJournal> {
+        let begun = self.entry(identity, found, plan);
+        self.store(path, false, &begun, 0, plan).map_err(|error| refused(path, &error))
+    }
+
+    /// The text of an entry.
+    fn entry(&self, identity: &Identity, found: Seal, plan: Option<&Plan>) -> String {
+        let Identity { chip, device_type, firmware, serial } = identity;
+        let head = format!(
+            "{HEAD}\ngauge {}\npart {chip} {device_type:04x} {firmware:04x} {serial:04x}\nfound {}\n{}\n",
+            self.gauge,
+            found.as_str(),
+            self.machine,
+        );
+        let sum = sum(&head);
+        head + &format!("{BEGUN}{sum}\n") + &plan.map(render).unwrap_or_default()
+    }
+
+    fn opened(&self, path: PathBuf, file: Box<dyn File>, plan: Option<&Plan>) -> OpenJournal {
+        let spare = (path == self.path()).then(|| self.numbered(SPARE, 0));
+        let mut opened =
+            OpenJournal { disk: self.disk.clone(), file, path, spare, is_planned: plan.is_some() };
+        plan.iter().for_each(|plan| opened.judge(plan));
+        opened
     }
 
     fn store(
         &self,
         path: &Path,
         is_new: bool,
-        identity: &Identity,
-        found: Seal,
+        begun: &str,
         blocks: usize,
         plan: Option<&Plan>,
     ) -> io::Result<OpenJournal> {
-        let Identity { chip, device_type, firmware, serial } = identity;
-        let text = format!(
-            "{HEAD}\ngauge {}\npart {chip} {device_type:04x} {firmware:04x} {serial:04x}\nfound {}\n\
-             {}\n{}",
-            self.gauge,
-            found.as_str(),
-            self.machine,
-            plan.map(render).unwrap_or_default()
-        );
         // Nobody else writes to a file of that name.
         let mut random = [0; 4];
         getrandom::fill(&mut random).map_err(io::Error::other)?;
         let temporary = self.folder.join(format!("{}.{}.new", self.key, hex(&random)));
-        // Marks, and a neighbour on either side of each block.
-        let how = disk::How::Journal { is_new, room: LINE * (3 * blocks + 8) };
-        let file = disk::store(&*self.disk, path, &temporary, &text, how)?;
-        Ok(OpenJournal { disk: self.disk.clone(), file, path: path.into() })
+        let how = disk::How::Journal { is_new, room: room(blocks) };
+        let file = disk::store(&*self.disk, path, &temporary, begun, how)?;
+        Ok(self.opened(path.into(), file, plan))
     }
 
     /// Reopens and locks the entry of an interrupted write. `None` if it is gone.
@@ -438,7 +553,8 @@ impl Journal {
         if !file.lock().map_err(|error| refused(path, &error))? {
             return Err(in_use(path));
         }
-        Ok(Some(OpenJournal { disk: self.disk.clone(), file, path: path.into() }))
+        let disk = self.disk.clone();
+        Ok(Some(OpenJournal { disk, file, path: path.into(), spare: None, is_planned: false }))
     }
 
     fn seal_path(&self) -> PathBuf {
@@ -447,7 +563,7 @@ impl Journal {
 
     /// Records an owed seal. On return that is on disk.
     pub(crate) fn owe_seal(&self, identity: &Identity) -> Result<OpenJournal> {
-        self.replace(&self.seal_path(), identity, Seal::Sealed)
+        self.replace(&self.seal_path(), identity, Seal::Sealed, None)
     }
 
     pub(crate) fn seal_owed(&self) -> Result<Option<Entry>> {
@@ -481,7 +597,7 @@ impl Journal {
 
     pub(crate) fn withdraw(&self, path: &Path) -> Result<()> {
         let removed = self.disk.remove(path).and_then(|()| self.disk.sync(&self.folder));
-        removed.map_err(|error| Error::io(path.display().to_string(), "cannot remove the journal", &error))
+        removed.map_err(|error| not_removed(path, &error))
     }
 
     pub(crate) fn waiting(&self) -> Result<Vec<(PathBuf, Entry)>> {
@@ -532,9 +648,18 @@ impl OpenJournal {
         &self.path
     }
 
-    /// Appends a plan. On return it is on disk.
+    /// A journal of keys is removed, whatever comes to the disk of its last line: half of one says that nothing is certain.
+    fn judge(&mut self, plan: &Plan) {
+        if plan.key.is_some() {
+            self.spare = None;
+        }
+    }
+
+    /// Appends a plan, which counts instead of what was foreseen. On return it is on disk.
     pub(crate) fn plan(&mut self, plan: &Plan) -> Result<()> {
-        let text = render(plan);
+        self.judge(plan);
+        let text = if std::mem::replace(&mut self.is_planned, true) { INSTEAD } else { "" };
+        let text = text.to_string() + &render(plan);
         let stored = self.file.append(text.as_bytes()).and_then(|()| self.file.sync());
         stored.map_err(|error| refused(&self.path, &error))
     }
@@ -555,11 +680,17 @@ impl OpenJournal {
         stored.map_err(|error| refused(&self.path, &error))
     }
 
-    pub(crate) fn remove(self) -> Result<()> {
+    /// The access is over: on return that is on disk.
+    pub(crate) fn remove(mut self) -> Result<()> {
+        if let Some(spare) = self.spare.take()
+            && self.file.append(OVER.as_bytes()).and_then(|()| self.file.sync()).is_ok()
+        {
+            return self.disk.rename(&self.path, &spare).map_err(|error| not_removed(&self.path, &error));
+        }
         let removed = self.disk.remove(&self.path);
         removed
             .and_then(|()| self.path.parent().map_or(Ok(()), |folder| self.disk.sync(folder)))
-            .map_err(|error| Error::io(self.path.display().to_string(), "cannot remove the journal", &error))
+            .map_err(|error| not_removed(&self.path, &error))
     }
 }
 
@@ -568,10 +699,19 @@ pub(crate) fn in_use(path: &Path) -> Error {
     Error::of(path.display().to_string(), Reason::InUse { process: None, mountpoint: None, what })
 }
 
+fn not_removed(path: &Path, error: &io::Error) -> Error {
+    Error::io(path.display().to_string(), "cannot remove the journal", error)
+}
+
 fn refused(path: &Path, error: &io::Error) -> Error {
     let what = "cannot write the journal, so nothing was written to the gauge (choose another folder with \
                 --state-dir)";
     Error::io(path.display().to_string(), what, error)
+}
+
+/// Room for lines that are appended: marks, and a neighbour on either side of each block.
+fn room(blocks: usize) -> usize {
+    LINE * (3 * blocks + 8)
 }
 
 fn render(plan: &Plan) -> String {
@@ -598,19 +738,35 @@ fn sum(text: &str) -> String {
     hex(&Sha1::digest(text))
 }
 
+/// The entry of a file that is not over, as far as one was begun: before that is on disk nothing is sent.
+fn open_entry(text: &str) -> Option<&str> {
+    let Some((_, last)) = text.rsplit_once(&format!("\n{OVER}")) else { return Some(text) };
+    let (head, rest) = last.split_once(&format!("\n{BEGUN}"))?;
+    let (sum, _) = rest.split_once('\n')?;
+    (!is_torn(head) && !is_torn(sum)).then_some(last)
+}
+
 /// `None` for anything but a journal, or for a complete plan with other content than was written.
 fn parse(text: &str) -> Option<Entry> {
+    let text = open_entry(text)?;
     let (head, rest) = text.split_once('\n')?;
     let (gauge, rest) = rest.split_once('\n')?;
     let (part, rest) = rest.split_once('\n')?;
     let (found, rest) = rest.split_once('\n')?;
-    let (machine, plan) = match head {
+    let (machine, rest) = match head {
         HEAD_2 => (None, rest),
-        HEAD => {
-            let (host, plan) = rest.split_once('\n')?;
-            (Some(Machine::parse(host)?), plan)
+        HEAD | HEAD_3 => {
+            let (host, rest) = rest.split_once('\n')?;
+            (Some(Machine::parse(host)?), rest)
         }
         _ => return None,
+    };
+    let plan = match head {
+        HEAD => {
+            let (said, plan) = rest.strip_prefix(BEGUN)?.split_once('\n')?;
+            (said == sum(&text[..text.len() - rest.len()])).then_some(plan)?
+        }
+        _ => rest,
     };
     if !gauge.starts_with("gauge ") {
         return None;
@@ -619,20 +775,36 @@ fn parse(text: &str) -> Option<Entry> {
     let word = found.strip_prefix("found ")?;
     let found =
         [Seal::Sealed, Seal::Unsealed, Seal::FullAccess].into_iter().find(|seal| seal.as_str() == word)?;
-    let nothing = Entry { identity, machine, found, plan: None };
+    Some(Entry { identity, machine, found, plan: parse_plans(plan)? })
+}
+
+/// The plan that counts: the last one that is complete. `None` if there is something else.
+fn parse_plans(text: &str) -> Option<Option<Plan>> {
+    // A line that was about to follow, but that of a reset, says nothing.
+    let (lines, last) = text.split_at(text.rfind('\n').map_or(0, |at| at + 1));
+    let text = if [OVER, INSTEAD].iter().any(|line| line.starts_with(last)) { lines } else { text };
+    if let Some((foreseen, plan)) = text.split_once(&format!("\n{INSTEAD}")) {
+        let plan = parse_ended(plan)?;
+        return if plan.is_some() { Some(plan) } else { parse_ended(&format!("{foreseen}\n")) };
+    }
+    parse_ended(text)
+}
+
+/// A plan and what follows it; nothing if not all of it has come to the disk.
+fn parse_ended(plan: &str) -> Option<Option<Plan>> {
     // Anything behind the last line, or a part of that, means that the reset may have been sent.
     let ended = plan.rsplit_once("\nend ").and_then(|(text, end)| Some((text, end.split_once('\n')?)));
-    let Some((text, (end, rest))) = ended else { return is_begun(plan).then_some(nothing) };
+    let Some((text, (end, rest))) = ended else { return is_begun(plan).then_some(None) };
     let text = format!("{text}\n");
     if end != sum(&text) {
-        return (is_torn(&text) || is_torn(end)).then_some(nothing);
+        return (is_torn(&text) || is_torn(end)).then_some(None);
     }
     let mut plan = Plan { reset_sent: !rest.is_empty(), ..parse_plan(&text)? };
     if let Some(key) = &mut plan.key {
         plan.reset_sent = false;
         key.follow(rest);
     }
-    Some(Entry { plan: Some(plan), ..nothing })
+    Some(Some(plan))
 }
 
 /// Whether a page did not reach the disk. No block had been written then.
@@ -730,6 +902,7 @@ mod tests {
             "{HEAD}\ngauge i2c-1 address 0x55\npart bq34z100-g1 0100 0202 0001\nfound sealed\n\
              host bench bench bench\n"
         );
+        let head = format!("{head}{BEGUN}{}\n", sum(&head));
         let text = head.clone() + &render(plan);
         assert!(text.len() < LINE * 8, "room for two blocks: {}", text.len());
         let nothing = Entry { identity, machine: Some(machine), found: Seal::Sealed, plan: None };
@@ -749,6 +922,75 @@ mod tests {
             let entry = Entry { plan: Some(plan), ..nothing.clone() };
             assert_eq!(parse(&(text.clone() + &RESET_SENT[..length])), Some(entry), "{length} bytes of it");
         }
+        is_appended(&head, plan, &nothing);
+    }
+
+    /// What is appended counts once all of it is on disk; until then it is as if nothing had been.
+    fn is_appended(head: &str, plan: &Plan, nothing: &Entry) {
+        let entry = |plan: &Plan| Some(Entry { plan: Some(plan.clone()), ..nothing.clone() });
+        let other = Plan { reset: !plan.reset, ..plan.clone() };
+        let text = head.to_string() + &render(plan);
+        let appended = |text: &str, more: &str, before: &Option<Entry>, after: &Option<Entry>| {
+            for length in (0..=more.len()).step_by(if cfg!(miri) { 41 } else { 1 }) {
+                let expected = if length == more.len() { after } else { before };
+                assert_eq!(
+                    parse(&(text.to_string() + &more[..length])),
+                    *expected,
+                    "{length} bytes of {more}"
+                );
+            }
+        };
+        let instead = INSTEAD.to_string() + &render(&other);
+        appended(&text, &instead, &entry(plan), &entry(&other));
+        for begun in [head, &text, &(text.clone() + &instead), &(text.clone() + RESET_SENT)] {
+            appended(begun, OVER, &parse(begun), &None);
+        }
+        // A new entry behind one that is over.
+        let over = text.clone() + OVER;
+        appended(&over, head, &None, &Some(nothing.clone()));
+        let holed = |length: usize| over.clone() + &head[..length] + &"\0".repeat(head.len() - length);
+        assert!(
+            (0..head.len())
+                .all(|length| parse(&holed(length)).is_none() && open_entry(&holed(length)).is_none())
+        );
+        assert_eq!(parse(&(over.clone() + &text)), entry(plan));
+        let damaged = over + &text.replace("found sealed", "found unsealed");
+        assert!(parse(&damaged).is_none() && open_entry(&damaged).is_some(), "a person looks at it");
+    }
+
+    /// A folder with a spare file that this host has left.
+    fn with_spare(name: &str) -> (Journal, Identity) {
+        let folder = std::env::temp_dir().join(format!("gaugefs-spare-{name}-{}", std::process::id()));
+        let _ = std::fs::remove_dir_all(&folder);
+        let journal = Journal::new(folder, "i2c-1-55".into(), "i2c-1 address 0x55".into()).of_host("one");
+        let identity =
+            Identity { chip: "bq34z100-g1".into(), device_type: 0x100, firmware: 0x202, serial: 1 };
+        journal.begin(&identity, Seal::Sealed, 1, None).and_then(OpenJournal::remove).expect("a disk");
+        assert!(journal.numbered(SPARE, 0).exists() && !journal.path().exists());
+        (journal, identity)
+    }
+
+    #[test]
+    fn half_an_entry_is_not_followed_by_another() {
+        let (journal, identity) = with_spare("half");
+        let mut spare = disk::Host.open(&journal.numbered(SPARE, 0)).expect("it is there");
+        spare.append(b"gaugefs journal 4\ngauge i2c").expect("a disk");
+        drop(spare);
+        journal.begin(&identity, Seal::Sealed, 1, None).expect("a disk");
+        assert!(matches!(journal.look(&journal.path()), Some(Content::Entry(_))));
+        let _ = std::fs::remove_dir_all(&journal.folder);
+    }
+
+    #[test]
+    fn a_spare_file_of_another_host_is_left_alone() {
+        let (journal, identity) = with_spare("other");
+        let spare = journal.numbered(SPARE, 0);
+        let text = disk::Host.read(&spare).expect("it is there");
+        let other = journal.clone().of_host("two");
+        other.begin(&identity, Seal::Sealed, 1, None).expect("a disk");
+        assert_eq!(disk::Host.read(&spare).expect("it is there"), text);
+        assert!(!disk::Host.read(&other.path()).expect("its own").contains("host one"));
+        let _ = std::fs::remove_dir_all(&journal.folder);
     }
 
     #[test]
@@ -760,7 +1002,7 @@ mod tests {
             written: false,
         };
         let plan = Plan { key: Some(key.clone()), ..Plan::default() };
-        let text = format!("{HEAD}\ngauge a\npart bq34z100-g1 0100 0202 0001\nfound sealed\nhost a b c\n")
+        let text = format!("{HEAD_3}\ngauge a\npart bq34z100-g1 0100 0202 0001\nfound sealed\nhost a b c\n")
             + &render(&plan);
         let read = |rest: &str| {
             let entry = parse(&(text.clone() + rest)).expect("a journal");

@@ -14,7 +14,6 @@ use super::records::Records;
 use super::session::Left;
 use crate::codec::WINDOW;
 use crate::epoch::{Epoch, Fact};
-use crate::error::Result;
 use crate::gauge::{Gauge, Moment};
 use crate::journal::{Content, Entry, Found, Identity, OpenJournal, Plan};
 use crate::keys::Name;
@@ -193,10 +192,8 @@ impl Debts {
             // One whose key has changed is not opened to compare its marks.
             let owed = Plan { reset: !has_key, ..Plan::of_marks(marks) };
             let replaced = records.journal().zip(self.held.as_ref());
-            let replaced = replaced.map(|(journal, held)| -> Result<OpenJournal> {
-                let mut replaced = journal.replace(held.path(), &entry.identity, entry.found)?;
-                replaced.plan(&owed)?;
-                Ok(replaced)
+            let replaced = replaced.map(|(journal, held)| {
+                journal.replace(held.path(), &entry.identity, entry.found, Some(&owed))
             });
             entry.plan = Some(owed);
             match replaced {

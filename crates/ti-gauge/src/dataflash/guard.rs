@@ -4,9 +4,10 @@
 
 use std::time::Duration;
 
-use super::DataFlash;
+use super::blocks::{blocks, gather};
 use super::session::{Left, Session, report_mishap};
-use crate::error::Result;
+use super::{Change, DataFlash, needs_reset, planned};
+use crate::error::{Cause, Error, Result};
 use crate::gauge::{Gauge, Seal, Statistics};
 use crate::journal::{Entry, Identity, OpenJournal, Plan};
 
@@ -14,8 +15,10 @@ use crate::journal::{Entry, Identity, OpenJournal, Plan};
 const BEFORE: Duration = Duration::from_secs(16);
 
 #[derive(Clone, Copy)]
-pub(super) enum Record {
-    /// The state that the gauge was found in, before this many blocks are changed.
+pub(super) enum Record<'a> {
+    /// The state that the gauge was found in, before it is changed so.
+    Write(&'a [Change]),
+    /// That state, before this many blocks are changed.
     Change(usize),
     /// That state, before RAM that was lost is written again, which goes on if no journal can be written.
     Restoration(usize),
@@ -51,14 +54,18 @@ impl DataFlash {
         gauge: &mut Gauge,
         found: Seal,
         asked: Duration,
-        record: Record,
+        record: Record<'_>,
     ) -> Result<Session> {
         let mut session = Session::new(found, asked);
         session.pack.begin(gauge);
         match record {
-            Record::Change(blocks) => self.owe(gauge, &mut session, blocks)?,
+            Record::Write(changes) => {
+                let foreseen = self.foresee(gauge, &session, changes);
+                self.owe(gauge, &mut session, blocks(changes), foreseen)?;
+            }
+            Record::Change(blocks) => self.owe(gauge, &mut session, blocks, None)?,
             Record::Restoration(blocks) => {
-                let owed = self.owe(gauge, &mut session, blocks);
+                let owed = self.owe(gauge, &mut session, blocks, None);
                 self.records.go_on_without(gauge, owed)?;
             }
             Record::Read if found == Seal::Sealed => self.record_read(gauge, &mut session)?,
@@ -107,7 +114,14 @@ impl DataFlash {
         outcome
     }
 
-    pub(super) fn owe(&mut self, gauge: &mut Gauge, session: &mut Session, blocks: usize) -> Result<()> {
+    /// Records what would be owed, with the plan that is foreseen for a gauge that was found sealed.
+    pub(super) fn owe(
+        &mut self,
+        gauge: &mut Gauge,
+        session: &mut Session,
+        blocks: usize,
+        foreseen: Option<Plan>,
+    ) -> Result<()> {
         let identity = self.knowledge.identity(gauge)?;
         gauge.watch();
         let entry = Entry { identity: identity.clone(), machine: None, found: session.found, plan: None };
@@ -115,7 +129,8 @@ impl DataFlash {
         self.knowledge.refer(gauge, session);
         match self.records.journal() {
             Some(journal) if session.found == Seal::Sealed => {
-                session.journal = Some(journal.begin(&identity, session.found, blocks, None)?);
+                session.journal = Some(journal.begin(&identity, session.found, blocks, foreseen.as_ref())?);
+                session.foreseen = foreseen;
             }
             Some(_) => session.room = Some(blocks),
             None => {}
@@ -123,9 +138,29 @@ impl DataFlash {
         Ok(())
     }
 
+    /// The plan of a write to a gauge that was found sealed, by the blocks that are known before it is opened: mostly they
+    /// are as they were.
+    fn foresee(&self, gauge: &mut Gauge, session: &Session, changes: &[Change]) -> Option<Plan> {
+        let known = self.knowledge.known();
+        let unknown = || Error::new("", Cause::NotNow, "it is not read yet");
+        let mut planned = gather(gauge, changes, |_, place| known.get(place).ok_or_else(unknown)).ok()?;
+        planned.retain(|block| block.old != block.new);
+        if planned.is_empty() {
+            return None;
+        }
+        planned.iter_mut().for_each(|block| session.keep_open(gauge.chip, block));
+        let neighbours = self.knowledge.known_neighbours(gauge.chip, &planned);
+        let reset = needs_reset(gauge.chip, changes);
+        Some(planned::plan(gauge, reset, &planned, &neighbours, known.marks(gauge.chip)))
+    }
+
     fn record_read(&mut self, gauge: &mut Gauge, session: &mut Session) -> Result<()> {
         let owed = match self.find_pending() {
-            None => self.owe(gauge, session, 0).and_then(|()| self.note_marks(gauge, session)),
+            None => {
+                let marks = self.knowledge.marks(gauge.chip);
+                let foreseen = (!marks.is_empty()).then(|| Plan::of_marks(marks));
+                self.owe(gauge, session, 0, foreseen).and_then(|()| self.note_marks(gauge, session))
+            }
             Some(_) => self.owe_seal(gauge, session),
         };
         self.records.read_without(owed)
@@ -152,6 +187,7 @@ impl DataFlash {
 
     pub(super) fn note(&self, session: &mut Session, plan: Plan) -> Result<()> {
         match (&mut session.journal, session.room.take(), self.records.journal(), &session.entry) {
+            (Some(_), ..) if session.foreseen.take().as_ref() == Some(&plan) => {}
             (Some(journal), ..) => journal.plan(&plan)?,
             (None, Some(blocks), Some(journal), Some(Entry { identity, found, .. })) => {
                 session.journal = Some(journal.begin(identity, *found, blocks, Some(&plan))?);

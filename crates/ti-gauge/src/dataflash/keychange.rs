@@ -208,7 +208,7 @@ fn change_unnamed(
     session.pack.begin(gauge);
     match &left {
         Some(_) => flash.adopt(gauge, &mut session)?,
-        None => flash.owe(gauge, &mut session, 0)?,
+        None => flash.owe(gauge, &mut session, 0, None)?,
     }
     session.patience =
         Some(Patience { silence: START, refusals: WAY + gauge.chip.security.key_silence * 2 * RESTORES });

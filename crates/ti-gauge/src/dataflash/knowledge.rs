@@ -221,10 +221,6 @@ impl Knowledge {
 
     /// The blocks beside those that change, where known. With flat addresses they are read: bytes may have no name there.
     pub(super) fn neighbours(&mut self, gauge: &mut Gauge, planned: &[Planned]) -> Result<Vec<Planned>> {
-        let mut found: Vec<Planned> = Vec::new();
-        let apart = |one: Window, other: Window| {
-            one.subclass != other.subclass || one.base.abs_diff(other.base) >= WINDOW as u16
-        };
         for place in planned.iter().flat_map(|block| pack::neighbours(gauge.chip, block.place)) {
             if place.subclass == FLAT && self.known().get(place).is_none() {
                 // Beyond the end of data flash there is none.
@@ -232,14 +228,24 @@ impl Knowledge {
                     self.note_block(gauge, place, content);
                 }
             }
+        }
+        Ok(self.known_neighbours(gauge.chip, planned))
+    }
+
+    pub(super) fn known_neighbours(&self, chip: &'static Chip, planned: &[Planned]) -> Vec<Planned> {
+        let mut found: Vec<Planned> = Vec::new();
+        let apart = |one: Window, other: Window| {
+            one.subclass != other.subclass || one.base.abs_diff(other.base) >= WINDOW as u16
+        };
+        for place in planned.iter().flat_map(|block| pack::neighbours(chip, block.place)) {
             let is_new = found.iter().all(|block| apart(block.place, place))
                 && planned.iter().all(|block| apart(block.place, place));
             if let Some(content) = self.known().get(place).filter(|_| is_new) {
-                let learned = learned(gauge.chip, place);
+                let learned = learned(chip, place);
                 found.push(Planned { place, old: content, new: content, written: Bytes::default(), learned });
             }
         }
-        Ok(found)
+        found
     }
 
     pub(super) fn marks(&self, chip: &'static Chip) -> Vec<Mark> {

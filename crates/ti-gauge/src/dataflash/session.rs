@@ -18,7 +18,7 @@ use crate::gauge::{Gauge, Moment, Seal};
 mod assure;
 mod store;
 
-use crate::journal::{Entry, KeyPlan, OpenJournal};
+use crate::journal::{Entry, KeyPlan, OpenJournal, Plan};
 use assure::Assurance;
 pub(super) use assure::Reference;
 pub(super) use store::{ByKeys, put, store};
@@ -57,6 +57,8 @@ pub(super) struct Session {
     /// What would have to be settled if the session ended now.
     pub(super) entry: Option<Entry>,
     pub(super) journal: Option<OpenJournal>,
+    /// The plan that the journal has from its beginning; `None` once it is known which one counts.
+    pub(super) foreseen: Option<Plan>,
     /// For so many blocks the journal of a gauge that was found open has room. It is made with the plan.
     pub(super) room: Option<usize>,
 }
@@ -106,6 +108,7 @@ impl Session {
             pack: Assurance::default(),
             entry: None,
             journal: None,
+            foreseen: None,
             room: None,
         }
     }

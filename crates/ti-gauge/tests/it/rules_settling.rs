@@ -25,9 +25,11 @@ const CYCLE_COUNT: (u16, usize) = (48, 6);
 const UNDOCUMENTED: u8 = 200;
 
 impl Folder {
-    /// Changes the journal's text.
+    /// Changes the journal's text, after making it one of the previous version, which has no sum of its first lines.
     pub(crate) fn edit(&self, edit: impl FnOnce(String) -> String) {
-        let text = self.text().expect("a journal");
+        let text = self.text().expect("a journal").replace("journal 4", "journal 3");
+        let text =
+            text.lines().filter(|line| !line.starts_with("begun ")).map(|line| format!("{line}\n")).collect();
         fs::write(self.journal().path(), edit(text)).expect("it can be written");
     }
 }

@@ -59,6 +59,7 @@ impl Access {
                 self.pay();
             }
         }
+        self.dataflash.tidy_up();
         let Some(owed) = self.owed() else { return Ok(()) };
         let what = format!("gaugefs ends, and this is still owed: {}", owed.why);
         Err(Error::of(self.shared.name(), Reason::Owed { decision: owed.needs_decision, what }))

@@ -102,10 +102,18 @@ impl State {
         self.now.get(path).copied().ok_or_else(|| ErrorKind::NotFound.into())
     }
 
-    /// The journal's text.
+    /// The open entry of the journal, under whatever name.
     pub(crate) fn journal(&self) -> Option<String> {
-        let number = self.find(&Path::new(FOLDER).join("i2c-1-55.journal")).ok()?;
-        Some(String::from_utf8_lossy(&self.files[number].now).into_owned())
+        let names = ["i2c-1-55.journal", "i2c-1-55.spare"].map(|name| Path::new(FOLDER).join(name));
+        let texts = names.iter().filter_map(|path| Some(&self.files[self.find(path).ok()?].now));
+        let mut texts = texts.map(|text| String::from_utf8_lossy(text).into_owned());
+        // Half an entry behind one that is over was not begun.
+        let is_begun = |entry: &&str| {
+            let begun =
+                entry.split_once("\nbegun ").and_then(|(head, rest)| Some((head, rest.split_once('\n')?.0)));
+            begun.is_some_and(|(head, sum)| !head.contains('\0') && !sum.contains('\0'))
+        };
+        texts.find_map(|text| text.rsplit("\nover\n").next().filter(is_begun).map(str::to_string))
     }
 
     /// Whether a power cut now has only one outcome.

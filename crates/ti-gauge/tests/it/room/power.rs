@@ -51,7 +51,8 @@ impl Folder {
     pub(crate) fn files(&self) -> Vec<String> {
         let entries = fs::read_dir(&self.0).into_iter().flatten();
         let names = entries.map(|entry| entry.expect("an entry").file_name().to_string_lossy().into_owned());
-        let mut names: Vec<String> = names.collect();
+        // Nothing is open in a spare one.
+        let mut names: Vec<String> = names.filter(|name| !name.ends_with(".spare")).collect();
         names.sort();
         names
     }

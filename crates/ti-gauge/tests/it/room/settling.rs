@@ -71,8 +71,10 @@ impl Rig {
 }
 
 impl Folder {
+    /// The open entry of the journal.
     pub(crate) fn text(&self) -> Option<String> {
-        fs::read_to_string(self.journal().path()).ok()
+        let text = fs::read_to_string(self.journal().path()).ok()?;
+        Some(text.rsplit("\nover\n").next().unwrap_or_default().into())
     }
 }
 
