@@ -126,15 +126,15 @@ impl GaugeOptions {
             },
             profile: self.profile(chip)?,
             choices: self.choices(chip)?,
-            learned: place.clone().map(|(folder, key)| {
-                Learned::new(folder, key, self.pack.clone()).trusting(folders::service())
-            }),
+            learned: place
+                .clone()
+                .map(|(folder, key)| Learned::new(folder, key, self.pack.clone()).trusting(folders::service)),
             journal: place
                 .clone()
-                .map(|(folder, key)| Journal::new(folder, key, subject.into()).trusting(folders::service())),
+                .map(|(folder, key)| Journal::new(folder, key, subject.into()).trusting(folders::service)),
             backup: place
                 .filter(|_| !no_backup)
-                .map(|(folder, key)| Backup::new(folder, key).trusting(folders::service())),
+                .map(|(folder, key)| Backup::new(folder, key).trusting(folders::service)),
             options: self.clone(),
             ..Run::default()
         })
@@ -161,7 +161,7 @@ fn check_own(path: &Path) -> Result<()> {
         return Ok(());
     }
     let name = path.display().to_string();
-    let own = |path: &Path| journal::is_own(path, folders::service());
+    let own = |path: &Path| journal::is_own(path, folders::service);
     let folder = |path: &Path| match path.parent() {
         // Nobody replaces another's file there.
         Some(folder) if fs::metadata(folder)?.mode() & STICKY != 0 => Ok(()),

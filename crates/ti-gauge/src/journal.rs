@@ -76,6 +76,10 @@ const WAITING: &str = "waiting";
 const DISMISSED: &str = "dismissed";
 const SEAL: &str = "seal";
 
+/// Finds the account whose files are believed besides this one's and root's. It is asked about the files of others only: to
+/// find an account by its name, the system may load libraries and ask servers.
+pub type Trusted = fn() -> Option<u32>;
+
 /// Where a gauge's journal is kept.
 #[derive(Clone, Debug)]
 pub struct Journal {
@@ -84,8 +88,7 @@ pub struct Journal {
     key: String,
     gauge: String,
     machine: Machine,
-    /// An account, besides this one and root, with believed journals.
-    trusted: Option<u32>,
+    trusted: Trusted,
     /// The names in the folder were put right.
     is_tidy: Arc<AtomicBool>,
 }
@@ -253,7 +256,7 @@ impl Journal {
     pub fn new(folder: PathBuf, key: String, gauge: String) -> Self {
         let machine = Machine::this().clone();
         let (disk, is_tidy) = (Arc::new(disk::Host), Arc::default());
-        Self { disk, folder, key, gauge, machine, trusted: None, is_tidy }
+        Self { disk, folder, key, gauge, machine, trusted: || None, is_tidy }
     }
 
     /// Keeps the journal on another disk.
@@ -269,7 +272,7 @@ impl Journal {
 
     /// Also believes journals of an account such as a service's, whose folder root uses.
     #[must_use]
-    pub fn trusting(self, account: Option<u32>) -> Self {
+    pub fn trusting(self, account: Trusted) -> Self {
         Self { trusted: account, ..self }
     }
 
@@ -626,12 +629,12 @@ impl Journal {
 }
 
 /// Checks that only this account, root or a trusted one can have written a file, or can replace a folder's files.
-pub fn check(path: &Path, trusted: Option<u32>) -> Result<()> {
+pub fn check(path: &Path, trusted: Trusted) -> Result<()> {
     is_own(path, trusted).map_err(|error| untrusted(path, &error))
 }
 
 /// Why somebody else can have written a file, or can replace the contents of a folder.
-pub fn is_own(path: &Path, trusted: Option<u32>) -> io::Result<()> {
+pub fn is_own(path: &Path, trusted: Trusted) -> io::Result<()> {
     disk::Host.check(path, trusted)
 }
 
@@ -875,6 +878,15 @@ fn parse_bytes(digits: &str) -> Option<[u8; WINDOW]> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Each mount of root looked for the account, which loads libraries into the daemon for good.
+    #[test]
+    fn only_the_files_of_others_need_a_trusted_account() {
+        let folder = std::env::temp_dir().join(format!("gaugefs-own-{}", std::process::id()));
+        std::fs::create_dir(&folder).expect("a folder");
+        is_own(&folder, || unreachable!("it is this account's")).expect("it is believed");
+        std::fs::remove_dir(&folder).expect("removed");
+    }
 
     #[test]
     fn only_a_complete_plan_counts() {

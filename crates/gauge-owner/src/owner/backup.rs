@@ -31,7 +31,7 @@ const SUFFIX: &str = ".backup.toml";
 pub struct Backup {
     folder: PathBuf,
     key: String,
-    trusted: Option<u32>,
+    trusted: journal::Trusted,
 }
 
 #[derive(Debug, PartialEq, Eq)]
@@ -45,12 +45,12 @@ enum Saved {
 impl Backup {
     /// Backups in a folder, of the gauges that are connected at the place that `key` identifies.
     pub fn new(folder: PathBuf, key: String) -> Self {
-        Self { folder, key, trusted: None }
+        Self { folder, key, trusted: || None }
     }
 
     /// Also believes backups of that account, as [`journal::Journal::trusting`] does.
     #[must_use]
-    pub fn trusting(self, account: Option<u32>) -> Self {
+    pub fn trusting(self, account: journal::Trusted) -> Self {
         Self { trusted: account, ..self }
     }
 

@@ -34,7 +34,7 @@ pub struct Learned {
     pack: Option<String>,
     /// The pack itself shows that name, wherever it is.
     anywhere: bool,
-    trusted: Option<u32>,
+    trusted: journal::Trusted,
 }
 
 /// What somebody wants of it.
@@ -90,12 +90,12 @@ impl fmt::Display for Version {
 impl Learned {
     /// What is learned at the place that `key` identifies, by a pack of that name.
     pub fn new(folder: PathBuf, key: String, pack: Option<String>) -> Self {
-        Self { folder, key, pack, anywhere: false, trusted: None }
+        Self { folder, key, pack, anywhere: false, trusted: || None }
     }
 
     /// Also believes versions of that account, as [`journal::Journal::trusting`] does.
     #[must_use]
-    pub fn trusting(self, account: Option<u32>) -> Self {
+    pub fn trusting(self, account: journal::Trusted) -> Self {
         Self { trusted: account, ..self }
     }
 

@@ -16,7 +16,7 @@ use sha2::{Digest, Sha256};
 use ti_gauge::chip::{Chip, Kind};
 use ti_gauge::dataflash::Change;
 use ti_gauge::image::{Image, toml};
-use ti_gauge::journal::{Disk, File, Host, Journal};
+use ti_gauge::journal::{Disk, File, Host, Journal, Trusted};
 use ti_gauge::value::Value;
 use ti_gauge::{codec, text};
 
@@ -210,7 +210,7 @@ impl Disk for Memory {
         Host.is_locked(path)
     }
 
-    fn check(&self, path: &Path, trusted: Option<u32>) -> io::Result<()> {
+    fn check(&self, path: &Path, trusted: Trusted) -> io::Result<()> {
         Host.check(path, trusted)
     }
 

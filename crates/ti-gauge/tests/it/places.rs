@@ -338,7 +338,7 @@ fn regression_a_journal_that_others_may_write_was_believed() {
         if what == "owner" {
             let mut trusting = Rig::calibrated(CHIP, Seal::Sealed);
             trusting.sim.set_flash(48, 11, &2200_u16.to_be_bytes());
-            let told = trusting.comes_to(folder.journal().trusting(Some(65534)));
+            let told = trusting.comes_to(folder.journal().trusting(|| Some(65534)));
             told.expect("it is trusted").expect("it is half way");
             continue;
         }
