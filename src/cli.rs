@@ -9,7 +9,7 @@ use std::process::ExitCode;
 use clap::{Parser, Subcommand};
 
 use crate::command::{self, align};
-use crate::daemon::{look, service};
+use crate::daemon::service;
 use crate::error::Result;
 use crate::output::say_error;
 use gauge_owner::key_file;
@@ -116,15 +116,6 @@ enum Command {
         /// The key file
         file: PathBuf,
     },
-    /// Print a full path and whether its daemon is gone; the other commands run it with a time limit
-    #[command(hide = true)]
-    Look {
-        /// The path
-        path: PathBuf,
-        /// Print the gauges there, too
-        #[arg(long)]
-        gauges: bool,
-    },
     Names(names::Names),
     /// A command of gaugefs-station
     #[command(hide = true, disable_help_flag = true)]
@@ -175,7 +166,6 @@ impl Command {
             Self::Attach(command) => command.run(),
             Self::Detach => service::detach().map(|()| ExitCode::SUCCESS),
             Self::CheckKeys { file } => key_file::check(&file).map(|()| ExitCode::SUCCESS),
-            Self::Look { path, gauges } => look::answer(&path, gauges).map(|()| ExitCode::SUCCESS),
             Self::Names(command) => command.run(),
             Self::Program(command) => Ok(command.of_station("program")),
             Self::Records(command) => Ok(command.of_station("records")),

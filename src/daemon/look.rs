@@ -6,23 +6,26 @@
 //! waiting process. So a child process makes the call, and is left behind if it does not return in time.
 
 use std::ffi::{CStr, OsStr};
-use std::fs;
-use std::io::{self, Read};
-use std::os::fd::AsFd;
+use std::fs::{self, File};
+use std::io::{self, Read, Write};
+use std::os::fd::{AsFd, OwnedFd};
 use std::os::unix::ffi::OsStrExt;
 use std::os::unix::process::CommandExt;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf, absolute};
 use std::process::{Child, Command, Stdio};
-use std::thread::{self, JoinHandle};
+use std::thread;
 use std::time::{Duration, Instant};
 
 use nix::errno::Errno;
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
+use nix::sys::signal::{Signal, kill};
 use nix::sys::statvfs::statvfs;
+use nix::sys::wait::{WaitPidFlag, waitpid};
+use nix::unistd::{ForkResult, Pid, chdir, dup2_stderr, dup2_stdin, dup2_stdout, fork};
 use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result};
-use crate::output::print_file;
 use gauge_bus::regular;
 use gaugefs_client::{Gauge, check, mounts};
 
@@ -110,46 +113,58 @@ impl Listed {
 }
 
 /// A look in progress.
-pub(crate) struct Look(JoinHandle<Found>);
+struct Look {
+    process: Pid,
+    said: File,
+}
 
 impl Look {
-    /// Begins to look at a path.
-    pub(crate) fn begin(path: &Path) -> Result<Self> {
-        Self::begin_with(path, &[])
-    }
-
-    /// Begins to look at a path's gauges too.
-    pub(crate) fn begin_gauges(path: &Path) -> Result<Self> {
-        Self::begin_with(path, &["--gauges"])
-    }
-
-    fn begin_with(path: &Path, options: &[&str]) -> Result<Self> {
-        let mut command = Command::new("/proc/self/exe");
-        // A process left behind must not have its folder in the mount.
-        let path = match absolute(path) {
-            Ok(absolute) => {
-                command.current_dir("/");
-                absolute
-            }
-            Err(_) => path.to_path_buf(),
-        };
-        command.arg("look").args(options).arg("--").arg(&path).stdin(Stdio::null()).stdout(Stdio::piped());
+    /// Begins to look at a path, and at its gauges too.
+    fn begin(path: &Path, gauges: bool) -> Result<Self> {
         let failed =
             |error| Error::io(path.display().to_string(), "cannot start a process to examine it", &error);
-        let mut child = command.stderr(Stdio::null()).spawn().map_err(failed)?;
-        // Looks that began together are waited for together.
-        let wait = thread::Builder::new().stack_size(128 * 1024).spawn(move || {
-            let (bytes, late) = child.stdout.take().map(|out| read(out, child.id())).unwrap_or_default();
-            stop(&mut child, late);
-            Found::read(&bytes, late)
-        });
-        wait.map(Self).map_err(failed)
+        let nowhere = File::options().read(true).write(true).open("/dev/null").map_err(failed)?;
+        let (said, mut say) = io::pipe().map_err(failed)?;
+        let absolute = absolute(path);
+        // Another start of the program would take longer than all else of an unmount.
+        // SAFETY: only this thread goes on in the child, where nothing may be used that another one held. There is none
+        // but the daemon's that waits for signals, which holds nothing, and the C library keeps its heap usable.
+        #[allow(unsafe_code)]
+        let process = match unsafe { fork() }.map_err(|errno| failed(errno.into()))? {
+            ForkResult::Parent { child } => child,
+            ForkResult::Child => {
+                // Not even a panic may go on with the work of the parent.
+                let _ = catch_unwind(AssertUnwindSafe(|| {
+                    leave(&nowhere, absolute.is_ok())?;
+                    answer(absolute.as_deref().unwrap_or(path), gauges, &mut say)
+                }));
+                // SAFETY: it always is; it ends the process without the parent's handlers.
+                #[allow(unsafe_code)]
+                unsafe {
+                    nix::libc::_exit(0)
+                }
+            }
+        };
+        Ok(Self { process, said: OwnedFd::from(said).into() })
     }
 
     /// Waits for its end or its time limit.
-    pub(crate) fn end(self) -> Found {
-        self.0.join().unwrap_or_default()
+    fn end(self) -> Found {
+        let (bytes, late) = read(self.said, self.process);
+        stop(self.process, late);
+        Found::read(&bytes, late)
     }
+}
+
+/// In the child: leaves what others wait for, as it may be left behind itself.
+fn leave(nowhere: &File, folder: bool) -> io::Result<()> {
+    dup2_stdin(nowhere)?;
+    dup2_stdout(nowhere)?;
+    dup2_stderr(nowhere)?;
+    if folder {
+        chdir("/")?;
+    }
+    Ok(())
 }
 
 impl Found {
@@ -165,7 +180,7 @@ impl Found {
 
 /// Whether a process goes on, by occasional looks at /proc.
 struct Pulse {
-    process: u32,
+    process: Pid,
     begun: Instant,
     /// The wait in which it was last seen, and how often it was seen there.
     seen: Option<String>,
@@ -173,7 +188,7 @@ struct Pulse {
 }
 
 impl Pulse {
-    fn new(process: u32) -> Self {
+    fn new(process: Pid) -> Self {
         Self { process, begun: Instant::now(), seen: None, again: 0 }
     }
 
@@ -200,17 +215,25 @@ fn waits(status: &str) -> Option<String> {
     (!state.starts_with('R')).then(|| switches.collect())
 }
 
-/// The gauges mounted at these paths. All paths are looked at together, so it takes no longer than one look.
+/// The gauges mounted at these paths.
 pub(crate) fn gauges(paths: &[PathBuf]) -> Result<Vec<(PathBuf, Found)>> {
-    let looks = paths.iter().map(|path| Look::begin_gauges(path)).collect::<Result<Vec<_>>>()?;
-    Ok(paths.iter().cloned().zip(looks.into_iter().map(Look::end)).collect())
+    together(paths, true)
+}
+
+/// What is at each of these paths. All are looked at together, so it takes no longer than one look.
+pub(super) fn together(paths: &[PathBuf], gauges: bool) -> Result<Vec<(PathBuf, Found)>> {
+    let looks = paths.iter().map(|path| Look::begin(path, gauges)).collect::<Result<Vec<_>>>()?;
+    let wait = |look: Look| thread::Builder::new().stack_size(128 * 1024).spawn(|| look.end());
+    let waits = looks.into_iter().map(wait).collect::<io::Result<Vec<_>>>();
+    let waits = waits.map_err(|error| Error::io("gaugefs", "cannot start a thread", &error))?;
+    Ok(paths.iter().cloned().zip(waits.into_iter().map(|wait| wait.join().unwrap_or_default())).collect())
 }
 
 /// Looks at a path, and waits for the end.
 pub(crate) fn at(path: &Path) -> Result<Found> {
     match in_local(path) {
         Some(found) => Ok(found),
-        None => Ok(Look::begin(path)?.end()),
+        None => Ok(Look::begin(path, false)?.end()),
     }
 }
 
@@ -218,8 +241,7 @@ pub(crate) fn at(path: &Path) -> Result<Found> {
 const LOCAL: [&str; 11] =
     ["bcachefs", "btrfs", "devtmpfs", "erofs", "ext4", "f2fs", "overlay", "ramfs", "rootfs", "tmpfs", "xfs"];
 
-/// What a look finds, if no call on the way to the path can hang: without a process, which takes longer to start than the
-/// rest of a mount. `None` if there may be such a call.
+/// What a look finds, if no call on the way to the path can hang: without a process. `None` if there may be such a call.
 fn in_local(path: &Path) -> Option<Found> {
     let plain: PathBuf = absolute(path).ok()?.components().collect();
     let mounts = mounts::all().ok()?;
@@ -241,13 +263,13 @@ fn in_local(path: &Path) -> Option<Found> {
     Some(Found { path: Some(plain), dead: Some(false), ..Found::default() })
 }
 
-/// In the child: prints the full path, whether its daemon is gone, and the gauges if requested, each as soon as it is
+/// In the child: tells the full path, whether its daemon is gone, and the gauges if requested, each as soon as it is
 /// known.
-pub(crate) fn answer(path: &Path, gauges: bool) -> Result<()> {
+fn answer(path: &Path, gauges: bool, to: &mut impl Write) -> io::Result<()> {
     // Before anything is open in the mount. Without the name it would only be taken for a user of the mount.
     let _ = nix::sys::prctl::set_name(NAME);
-    let tell = |word: &[u8]| print_file(&[word, &[0]].concat());
-    let path = resolve(path)?;
+    let mut tell = |word: &[u8]| to.write_all(&[word, &[0]].concat());
+    let path = resolve(path).map_err(io::Error::other)?;
     tell(path.as_os_str().as_bytes())?;
     // Only STATFS is never answered from the kernel's cache.
     let dead =
@@ -270,9 +292,10 @@ pub(super) fn run(command: &mut Command) -> io::Result<Option<(bool, String)>> {
     let command = command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped());
     // A closed terminal signals the whole group, possibly while the mount is being removed.
     let mut child = command.process_group(0).spawn()?;
-    let (bytes, late) = child.stderr.take().map(|err| read(err, child.id())).unwrap_or_default();
+    let process = id(&child);
+    let (bytes, late) = child.stderr.take().map(|err| read(err, process)).unwrap_or_default();
     if late {
-        stop(&mut child, late);
+        stop(process, late);
         return Ok(None);
     }
     Ok(Some((child.wait()?.success(), String::from_utf8_lossy(&bytes).into_owned())))
@@ -280,7 +303,7 @@ pub(super) fn run(command: &mut Command) -> io::Result<Option<(bool, String)>> {
 
 /// Reads a pipe until its end, until the process behind it waits for too long, or until the text is too long. Returns
 /// the bytes, and whether it stopped early.
-fn read(mut pipe: impl Read + AsFd, process: u32) -> (Vec<u8>, bool) {
+fn read(mut pipe: impl Read + AsFd, process: Pid) -> (Vec<u8>, bool) {
     let (mut bytes, mut piece) = (Vec::new(), [0; 4096]);
     let mut pulse = Pulse::new(process);
     let step = PollTimeout::try_from(STEP).unwrap_or(PollTimeout::MAX);
@@ -303,15 +326,18 @@ fn read(mut pipe: impl Read + AsFd, process: u32) -> (Vec<u8>, bool) {
     }
 }
 
+/// The number of a child that nobody has waited for.
+fn id(child: &Child) -> Pid {
+    Pid::from_raw(child.id() as i32)
+}
+
 /// Ends a child. A child that not even SIGKILL ends is left to process 1.
-fn stop(child: &mut Child, late: bool) {
+fn stop(process: Pid, late: bool) {
     if late {
         // It may have just ended.
-        let _ = child.kill();
-        let _ = child.try_wait();
-    } else {
-        let _ = child.wait();
+        let _ = kill(process, Signal::SIGKILL);
     }
+    let _ = waitpid(process, late.then_some(WaitPidFlag::WNOHANG));
 }
 
 /// The full path, found without access to mounted file systems. The folders above it may be in a hanging mount, so only
@@ -360,25 +386,25 @@ mod tests {
     #[test]
     fn regression_a_process_that_could_run_was_taken_for_one_that_waits() {
         let mut busy = Command::new("sh").args(["-c", "while :; do :; done"]).spawn().expect("a shell");
-        let mut pulse = Pulse::new(busy.id());
+        let mut pulse = Pulse::new(id(&busy));
         assert!((0..5 * LIMIT).all(|_| !pulse.is_stuck()));
-        stop(&mut busy, true);
+        busy.kill().and_then(|()| busy.wait()).expect("it ends");
         let mut waits = Command::new("sleep").arg("600").spawn().expect("sleep runs");
-        let mut pulse = Pulse::new(waits.id());
+        let mut pulse = Pulse::new(id(&waits));
         let start = Instant::now();
         // It first has to reach its wait.
         while !pulse.is_stuck() {
             assert!(start.elapsed() < Duration::from_secs(300), "it does not come to it");
             thread::sleep(Duration::from_millis(1));
         }
-        stop(&mut waits, true);
+        waits.kill().and_then(|()| waits.wait()).expect("it ends");
     }
 
     /// `list` said on a busy machine that the daemon of 512 gauges does not answer, while it told one after the other.
     #[test]
     fn regression_what_goes_on_to_speak_was_taken_for_silent() {
         let long_ago = Instant::now().checked_sub(PATIENCE * 2).expect("up for minutes");
-        let mut pulse = Pulse { begun: long_ago, ..Pulse::new(std::process::id()) };
+        let mut pulse = Pulse { begun: long_ago, ..Pulse::new(Pid::this()) };
         assert!(pulse.is_stuck());
         pulse.beats();
         assert!(!pulse.is_stuck());

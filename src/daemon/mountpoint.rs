@@ -19,7 +19,7 @@ use nix::mount::{MntFlags, umount2};
 use nix::unistd::{AccessFlags, Uid, User, access, geteuid, getppid};
 
 use super::background;
-use super::look::{self, Found, Look};
+use super::look::{self, Found};
 use crate::config::MountOptions;
 use crate::error::{Cause, Error, Result, shown};
 use crate::folders;
@@ -302,17 +302,13 @@ pub(super) fn clear_all() -> Result<()> {
     let mut places = list();
     places.sort();
     places.dedup();
-    let looks: Vec<_> = places.iter().map(|place| (place, Look::begin(place))).collect();
     let mut outcome = Ok(());
-    for (place, look) in looks {
-        let cleared = look.and_then(|look| match look.end().dead {
-            Some(true) => clear(place).map(|_| {
-                // `service::attach` has made it.
-                if place.parent() == Some(Path::new(folders::RUN)) {
-                    let _ = fs::remove_dir(place);
-                }
-            }),
-            _ => Ok(()),
+    for (place, _) in look::together(&places, false)?.iter().filter(|(_, found)| found.dead == Some(true)) {
+        let cleared = clear(place).map(|_| {
+            // `service::attach` has made it.
+            if place.parent() == Some(Path::new(folders::RUN)) {
+                let _ = fs::remove_dir(place);
+            }
         });
         outcome = outcome.and(cleared);
     }

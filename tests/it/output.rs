@@ -39,7 +39,7 @@ fn printing<'a>(
         "list" | "doctor" | "man" | "chips" | "help" => vec![],
         "program" => vec!["--check", "--image", file, "--station", station],
         "report" => vec!["--force", "-o", log, gauge],
-        "export" | "names" | "look" | "metrics" | "settle" => vec![gauge],
+        "export" | "names" | "metrics" | "settle" => vec![gauge],
         "get" => vec![gauge, "80/53"],
         "set" => vec!["--dry-run", gauge, "80/53=3105"],
         "import" => vec!["--dry-run", "--set", "80/53=3105", gauge, file],

@@ -7,7 +7,7 @@ use std::path::Path;
 
 use super::host::Host;
 use super::{Finding, ok, problem, warning};
-use crate::daemon::look::{Look, Seen};
+use crate::daemon::look::{self, Seen};
 use crate::error::shown;
 use gauge_bus::regular;
 use gauge_owner::lock::{holding, mountpoint_of, process};
@@ -21,12 +21,13 @@ const JOURNALS: &str = "/var/lib/gaugefs";
 pub(super) fn check(host: &Host) -> Vec<Finding> {
     let table = regular::read(&host.at("/proc/self/mountinfo"), regular::SYSTEM).unwrap_or_default();
     let all: Vec<_> = parse(&table).collect();
+    let gaugefs = all.iter().filter(|mount| mount.is_gaugefs());
+    let places: Vec<_> = gaugefs.map(|mount| host.at(&mount.path.to_string_lossy())).collect();
     // Silent daemons are waited for together.
-    let look = |mount: &Mount| Look::begin_gauges(&host.at(&mount.path.to_string_lossy())).ok();
-    let looks = all.iter().map(|mount| mount.is_gaugefs().then(|| look(mount)).flatten());
-    let looks: Vec<_> = looks.collect();
+    let mut looks = look::gauges(&places).unwrap_or_default().into_iter();
     let mut findings = Vec::new();
-    for (index, (mount @ Mount { path, kind, source, .. }, look)) in all.iter().zip(looks).enumerate() {
+    for (index, mount @ Mount { path, kind, source, .. }) in all.iter().enumerate() {
+        let look = mount.is_gaugefs().then(|| looks.next()).flatten();
         let what = shown(path);
         let above = all[index + 1..].iter().find(|above| above.path == *path);
         if !mount.is_gaugefs() {
@@ -38,7 +39,7 @@ pub(super) fn check(host: &Host) -> Vec<Finding> {
             let says = format!("a gaugefs is hidden below {kind} ({source})");
             findings.push(warning(&what, says, format!("Unmount what covers it: umount {what}")));
         } else {
-            let found = look.map(Look::end).unwrap_or_default();
+            let found = look.map(|(_, found)| found).unwrap_or_default();
             findings.extend(found.gauges.iter().flat_map(
                 |Seen { listed, notes, is_owed, wrong, .. }| {
                     let note = |note: &String| {

@@ -32,6 +32,26 @@ fn a_key_file_that_others_may_read_is_refused() {
     assert!(!Path::new(&folder.file("m")).exists(), "a refused mount leaves nothing behind");
 }
 
+/// To start a program takes a fifth of a mount, and took a third of an unmount.
+#[test]
+fn a_mount_starts_one_more_program_and_an_unmount_none() {
+    if !can_mount() {
+        return;
+    }
+    let folder = Folder::new();
+    let at = folder.file("m");
+    let starts = |arguments: &[&str]| {
+        let starts = Folder::new();
+        // The dynamic linker writes a file for each start.
+        let mut command = command(arguments);
+        command.env("LD_DEBUG", "statistics").env("LD_DEBUG_OUTPUT", starts.file("start"));
+        Ran::of(command.output().expect("gaugefs runs")).done();
+        fs::read_dir(starts.file("")).expect("its files").count()
+    };
+    assert_eq!(starts(&["mount", "--sim", CHIP, &at]), 2);
+    assert_eq!(starts(&["umount", &at]), 1);
+}
+
 /// A script that goes on after it believes that the gauge is sealed.
 #[test]
 fn a_seal_that_stays_owed_is_a_failure_of_umount_and_of_the_daemon() {
