@@ -9,7 +9,7 @@ use std::process::ExitCode;
 use clap::{Parser, Subcommand};
 
 use crate::command::{self, align};
-use crate::daemon::service;
+use crate::daemon::{background, service};
 use crate::error::Result;
 use crate::output::say_error;
 use gauge_owner::key_file;
@@ -197,6 +197,10 @@ pub fn definition() -> clap::Command {
 
 /// Runs the command in the arguments. The exit code is 0 for done, 1 for failed, 2 for misuse.
 pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
+    let arguments: Vec<_> = arguments.into_iter().collect();
+    if background::is_asked(&arguments) {
+        return command::ended(background::start(arguments));
+    }
     command::run(&GROUPS, arguments, |cli: Cli| cli.command.run())
 }
 

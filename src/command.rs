@@ -138,11 +138,15 @@ pub(crate) fn run<C: Parser>(
             return ExitCode::from(2);
         }
         Err(help) => {
-            let printed = print(&help.to_string()).map(|()| ExitCode::SUCCESS);
-            return printed.unwrap_or_else(|error| failed(&error));
+            return ended(print(&help.to_string()).map(|()| ExitCode::SUCCESS));
         }
     };
-    run(command).unwrap_or_else(|error| failed(&error))
+    ended(run(command))
+}
+
+/// The exit code of a command, whose failure is printed.
+pub(crate) fn ended(outcome: Result<ExitCode>) -> ExitCode {
+    outcome.unwrap_or_else(|error| failed(&error))
 }
 
 fn failed(error: &Error) -> ExitCode {

@@ -70,7 +70,7 @@ impl Mount {
             (_, true) => Mode::Service,
             (true, false) => Mode::Foreground,
             (false, false) if background::is_child() => Mode::Background,
-            (false, false) => return background::start(),
+            (false, false) => return background::start(std::env::args_os()),
         };
         daemon::run(self.setup()?, mode).map(|()| ExitCode::SUCCESS)
     }

@@ -7,9 +7,11 @@
 //! together with its parent; after that it has none of the parent's terminal, folder and descriptors.
 
 use std::env;
+use std::ffi::OsString;
 use std::fs::{self, File};
 use std::io::Read;
 use std::os::fd::RawFd;
+use std::os::unix::ffi::OsStrExt;
 use std::os::unix::net::UnixDatagram;
 use std::os::unix::process::{CommandExt, ExitStatusExt};
 use std::path::Path;
@@ -43,13 +45,25 @@ pub(super) fn is_of_a_unit() -> bool {
     env::var_os("NOTIFY_SOCKET").is_some() || started.is_some_and(is_ours)
 }
 
+/// Whether a command line mounts in the background by its words alone. The child tells what is wrong with it, so the
+/// parent need not parse it, too.
+pub(crate) fn is_asked(arguments: &[OsString]) -> bool {
+    const STAYS: [&str; 4] = ["--check", "--foreground", "--help", "--service"];
+    let mut words = arguments.iter().skip(1);
+    let goes = |word: &OsString| {
+        !word.as_bytes().starts_with(b"-")
+            || word.as_bytes().starts_with(b"--") && !STAYS.iter().any(|stays| word == stays)
+    };
+    words.next().is_some_and(|command| command == "mount") && words.all(goes) && !is_child()
+}
+
 /// In the parent: starts the same command line again and waits until it is ready.
-pub fn start() -> Result<ExitCode> {
+pub(crate) fn start(arguments: impl IntoIterator<Item = OsString>) -> Result<ExitCode> {
     let failed = |error| Error::io("gaugefs", "cannot go to the background", &error);
     // Starting it by path keeps the process's name. If the file was replaced, the kernel's link remains.
     let program = env::current_exe().ok().filter(|path| path.exists());
     let program = program.unwrap_or_else(|| "/proc/self/exe".into());
-    let mut arguments = env::args_os();
+    let mut arguments = arguments.into_iter();
     let mut command = Command::new(program);
     if let Some(name) = arguments.next() {
         command.arg0(name);
@@ -115,7 +129,6 @@ pub fn notify(what: &str) {
     let Some(socket) = env::var_os("NOTIFY_SOCKET") else { return };
     let sent = UnixDatagram::unbound().and_then(|sender| {
         use std::os::linux::net::SocketAddrExt;
-        use std::os::unix::ffi::OsStrExt;
         use std::os::unix::net::SocketAddr;
         let address = match socket.as_bytes() {
             [b'@', name @ ..] => SocketAddr::from_abstract_name(name)?,
@@ -130,6 +143,24 @@ pub fn notify(what: &str) {
 
 #[cfg(test)]
 mod tests {
+    #[test]
+    fn what_may_stay_in_the_foreground_is_parsed_first() {
+        let is_asked = |line: &str| super::is_asked(&line.split(' ').map(Into::into).collect::<Vec<_>>());
+        for goes in
+            ["gaugefs mount --sim bq34z100-g1 /m", "gaugefs mount --bus=/dev/i2c-1 /m", "gaugefs mount"]
+        {
+            assert!(is_asked(goes), "{goes}");
+        }
+        let flags =
+            ["-f", "-rf", "-h", "--help", "--foreground", "--check --config x", "--foreground --service"];
+        for flag in flags {
+            assert!(!is_asked(&format!("gaugefs mount --sim bq34z100-g1 {flag} /m")), "{flag}");
+        }
+        for other in ["gaugefs", "gaugefs umount /m", "gaugefs help mount", "gaugefs --help mount"] {
+            assert!(!is_asked(other), "{other}");
+        }
+    }
+
     #[test]
     fn the_packaged_service_is_as_small_as_a_daemon_in_the_background() {
         let service = include_str!("../../udev/service.conf");
