@@ -113,14 +113,21 @@ impl Listed {
 }
 
 /// A look in progress.
-struct Look {
-    process: Pid,
-    said: File,
+pub(super) enum Look {
+    /// It was not necessary to ask anybody.
+    Known(Found),
+    /// A process looks.
+    Asked { process: Pid, said: File },
 }
 
 impl Look {
+    /// Begins to look at a path.
+    pub(super) fn begin(path: &Path) -> Result<Self> {
+        in_local(path).map_or_else(|| Self::ask(path, false), |found| Ok(Self::Known(found)))
+    }
+
     /// Begins to look at a path, and at its gauges too.
-    fn begin(path: &Path, gauges: bool) -> Result<Self> {
+    fn ask(path: &Path, gauges: bool) -> Result<Self> {
         let failed =
             |error| Error::io(path.display().to_string(), "cannot start a process to examine it", &error);
         let nowhere = File::options().read(true).write(true).open("/dev/null").map_err(failed)?;
@@ -145,14 +152,19 @@ impl Look {
                 }
             }
         };
-        Ok(Self { process, said: OwnedFd::from(said).into() })
+        Ok(Self::Asked { process, said: OwnedFd::from(said).into() })
     }
 
     /// Waits for its end or its time limit.
-    fn end(self) -> Found {
-        let (bytes, late) = read(self.said, self.process);
-        stop(self.process, late);
-        Found::read(&bytes, late)
+    pub(super) fn end(self) -> Found {
+        match self {
+            Self::Known(found) => found,
+            Self::Asked { process, said } => {
+                let (bytes, late) = read(said, process);
+                stop(process, late);
+                Found::read(&bytes, late)
+            }
+        }
     }
 }
 
@@ -222,19 +234,11 @@ pub(crate) fn gauges(paths: &[PathBuf]) -> Result<Vec<(PathBuf, Found)>> {
 
 /// What is at each of these paths. All are looked at together, so it takes no longer than one look.
 pub(super) fn together(paths: &[PathBuf], gauges: bool) -> Result<Vec<(PathBuf, Found)>> {
-    let looks = paths.iter().map(|path| Look::begin(path, gauges)).collect::<Result<Vec<_>>>()?;
+    let looks = paths.iter().map(|path| Look::ask(path, gauges)).collect::<Result<Vec<_>>>()?;
     let wait = |look: Look| thread::Builder::new().stack_size(128 * 1024).spawn(|| look.end());
     let waits = looks.into_iter().map(wait).collect::<io::Result<Vec<_>>>();
     let waits = waits.map_err(|error| Error::io("gaugefs", "cannot start a thread", &error))?;
     Ok(paths.iter().cloned().zip(waits.into_iter().map(|wait| wait.join().unwrap_or_default())).collect())
-}
-
-/// Looks at a path, and waits for the end.
-pub(crate) fn at(path: &Path) -> Result<Found> {
-    match in_local(path) {
-        Some(found) => Ok(found),
-        None => Ok(Look::begin(path, false)?.end()),
-    }
 }
 
 /// File systems that wait for no other process and no server.

@@ -5,6 +5,7 @@
 //! mountinfo lists mounts without a call to any mounted file system. `look` makes calls that may reach one, with a time
 //! limit: neither another user's stopped gaugefs nor a network mount without its server can block it.
 
+use std::collections::HashSet;
 use std::io::ErrorKind;
 use std::os::unix::ffi::OsStrExt;
 use std::os::unix::fs::MetadataExt;
@@ -19,7 +20,7 @@ use nix::mount::{MntFlags, umount2};
 use nix::unistd::{AccessFlags, Uid, User, access, geteuid, getppid};
 
 use super::background;
-use super::look::{self, Found};
+use super::look::{self, Found, Look};
 use crate::config::MountOptions;
 use crate::error::{Cause, Error, Result, shown};
 use crate::folders;
@@ -104,7 +105,7 @@ pub(crate) fn prepare(path: &Path, hiding: &Hiding<'_>) -> Result<PathBuf> {
 
 /// Checks a mount point without changing it, and returns the full path. It may have a dead gaugefs.
 pub(crate) fn check(path: &Path, hiding: &Hiding<'_>) -> Result<PathBuf> {
-    let (path, mounted) = examine(path)?;
+    let (path, mounted) = examine(path, Look::begin(path)?.end())?;
     usable(&path, &mounted)?;
     if mounted == Mounted::Nothing {
         assure_can_be_made(&path)?;
@@ -287,7 +288,7 @@ fn forbidden(path: &Path, what: &str, errno: Errno) -> Error {
 fn clear(path: &Path) -> Result<(PathBuf, Mounted)> {
     // Several may be on top of each other.
     loop {
-        let (path, mounted) = examine(path)?;
+        let (path, mounted) = examine(path, Look::begin(path)?.end())?;
         if mounted != Mounted::Dead {
             return Ok((path, mounted));
         }
@@ -369,11 +370,15 @@ pub struct Unmounted {
 /// Unmounts a gaugefs, by force if its daemon hangs.
 pub fn unmount(path: &Path) -> Result<Unmounted> {
     let mut remains = Vec::new();
-    let (path, mounted) = examine(path)?;
+    let look = Look::begin(path)?;
+    // There may be hundreds of processes.
+    let foreign = foreign();
+    let (path, mounted) = examine(path, look.end())?;
     let subject = path.display().to_string();
     let mount = topmost(table()?, &path).filter(Mount::is_gaugefs);
     let (owner, connection) = mount.map(|mount| (mount.owner, mount.connection)).unwrap_or_default();
-    let elsewhere = connection.map_or_else(Vec::new, |connection| Elsewhere::all(connection, &path));
+    let elsewhere =
+        connection.map_or_else(Vec::new, |connection| Elsewhere::all(connection, &foreign, &path));
     if let Some(owner) = owner.filter(|owner| !geteuid().is_root() && *owner != geteuid().as_raw()) {
         let name = name_of(owner);
         let why =
@@ -423,20 +428,9 @@ struct Elsewhere {
 
 impl Elsewhere {
     /// The other mounts of a connection, as far as this user may see them. `path` is the mount to remove.
-    fn all(connection: u64, path: &Path) -> Vec<Self> {
-        let namespace = |process: &str| fs::read_link(format!("/proc/{process}/ns/mnt")).ok();
-        let own = namespace("self");
-        let processes = fs::read_dir("/proc").into_iter().flatten().flatten();
-        let processes = processes.filter_map(|entry| entry.file_name().to_str()?.parse::<i32>().ok());
-        let mut seen = vec![own];
-        let foreign = processes.filter(|process| {
-            let namespace = namespace(&process.to_string());
-            let is_new = !seen.contains(&namespace);
-            seen.push(namespace);
-            is_new
-        });
-        let tables: Vec<Option<i32>> = [None].into_iter().chain(foreign.map(Some)).collect();
-        let mounts = tables.into_iter().flat_map(|process| {
+    fn all(connection: u64, foreign: &[i32], path: &Path) -> Vec<Self> {
+        let tables = [None].into_iter().chain(foreign.iter().copied().map(Some));
+        let mounts = tables.flat_map(|process| {
             let mounts = mounts_of(process, connection);
             mounts.into_iter().map(move |path| Self { process, connection, path })
         });
@@ -447,6 +441,15 @@ impl Elsewhere {
     fn remains(&self) -> bool {
         mounts_of(self.process, self.connection).contains(&self.path)
     }
+}
+
+/// A process of each other mount namespace, as far as this user may see them.
+fn foreign() -> Vec<i32> {
+    let namespace = |process: &str| fs::read_link(format!("/proc/{process}/ns/mnt")).ok();
+    let mut seen = HashSet::from([namespace("self")]);
+    let processes = fs::read_dir("/proc").into_iter().flatten().flatten();
+    let processes = processes.filter_map(|entry| entry.file_name().to_str()?.parse::<i32>().ok());
+    processes.filter(|process| seen.insert(namespace(&process.to_string()))).collect()
 }
 
 /// A process's mount points of a connection; `None` is this process.
@@ -543,8 +546,8 @@ fn failed(path: &Path, errno: Errno) -> Error {
     Error::io(path.display().to_string(), "cannot unmount it", &errno.into())
 }
 
-fn examine(path: &Path) -> Result<(PathBuf, Mounted)> {
-    let Found { path: found, dead, late, .. } = look::at(path)?;
+/// What is mounted at a path, by a look at it.
+fn examine(path: &Path, Found { path: found, dead, late, .. }: Found) -> Result<(PathBuf, Mounted)> {
     let path = match found {
         Some(found) => found,
         None if late => {
