@@ -960,11 +960,14 @@ mod tests {
         // A new entry behind one that is over.
         let over = text.clone() + OVER;
         appended(&over, head, &None, &Some(nothing.clone()));
-        let holed = |length: usize| over.clone() + &head[..length] + &"\0".repeat(head.len() - length);
-        assert!(
-            (0..head.len())
-                .all(|length| parse(&holed(length)).is_none() && open_entry(&holed(length)).is_none())
-        );
+        for length in (1..head.len()).step_by(if cfg!(miri) { 41 } else { 1 }) {
+            let zeros = |count: usize| "\0".repeat(count);
+            let holed = [
+                over.clone() + &head[..length] + &zeros(head.len() - length),
+                over.clone() + &zeros(length) + &head[length..],
+            ];
+            assert!(holed.iter().all(|text| open_entry(text).is_none() && parse(text).is_none()), "{length}");
+        }
         assert_eq!(parse(&(over.clone() + &text)), entry(plan));
         let damaged = over + &text.replace("found sealed", "found unsealed");
         assert!(parse(&damaged).is_none() && open_entry(&damaged).is_some(), "a person looks at it");
