@@ -49,9 +49,6 @@ pub(crate) enum Mode {
 /// Mounts gauges and serves them until they are unmounted.
 pub(crate) fn run(setup: Setup, mode: Mode) -> Result<()> {
     let inherited = background::inherited();
-    // The kernel lets a sleep last 50 us longer, and the pause that gauges need between two transfers is no more. Threads
-    // inherit it; without it they are only slower.
-    let _ = nix::sys::prctl::set_timerslack(1);
     let shutdown = Shutdown::watch()?;
     self::log::start(mode.destination(&setup.mount))?;
     let warn = |line: &str| mode.warn(line);

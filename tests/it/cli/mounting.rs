@@ -52,24 +52,6 @@ fn a_mount_starts_one_more_program_and_an_unmount_none() {
     assert_eq!(starts(&["umount", &at]), 1);
 }
 
-/// The pause between two transfers took twice as long as gauges need.
-#[test]
-fn a_daemon_wakes_up_on_time() {
-    if !can_mount() {
-        return;
-    }
-    let folder = Folder::new();
-    let daemon = Foreground::new(&folder.file("m"), &[]);
-    let tasks = fs::read_dir(format!("/proc/{}/task", daemon.0.id())).expect("its threads");
-    for task in tasks.flatten() {
-        let slack = Path::new("/proc").join(task.file_name()).join("timerslack_ns");
-        match fs::read_to_string(slack) {
-            Ok(slack) => assert_eq!(slack.trim(), "1", "{task:?}"),
-            Err(error) => eprintln!("SKIPPED: only root sees how late a thread may wake up: {error}"),
-        }
-    }
-}
-
 /// A script that goes on after it believes that the gauge is sealed.
 #[test]
 fn a_seal_that_stays_owed_is_a_failure_of_umount_and_of_the_daemon() {
