@@ -141,6 +141,9 @@ impl DataFlash {
     /// The plan of a write to a gauge that was found sealed, by the blocks that are known before it is opened: mostly they
     /// are as they were.
     fn foresee(&self, gauge: &mut Gauge, session: &Session, changes: &[Change]) -> Option<Plan> {
+        if session.found != Seal::Sealed {
+            return None;
+        }
         let known = self.knowledge.known();
         let unknown = || Error::new("", Cause::NotNow, "it is not read yet");
         let mut planned = gather(gauge, changes, |_, place| known.get(place).ok_or_else(unknown)).ok()?;
@@ -158,8 +161,9 @@ impl DataFlash {
         let owed = match self.find_pending() {
             None => {
                 let marks = self.knowledge.marks(gauge.chip);
-                let foreseen = (!marks.is_empty()).then(|| Plan::of_marks(marks));
-                self.owe(gauge, session, 0, foreseen).and_then(|()| self.note_marks(gauge, session))
+                let plan = (!marks.is_empty()).then(|| Plan::of_marks(marks));
+                let owed = self.owe(gauge, session, 0, plan.clone());
+                owed.and_then(|()| plan.map_or(Ok(()), |plan| self.note(session, plan)))
             }
             Some(_) => self.owe_seal(gauge, session),
         };
@@ -198,14 +202,6 @@ impl DataFlash {
             entry.plan = Some(plan);
         }
         Ok(())
-    }
-
-    pub(super) fn note_marks(&mut self, gauge: &Gauge, session: &mut Session) -> Result<()> {
-        let marks = self.knowledge.marks(gauge.chip);
-        if marks.is_empty() {
-            return Ok(());
-        }
-        self.note(session, Plan::of_marks(marks))
     }
 
     pub(super) fn leave(&mut self, gauge: &Gauge, mut session: Session, left: Left) {

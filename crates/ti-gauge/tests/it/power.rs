@@ -7,7 +7,9 @@ use std::time::Duration;
 
 use gauge_bus::clock::Clock;
 use ti_gauge::chip::FLAT;
-use ti_gauge::gauge::Seal;
+use ti_gauge::dataflash::{Change, DataFlash};
+use ti_gauge::error::Result;
+use ti_gauge::gauge::{Gauge, Seal};
 
 use crate::rig::Rig;
 use crate::room::{Case, State, on_disk, one_in};
@@ -46,6 +48,14 @@ fn outcomes(disk: &State) -> Vec<State> {
     left
 }
 
+/// Reads the subclasses of what is written.
+fn read(dataflash: &mut DataFlash, gauge: &mut Gauge, changes: &[Change]) -> Result<()> {
+    changes.iter().try_for_each(|change| {
+        let (subclass, _) = change.row().expect("a parameter");
+        dataflash.read(gauge, &[subclass], Duration::ZERO).map(drop)
+    })
+}
+
 /// A write and its restart, with cuts at given places.
 struct Story<'a> {
     case: &'a Case,
@@ -60,10 +70,7 @@ impl Story<'_> {
         let changes = self.case.changes(rig);
         let (said, calls, disk) = on_disk(rig, self.disk.clone(), cut, |dataflash, gauge| {
             if self.is_known {
-                for change in &changes {
-                    let (subclass, _) = change.row().expect("a parameter");
-                    dataflash.read(gauge, &[subclass], Duration::ZERO)?;
-                }
+                read(dataflash, gauge, &changes)?;
             }
             dataflash.write(gauge, &changes, Duration::ZERO)
         });
@@ -166,9 +173,7 @@ fn a_plan_that_has_come_otherwise_is_the_one_that_counts() {
         let rig = case.rig();
         let changes = case.changes(&rig);
         let said = on_disk(&rig, State::default(), cut, |dataflash, gauge| {
-            for change in &changes {
-                dataflash.read(gauge, &[change.row().expect("a parameter").0], Duration::ZERO)?;
-            }
+            read(dataflash, gauge, &changes)?;
             rig.sim.set_flash(48, 15, &(-300_i16).to_be_bytes());
             dataflash.write(gauge, &changes, Duration::ZERO)
         });
@@ -180,13 +185,10 @@ fn a_plan_that_has_come_otherwise_is_the_one_that_counts() {
     let rig = case.rig();
     rig.sim.set_flash(48, 15, &(-300_i16).to_be_bytes());
     let model = (rig.sim.flash(), new);
-    let read = case.rig();
-    let reading = on_disk(&read, State::default(), None, |dataflash, gauge| {
-        let changes = case.changes(&read);
-        changes.iter().try_for_each(|change| {
-            dataflash.read(gauge, &[change.row().expect("a parameter").0], Duration::ZERO).map(drop)
-        })
-    });
+    let other = case.rig();
+    let changes = case.changes(&other);
+    let reading =
+        on_disk(&other, State::default(), None, |dataflash, gauge| read(dataflash, gauge, &changes));
     let story = Story { case, model, disk: State::default(), is_known: true };
     for (number, after) in
         one_in(5, (reading.1 + 1..=calls).flat_map(|number| [(number, false), (number, true)]))
